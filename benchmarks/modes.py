@@ -2,7 +2,8 @@
 
 `python benchmarks/modes.py --docs docs` renders recordings of the preset `bending`, evaluates each from its files three
 times, and writes a table into docs/modes.md; `"all at once"` those of the preset `laboratory`, whose load bends, whose
-cameras shake by 0.2 % of the driven motion and whose clocks are nearly locked.
+cameras shake by 0.2 % of the driven motion and whose clocks are nearly locked, with `--drawn` without rendering them
+(`drawn_motion`), every tenth with the lasers elsewhere as well.
 """
 
 from __future__ import annotations
@@ -11,14 +12,21 @@ import argparse
 import json
 import re
 import tempfile
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from drawn_motion import make_template, unrendered
 from marked import markdown_table, write_marked
 
 from fusion import evaluate_recording, load_manifest, simulate_preset
 from fusion.report.tables import sensitivity_element
 from fusion.sensitivity.analyse import Evaluation
+from fusion.simulate.preset import Preset, read_preset
+from fusion.simulate.sines import TRIGGER_JITTER_S, rendered_run, write_run
+from fusion.simulate.violations import violations
+from fusion.simulate.world import Draws, make_world
 
 BLOCK = re.compile(r"\[\[load\.elastic\]\].*?(?=\n\[environment\])", re.DOTALL)
 TREATMENTS = {
@@ -35,6 +43,10 @@ CASES = {
     ),
 }
 """Preset, what is broken of it, and how its rig.toml is changed, by the table that they make."""
+
+
+SPOTS = {"at 0.76 of the radius, as the preset has them": 0.0, "at 0.50": 0.50, "at 0.31": 0.31}
+"""Where the lasers look, over the radius of the plate, 0 for the preset's own place."""
 
 
 def error(evaluation: Evaluation, recording: Path) -> tuple[float, float]:
@@ -57,15 +69,57 @@ def draw(folder: Path, case: str, seed: int, frames: int, scale: float) -> dict[
     for name, changed in treatments.items():
         rig.write_text(changed(whole), encoding="utf-8")
         found[name] = error(evaluate_recording(load_manifest(recording)), recording)
-        print(f"seed {seed}: {name}: {100 * found[name][0]:+.4f} % (U {100 * found[name][1]:.4f} %)", flush=True)
+        tell(seed, name, found[name])
     return found
+
+
+def tell(seed: int, name: str, found: tuple[float, float]) -> None:
+    """Print error and U of one recording as they come."""
+    print(f"seed {seed}: {name}: {100 * found[0]:+.4f} % (U {100 * found[1]:.4f} %)", flush=True)
+
+
+def drawn(case: str, draws: int, frames: int) -> Iterator[dict[str, tuple[float, float]]]:
+    """Yield error and U of the element by where the lasers look, of one draw after the other that is not rendered."""
+    name, broken, _ = CASES[case]
+    preset = read_preset(Preset, name).shrunk(frames, 1.0)
+    with tempfile.TemporaryDirectory() as folder:
+        template = make_template(Path(folder) / "template", preset)
+        for seed in range(1, draws + 1):
+            found = {}
+            for spots, share in SPOTS.items():
+                if share and seed % 10:
+                    continue
+                with tempfile.TemporaryDirectory(dir=folder) as own:
+                    moved = _looking(preset, share)
+                    drawing = Draws(seed, True, broken=violations(broken, moved))
+                    world = make_world(moved, drawing, TRIGGER_JITTER_S)
+                    with unrendered(template, world, drawing):
+                        recording = write_run(Path(own), rendered_run(moved), world, drawing)
+                        found[spots] = error(evaluate_recording(load_manifest(recording)), recording)
+                tell(seed, spots, found[spots])
+            yield found
+
+
+def _looking(preset: Preset, share: float) -> Preset:
+    """Return a preset whose lasers look at a share of the plate's radius, 0 for where they do."""
+    assert preset.plate is not None
+    daqs = []
+    for daq in preset.daqs:
+        channels = list(daq.channels)
+        for place, spec in enumerate(channels if share else ()):
+            x, y, z = spec.point
+            if spec.quantity == "velocity":
+                size = share * preset.plate.radius / float(np.hypot(x, y))
+                channels[place] = replace(spec, point=(size * x, size * y, z))
+        daqs.append(replace(daq, channels=tuple(channels)))
+    return replace(preset, daqs=tuple(daqs))
 
 
 def rows(found: list[dict[str, tuple[float, float]]]) -> list[str]:
     """Return a row for each treatment."""
     told = []
-    for name in found[0]:
-        every = np.array([each[name] for each in found])
+    for name in dict.fromkeys(name for each in found for name in each):
+        every = np.array([each[name] for each in found if name in each])
         known = np.isfinite(every[:, 0])
         errors, u = every[known].T
         refused = int(np.sum(~known))
@@ -86,18 +140,25 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=8)
     parser.add_argument("--frames", type=int, default=160)
     parser.add_argument("--scale", type=float, default=1.0, help="of the pictures")
+    parser.add_argument("--drawn", action="store_true", help="without rendering")
     parser.add_argument("--docs", type=Path)
     options = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
-        size, seeds = (options.frames, options.scale), range(1, options.draws + 1)
-        found = [draw(Path(folder) / str(seed), options.case, seed, *size) for seed in seeds]
-    head = "| load | error / %, mean ± scatter | largest / % | U / % | within U | no result: instruments contradict |"
-    width = round(640 * options.scale)
-    pictures = f"{options.draws} recordings of {options.frames} frames, pictures of {width} px width."
-    table = f"{pictures}\n\n{markdown_table(head, rows(found))}"
+    if options.drawn:
+        mark, what = f"{options.case}, drawn", "lasers look"
+        told = f"{options.draws} draws of {options.frames} frames."
+        found = list(drawn(options.case, options.draws, options.frames))
+    else:
+        mark, what = options.case, "load"
+        width = round(640 * options.scale)
+        told = f"{options.draws} recordings of {options.frames} frames, pictures of {width} px width."
+        with tempfile.TemporaryDirectory() as folder:
+            size, seeds = (options.frames, options.scale), range(1, options.draws + 1)
+            found = [draw(Path(folder) / str(seed), options.case, seed, *size) for seed in seeds]
+    head = f"| {what} | error / %, mean ± scatter | largest / % | U / % | within U | contradicted: no result |"
+    table = f"{told}\n\n{markdown_table(head, rows(found))}"
     print(table)
     if options.docs is not None:
-        write_marked(options.docs / "modes.md", {options.case: table})
+        write_marked(options.docs / "modes.md", {mark: table})
 
 
 if __name__ == "__main__":

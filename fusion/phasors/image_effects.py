@@ -16,7 +16,7 @@ from photogram.camera import CAMERA_PARAMETERS, FaceCamera, Rig, locate, princip
 from photogram.direct.shapes import Shapes
 from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.motion import PlacedCamera, RigidMotion, fit_motion, relative_to, see_points
-from shaker.arrays import ComplexArray, FloatArray
+from shaker.arrays import ComplexArray, FloatArray, Notice
 from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.sine.fit import fit_sines
 from shaker.sine.normal_equations import SineSums
@@ -26,6 +26,7 @@ from shaker.sine.solve import SineFit, SineModel
 MIN_SUBSETS, SEEN_SHARE, EFFECT_SUBSETS = 6, 0.5, 200
 PERIODIC_SHARE = 0.4  # standard uncertainty of a line over the amplitude of an error periodic in the pixel
 BIAS_STEP_PX = 0.01
+UNLIKE = 2.0  # times the variance of other frames: weights of less gain less than 6 %
 THROUGH = "pose through the surface"
 
 
@@ -222,23 +223,55 @@ def fit_about_mean(measured: StereoMotion, frequency_hz: FloatArray) -> tuple[St
 
     That pose is also where the surface before a camera alone lies as it is stated.
     """
-    motion, fit = measured.motion, None
+    motion, time_s, fit = measured.motion, measured.sight.time_s, None
+    variance: FloatArray | None = None
     try:
         for number in range(3):
             if fit is not None and number == 1:
                 measured = with_surface_at_rest(measured, fit.offset)
                 motion = measured.motion
             motion = motion if fit is None else relative_to(motion, fit.offset)
+            variance = None if fit is None else _frame_variance(time_s, motion, fit)
             fit = fit_sines(
-                measured.sight.time_s,
+                time_s,
                 motion.pose,
                 frequency_hz,
                 MOTION_COMPONENTS,
                 component_units(0),
                 model=SineModel(robust=True),
+                variance=variance,
             )
     except ValueError as error:
         told = f"stereo pair {measured.sight.name}: the lines cannot be fitted to its motion ({error})"
         raise ComputeError(told) from error
     assert fit is not None
+    if variance is not None:
+        times = float(variance.max() / variance.min())
+        text = f"what its pixels tell of the motion differs from frame to frame, in variance by up to {times:.2g} times"
+        fit = replace(fit, notices=(*fit.notices, Notice("warning", f"{text}; each frame counts by its own", "frames")))
     return measured, motion, fit
+
+
+def _frame_variance(time_s: FloatArray, motion: RigidMotion, fit: SineFit) -> FloatArray | None:
+    """Return the noise variance (F,) of each frame over a typical one's, by what its pixels state; None for all alike.
+
+    The geometric mean over the six components, by which frames in another light, half hidden, or known by points alone
+    count less. Sums of pixels over all frames at once would weigh by the whole of their information, which gains no
+    more (`benchmarks/grey_phasors.py`). Frames less unlike than by `UNLIKE` count alike, and all do where what a `fit`
+    leaves of them has the likelihood of one variance for all: air and vibration ask for no pixels.
+    """
+    own = np.diagonal(motion.covariance, axis1=1, axis2=2)
+    left = fit.residual_of(time_s, motion.pose)
+    known = np.asarray(np.isfinite(left).all(axis=1) & (own > 0.0).all(axis=1))
+    known[fit.spikes] = False
+    if not known.any():
+        return None
+    size = np.ones(len(own))
+    size[known] = np.exp(np.mean(np.log(own[known] / np.median(own[known], axis=0)), axis=1))
+    square = left[known] ** 2
+    with np.errstate(divide="ignore"):  # of residuals that are zero
+        alike, unlike = (
+            float(np.mean(np.log(np.mean(square / one[:, None], axis=0)))) + float(np.mean(np.log(one)))
+            for one in (np.ones(len(square)), size[known])
+        )
+    return size if np.ptp(np.log(size[known])) > np.log(UNLIKE) and unlike < alike else None
