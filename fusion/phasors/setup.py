@@ -17,7 +17,6 @@ from fusion.estimation.coverage import coverage_factor
 from fusion.estimation.uncertainty import Scope
 from fusion.instruments.channel import Reading, RelativeError, acting
 from fusion.instruments.transducer import TRANSDUCERS
-from fusion.phasors.again import looked_again
 from fusion.phasors.channels import (
     APART_PERIODS,
     HARMONICS,
@@ -163,6 +162,8 @@ def measure_set_up(
             clock = base.sight_errors(first)
         else:
             lines, clock = opened.lines, line_clock(base)
+        from fusion.phasors.again import looked_again  # its kernels take time to import, and `check` needs none
+
         again = [still_calibrated(looked_again(item, opened.images, lines)) for item in motions]
         left_out += [item for item in again if isinstance(item, LeftOut)]
         motions = tuple(item for item in again if isinstance(item, StereoMotion))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import hypot
 from typing import Annotated, Self
 
 import numpy as np
@@ -34,7 +35,7 @@ def _gravity(value: object) -> tuple[float, ...]:
     """The acceleration of free fall as it is on Earth."""
     elements = vector(3)(value)
     low, high = GRAVITY_ON_EARTH
-    length = float(np.linalg.norm(elements))
+    length = hypot(*elements)
     if not low <= length <= high:
         raise refusal(f"an acceleration of {low} to {high} m/s^2 (or no such key)", f"{length:g} m/s^2")
     return elements

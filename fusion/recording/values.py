@@ -13,6 +13,7 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from datetime import date, time
 from fnmatch import fnmatchcase
+from math import hypot, isinf
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -261,9 +262,11 @@ def boxes(value: Any) -> tuple[Box, ...]:
 def unit_vector(value: Any) -> tuple[float, ...]:
     """Normalise a direction of 3 numbers; the zero vector has none."""
     elements = _numbers(value, 3, "3 numbers that give a direction")
-    length = float(np.linalg.norm(elements))
+    length = hypot(*elements)
     if length == 0.0:
         raise refusal("a direction", "the zero vector")
+    if isinf(length):
+        raise refusal("a direction", describe(value))
     return tuple(element / length for element in elements)
 
 
