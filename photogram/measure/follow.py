@@ -199,7 +199,7 @@ class Course:
     def __init__(self, scene: BodyScene) -> None:
         self.scene, self.fits = scene, list[DirectFit]()
         self.sides = followers(scene)
-        self._history, self._last = list[Found](), [found for found, _ in scene.lead[-1:] if found is not None]
+        self._history, self._last = list[Found](), scene.lead[-1][0] if scene.lead else None
 
     def find(self, number: int, images: tuple[GreyImage, ...]) -> FollowedFrame:
         """Fit the body from where the last frames foretell it, and look for its subsets from there.
@@ -223,8 +223,8 @@ class Course:
         starts: list[FloatArray | None] = []
         for side, seen in enumerate(self.scene.seen):
             start = None
-            if fit is not None:
-                start = self._last[0][side].warp.copy()
+            if fit is not None and self._last is not None:
+                start = self._last[side].warp.copy()
                 start[:, [0, 3]] = carried_px(seen, fit.moved)
             elif self._history:
                 start = predict_warp([both[side].warp for both in self._history])
@@ -236,7 +236,7 @@ class Course:
         if here is None:
             self._history = []
         else:
-            self._last, self._history = [here], [*self._history[1 - HISTORY :], here]
+            self._last, self._history = here, [*self._history[1 - HISTORY :], here]
         self.fits = [] if fit is None else [*self.fits[1 - FITS_KEPT :], fit]
         return here, fit
 

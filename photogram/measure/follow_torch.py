@@ -17,11 +17,10 @@ from photogram.direct.fit_torch import fit_frames, load_solvers, torch_view
 from photogram.geometry import vector_from_rotation
 from photogram.images.sequence import GreyImage
 from photogram.measure.follow import FORETELLING, Course, FollowedFrame, elsewhere, foretold_motion, too_loud
-from photogram.subsets.find import MORE_LOST, NEIGHBOUR_ROUNDS, merged
-from photogram.subsets.icgn import Registration, resolved
+from photogram.subsets.find import MORE_LOST, grown
+from photogram.subsets.icgn import Registration
 from photogram.subsets.icgn_torch import PRECISION, TorchSplines, register_frames, splines_of, torch_reference, uploaded
 from photogram.subsets.reference import TrackStatus
-from photogram.subsets.search import neighbour_starts
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -128,7 +127,6 @@ class _Engine:
             return {}
         scene, reference, prepared = self._course.scene, self._course.scene.references[side], self._references[side]
         starts = {k: start for k, both in begun.items() if (start := both[side]) is not None}
-        usable = reference.status == TrackStatus.OK
 
         def registered(starts: dict[int, FloatArray]) -> dict[int, Registration]:
             whole = np.full((len(batch.numbers), *next(iter(starts.values())).shape), np.nan)
@@ -136,29 +134,17 @@ class _Engine:
             found = register_frames(prepared, splines, whole, scene.settings)
             return {k: found[k] for k in starts}
 
-        found = registered(starts)
-        going_on = list(found)
-        for _ in range(NEIGHBOUR_ROUNDS):  # as `find_from_neighbours` does frame by frame
-            again = dict[int, FloatArray]()
-            for k in going_on:
-                lost = usable & (found[k].status != TrackStatus.OK)
-                if lost.any():
-                    again[k] = np.where(lost[:, None], neighbour_starts(reference.centre_px, found[k].warp), np.nan)
-            if not again:
-                break
-            better = {k: merged(found[k], more) for k, more in registered(again).items()}
-            going_on = [k for k, one in better.items() if not np.array_equal(one.status, found[k].status)]
-            found |= better
+        found = grown(reference, registered(starts), registered)
         follower, brightest = self._course.sides[side], batch.raw[side].float().amax(dim=(1, 2)).cpu().numpy()
         for k, here in found.items():
-            found[k] = resolved(reference, here)
             if brightest[k] >= scene.images[side].full_scale:
-                found[k] = follower.unsaturated(batch.images[k][side], found[k])
+                found[k] = follower.unsaturated(batch.images[k][side], here)
         warps, begun_at = (
             np.stack(arrays) for arrays in zip(*((found[k].warp, starts[k]) for k in found), strict=True)
         )
-        missing = np.array([np.count_nonzero(usable & (here.status != TrackStatus.OK)) for here in found.values()])
-        there = ~elsewhere(warps, begun_at) & (missing <= MORE_LOST * len(usable))
+        usable = reference.status == TrackStatus.OK
+        lost = usable & np.array([here.status != TrackStatus.OK for here in found.values()])
+        there = ~elsewhere(warps, begun_at) & (lost.sum(axis=1) <= MORE_LOST * lost.shape[1])
         return {k: here for (k, here), kept in zip(found.items(), there, strict=True) if kept}
 
 
@@ -193,7 +179,8 @@ def foretold_poses(course: Course, most: int) -> FloatArray:
         return np.tile(poses[-1], (min(most, FIRST_FRAMES), 1))
     tested = len(fits) // 4
     count, known = min(most, len(fits)), len(fits) - tested
-    moved_px = poses @ _some_rates(course).T
+    rates = np.concatenate([seen.rates[np.isfinite(seen.rates).all(axis=(1, 2))] for seen in course.scene.seen])
+    moved_px = poses @ rates[:: max(1, len(rates) // POINTS)].reshape(-1, 6).T
     lines, miss = _lines_of(moved_px[:known], moved_px[known:]) if count > 1 and known >= FEWEST else (0, np.inf)
     if miss > TRUSTED_PX:
         return foretold_motion(fits).pose[None]
@@ -203,12 +190,6 @@ def foretold_poses(course: Course, most: int) -> FloatArray:
     for _ in range(lines):
         frequencies = _next_line(moved_px, frequencies)
     return _continued(poses, frequencies, count)
-
-
-def _some_rates(course: Course) -> FloatArray:
-    """How the pixels of some points answer to the six components, (K, 6)."""
-    rates = np.concatenate([seen.rates[np.isfinite(seen.rates).all(axis=(1, 2))] for seen in course.scene.seen])
-    return rates[:: max(1, len(rates) // POINTS)].reshape(-1, 6)
 
 
 def _lines_of(known: FloatArray, truth: FloatArray) -> tuple[int, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -184,17 +185,31 @@ def find_from_neighbours(
     reference: Reference, target: Spline, found: Registration, settings: TrackSettings
 ) -> Registration:
     """Lost subsets once more from the affine maps of their nearest neighbours, as long as that finds some."""
+    return grown(reference, {0: found}, lambda starts: {0: register(reference, target, starts[0], settings)})[0]
+
+
+def grown(
+    reference: Reference,
+    found: Mapping[int, Registration],
+    registered: Callable[[dict[int, FloatArray]], dict[int, Registration]],
+) -> dict[int, Registration]:
+    """What was found in frames, with the lost subsets that their neighbours lead to, as long as that finds some.
+
+    registered: of the frames with these starts (N,6), NaN for none.
+    """
+    whole, going_on = dict(found), list(found)
     for _ in range(NEIGHBOUR_ROUNDS):
-        lost = (found.status != TrackStatus.OK) & (reference.status == TrackStatus.OK)
-        if not lost.any() or lost.all():
+        starts = dict[int, FloatArray]()
+        for k in going_on:
+            lost = (whole[k].status != TrackStatus.OK) & (reference.status == TrackStatus.OK)
+            if lost.any() and not lost.all():
+                starts[k] = np.where(lost[:, None], neighbour_starts(reference.centre_px, whole[k].warp), np.nan)
+        if not starts:
             break
-        start = neighbour_starts(reference.centre_px, found.warp)
-        start[~lost] = np.nan
-        more = register(reference, target, start, settings)
-        if not np.any(more.status[lost] == TrackStatus.OK):
-            break
-        found = merged(found, more)
-    return resolved(reference, found)
+        more = registered(starts)
+        going_on = [k for k in starts if np.any(more[k].status == TrackStatus.OK)]
+        whole |= {k: merged(whole[k], more[k]) for k in going_on}
+    return {k: resolved(reference, here) for k, here in whole.items()}
 
 
 def merged(first: Registration, second: Registration) -> Registration:
