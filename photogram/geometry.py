@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -47,14 +48,16 @@ class RigidTransform(Arrays, shapes="rotation 3 3; translation_m 3"):
         pose = np.asarray(pose, dtype=np.float64)
         return RigidTransform(rotation_from_vector(pose[3:]), pose[:3].copy())
 
-    @property
+    @cached_property
     def pose(self) -> FloatArray:
         """The pose (6,): translation (m), then rotation vector (rad)."""
         return np.concatenate([self.translation_m, vector_from_rotation(self.rotation)])
 
     def apply(self, points_m: FloatArray) -> FloatArray:
         """Return R·x + t of points (..., 3)."""
-        return np.asarray(points_m) @ self.rotation.T + self.translation_m
+        points = np.asarray(points_m)
+        flat = points.reshape(-1, 3) @ self.rotation.T  # one product, where numpy makes one for each of the first axes
+        return (flat + self.translation_m).reshape(points.shape)
 
     def inverse(self) -> RigidTransform:
         """Return `a_from_b` of `b_from_a`: x_a = Rᵀ·(x_b − t)."""

@@ -76,6 +76,11 @@ class CellSums:
     slope: FloatArray
     misfit_noise: FloatArray
 
+    @property
+    def all(self) -> tuple[FloatArray, ...]:
+        """For kernels: gain, misfit, slope, expected misfit."""
+        return self.gain, self.misfit, self.slope, self.misfit_noise
+
 
 def lay_cells(area: BoolArray, side_px: int) -> tuple[FloatArray, IntArray, IntArray]:
     """Return centres (C, 2), runs (R, 4) and first runs (C + 1,) of the squares that cover `area` (H, W).

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -23,6 +24,7 @@ from photogram.direct.cells import (
 from photogram.direct.shapes import Shapes, shape_rates
 from photogram.geometry import RigidTransform, rotation_vector_rate, vector_from_rotation
 from photogram.images.noise import QUANTISATION, NoiseModel, fit_noise_model
+from photogram.kernels import njit
 from photogram.motion import MEDIAN_CHI2_OF_TWO, Patches, PlacedCamera, body_patches, patch_rates, warps_to
 
 REACH_CELLS = 4.0  # how far from the nearest known point a cell's surface may lie
@@ -58,6 +60,13 @@ class BodyView(Arrays, shapes="rates C 6 p; information C p p; information_noise
     information_noise: FloatArray
     translation: FloatArray
     carried: tuple[FloatArray, FloatArray] | None = None
+
+    @cached_property
+    def answers(self) -> tuple[FloatArray, ...]:
+        """For kernels: rates, information, the part of it that is noise, and a cell's misfit by rounding per noise's."""
+        rounding = QUANTISATION * self.cells.weight / self.cells.count
+        flat = (part.reshape(len(rounding), -1) for part in (self.information, self.information_noise))
+        return self.rates, *flat, rounding
 
     def warps(self, moved: RigidTransform) -> FloatArray:
         """Return the affine warps (C, 6) of the cells when the body has moved by `moved`."""
@@ -231,14 +240,7 @@ def _step(views: Sequence[BodyView], targets: Sequence[Spline], moved: RigidTran
     for _ in range(2):
         parts, slope, sums = np.zeros((2, size**2)), np.zeros(size), np.zeros(4)
         for view, told in zip(views, compared, strict=True):
-            used = _rigid_cells(view, told, pose)
-            gain = np.where(used, told.gain, 0.0)
-            parts[0] += gain**2 @ view.information.reshape(-1, size**2)
-            parts[1] += gain**2 @ view.information_noise.reshape(-1, size**2)
-            slope += (np.where(used[:, None], told.slope, 0.0) * gain[:, None]).ravel() @ view.rates.reshape(-1, size)
-            expected = told.misfit_noise[used]
-            rounding = QUANTISATION * expected * (view.cells.weight / view.cells.count)[used]
-            sums += told.misfit[used].sum(), expected.sum(), rounding.sum(), len(expected)
+            _add_cells(_rigid_cells(view, told, pose), told.all, view.answers, (parts, slope, sums))
         whole, whole_noise = parts.reshape(2, size, size)
         information, noise_part = whole[:6, :6], whole_noise[:6, :6]
         misfit, noise, least, cells = sums.tolist()
@@ -357,18 +359,71 @@ def _rigid_cells(view: BodyView, sums: CellSums, step: FloatArray) -> BoolArray:
 
     step (6,): of the body, after which the shift is what counts.
     """
-    ratio = sums.misfit / sums.misfit_noise
-    known = np.isfinite(ratio) & np.isfinite(sums.slope).all(axis=1) & np.isfinite(view.translation[:, 0, 0])
-    known &= view.rates[:, :, :6].any(axis=(1, 2))
-    if not known.any():
-        return known
-    typical = max(float(np.median(ratio[known])), SMALLEST_MISFIT)
-    known &= np.where(known, ratio, np.inf) <= MISFIT * typical
-    carried = np.einsum("cij,cj->ci", view.cells.hessian[:, [0, 3]], view.rates[:, :, :6] @ step)
-    slope = sums.slope[:, [0, 3]] - sums.gain[:, None] * carried
-    squares = np.einsum("ci,cij,cj->c", slope, view.translation, slope) / typical
-    limit = REJECTED * max(1.0, float(np.median(squares[known])) / MEDIAN_CHI2_OF_TWO)
-    return np.asarray(known & (np.where(known, squares, np.inf) <= limit))
+    used = np.zeros(len(sums.gain), dtype=np.bool_)
+    _judge_cells(sums.all, (view.rates, view.cells.hessian, view.translation), step, used)
+    return used
+
+
+@njit(error_model="numpy")
+def _judge_cells(sums, answers, step, used):  # type: ignore[no-untyped-def]
+    """`_rigid_cells` into `used`, all false."""
+    (gain, misfit, slope, expected), (rates, hessian, translation) = sums, answers
+    count, known = gain.shape[0], 0
+    ratio, squares = np.empty(count), np.empty(count)
+    for c in range(count):
+        told = misfit[c] / expected[c]
+        if not np.isfinite(told + slope[c].sum() + translation[c, 0, 0]) or not rates[c, :, :6].any():
+            continue
+        used[c], ratio[known] = True, told
+        known += 1
+    if known == 0:
+        return
+    typical = max(np.median(ratio[:known]), SMALLEST_MISFIT)
+    known = 0
+    for c in range(count):
+        used[c] = used[c] and misfit[c] / expected[c] <= MISFIT * typical
+        if used[c]:
+            x, y = slope[c, 0], slope[c, 3]
+            for i in range(6):
+                moved = 0.0
+                for j in range(6):
+                    moved += rates[c, i, j] * step[j]
+                x -= gain[c] * hessian[c, 0, i] * moved
+                y -= gain[c] * hessian[c, 3, i] * moved
+            inverse = translation[c]
+            square = inverse[0, 0] * x * x + (inverse[0, 1] + inverse[1, 0]) * x * y + inverse[1, 1] * y * y
+            squares[known] = square / typical
+            known += 1
+    limit = REJECTED * max(1.0, np.median(squares[:known]) / MEDIAN_CHI2_OF_TWO)
+    known = 0
+    for c in range(count):
+        if used[c]:
+            used[c] = squares[known] <= limit
+            known += 1
+
+
+@njit(error_model="numpy")
+def _add_cells(used, told, answers, found):  # type: ignore[no-untyped-def]
+    """Add the used cells to information and its part that is noise (2, p·p), slope (p,), and to sums of misfit, of what
+    noise makes of it, of what rounding does, and of cells."""
+    (gain, misfit, slope, expected), (rates, information, information_noise, rounding) = told, answers
+    parts, whole, sums = found
+    size = rates.shape[2]
+    for c in range(gain.shape[0]):
+        if not used[c]:
+            continue
+        square = gain[c] ** 2
+        for i in range(size**2):
+            parts[0, i] += square * information[c, i]
+            parts[1, i] += square * information_noise[c, i]
+        for k in range(6):
+            turned = gain[c] * slope[c, k]
+            for i in range(size):
+                whole[i] += turned * rates[c, k, i]
+        sums[0] += misfit[c]
+        sums[1] += expected[c]
+        sums[2] += expected[c] * rounding[c]
+        sums[3] += 1.0
 
 
 def _scaled(matrix: FloatArray) -> FloatArray:

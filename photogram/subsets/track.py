@@ -378,10 +378,7 @@ class StereoCourse:
         self._common.append(common)
         for side, (position, status) in enumerate(zip(positions_px, statuses, strict=True)):
             seen = np.where(aside[..., None], np.nan, position) - self._first[side]
-            middle = np.full((len(seen), 2), np.nan)
-            some = np.any(np.isfinite(seen).all(axis=2), axis=1)
-            middle[some] = np.nanmedian(seen[some], axis=1)
-            self._moved[side].append(middle)
+            self._moved[side].append(np.array([middle_px(frame) for frame in seen]))
             counted = np.where(aside, np.int8(TrackStatus.NOT_CONVERGED), status)
             self._statuses[side] += np.bincount(counted.ravel(), minlength=len(TrackStatus))
         return aside
@@ -561,6 +558,12 @@ def _middle(values: FloatArray) -> float:
     """Median of the finite values."""
     finite = values[np.isfinite(values)]
     return float(np.median(finite)) if len(finite) else float("nan")
+
+
+def middle_px(places_px: FloatArray) -> FloatArray:
+    """Return the median (2,) of those of the places (N,2) that are known, NaN for none."""
+    known = places_px[np.isfinite(places_px).all(axis=1)]
+    return np.asarray(np.median(known, axis=0)) if len(known) else np.full(2, np.nan)
 
 
 def tracks_of(
