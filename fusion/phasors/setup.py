@@ -146,10 +146,9 @@ def measure_set_up(
     """Follow the images of a set-up, here or by an executor, and fit the lines to the motion of every stereo pair."""
     manifest, base = opened.manifest, opened.base
     with told_in(manifest.path, opened.where, opened.name):
-        known = None if opened.lines is None else len(opened.lines.frequency_hz)
         seen = [
             item if isinstance(item, LeftOut) or any(item.sight.pair.row_time) else still_calibrated(item)
-            for item in measure_pairs(opened.images, settings, progress, executor, kept, known)
+            for item in measure_pairs(opened.images, settings, progress, executor, kept, opened.lines)
         ]
         left_out = [item for item in seen if isinstance(item, LeftOut)]
         motions = (*(item for item in seen if isinstance(item, StereoMotion)), *opened.points)

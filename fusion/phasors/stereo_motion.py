@@ -251,11 +251,11 @@ def measure_pairs(
     progress: ProgressCallback,
     executor: Executor | None = None,
     kept: Keeper | None = None,
-    lines: int | None = None,
+    lines: Lines | None = None,
 ) -> tuple[StereoMotion | LeftOut, ...]:
     """Track the images of stereo pairs and fit the rigid motion of the body that each sees, or say why there is none.
 
-    Subsets are looked for in as many frames as tell so many `lines` apart, None for all frames.
+    Subsets are looked for in as many frames as tell the `lines` apart, in all where none are known.
 
     Files that cannot be read are refused. An executor opens the images itself, by the same paths; without one, threads
     of this process follow them, and whoever does finds the same to the last bit. Blocks of frames that were `kept` are
@@ -319,12 +319,16 @@ def _answer(images: OpenImages, pending: Pending) -> Any:
         return answer.opened()
 
 
-def _prepared(images: OpenImages, settings: Settings, lines: int | None) -> BodyScene:  # a task, so of this module
-    from photogram.measure.follow import KnownBody, prepare_body
+def _prepared(images: OpenImages, settings: Settings, lines: Lines | None) -> BodyScene:  # a task, so of this module
+    from photogram.measure.follow import KnownBody, prepare_body, sine_terms
     from photogram.subsets.track import resolve_device
 
-    known = KnownBody(images.depth_m, images.modes, any(images.sight.pair.row_time))
-    return prepare_body(*body_inputs(images, settings, lines), resolve_device(settings.device), known=known)
+    inputs, terms = body_inputs(images, settings, None if lines is None else len(lines.frequency_hz)), None
+    if lines is not None:
+        strongest = np.argsort(lines.multiple, kind="stable")  # mostly
+        terms = sine_terms(images.sight.time_s, lines.frequency_hz[strongest])
+    known = KnownBody(images.depth_m, images.modes, any(images.sight.pair.row_time), terms)
+    return prepare_body(*inputs, resolve_device(settings.device), known=known)
 
 
 def measure_images(images: OpenImages, settings: Settings, progress: ProgressCallback) -> StereoMotion:

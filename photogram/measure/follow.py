@@ -44,6 +44,11 @@ GPU_BLOCK_FRAMES = 1024
 """On a GPU, which follows frames in batches: more than most series have, few enough to hold."""
 FORETELLING = 4
 """Frames in a row that foretell the next: as many as the rule of one sine about any mean takes."""
+FEWEST_CONTINUED = 6
+"""Frames in a row that a mean and one line are fitted to, to foretell the next."""
+LARGEST_LEFT = 8.0
+"""Standard uncertainties of a motion, rms of the last frames, that its terms may leave: less than half of the step that
+may be the last one of a fit."""
 FITS_KEPT = 128  # as far back as sines are fitted that foretell many frames
 FEW_MORE = 1.25  # times the frames wanted, below which subsets are looked for in all
 LOUDER = 4.0
@@ -57,18 +62,21 @@ FollowedBlock = tuple[FollowedFrame, ...]
 the direct fit, None for none."""
 
 
-@dataclass(frozen=True)
-class KnownBody:
+@dataclass(frozen=True, eq=False, repr=False)
+class KnownBody(Arrays, shapes="terms F m"):
     """What is known of a body before it is seen.
 
     `depth_m`: nearest and farthest depth in the left camera at which it can be, where its pattern may repeat. `shapes`:
     in which it may deform, `PlainShapes` where none are known. `rolls`: rows of its pictures are exposed one after the
-    other, so that they show no rigid body before its motion is known: subsets alone are followed.
+    other, so that they show no rigid body before its motion is known: subsets alone are followed. `terms` (F, m): of
+    which its motion over the frames is mostly a sum (`sine_terms`), those that matter most first; None if unknown. They
+    foretell where it is, and take no part in what is measured.
     """
 
     depth_m: DepthRange | None = None
     shapes: Shapes | None = None
     rolls: bool = False
+    terms: FloatArray | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -207,7 +215,7 @@ class Course:
         Where nothing is foretold, or the subsets are elsewhere, it is fitted from its subsets, which are looked for.
         """
         splines = tuple(spline_of_image(image, self.scene.settings.degree) for image in images)
-        fit = _foretold_fit(self.scene, self.fits, splines)
+        fit = self._foretold_fit(number, splines)
         here: Found | None = None
         if fit is None or self.scene.sought[number]:
             starts = self.starts(fit)
@@ -216,6 +224,34 @@ class Course:
             if fit is None or any(elsewhere(one.warp, start) for one, start in zip(here, starts, strict=True)):
                 fit = _fit(self.scene, here, splines)
         return self.took(here, fit)
+
+    def _foretold_fit(self, number: int, splines: Splines) -> DirectFit | None:
+        """The direct fit of a frame from where those before it foretell the body; None where it has none like theirs.
+
+        Some of the cells first lead nearer where the frames before it do not show that this is spared.
+        """
+        if len(self.fits) < FORETELLING:
+            return None
+        scene, start = self.scene, self._continued(number)
+        if start is None:
+            start = foretold_motion(self.fits)
+            start = approach(scene.near, splines, start) if scene.near else start
+        fit = None if start is None else fit_direct(scene.views, splines, start)
+        return None if fit is None or too_loud(fit, self.fits) else fit
+
+    def _continued(self, number: int) -> RigidTransform | None:
+        """Where the terms of the motion take the body in a frame, half as many as there are frames before it; None
+        where they do not describe the last of those."""
+        terms, count = self.scene.body.terms, len(self.fits)
+        if terms is None or count < FEWEST_CONTINUED:
+            return None
+        used = terms[number - count : number + 1, : (count // 2 - 1) | 1]
+        poses = np.array([fit.moved.pose for fit in self.fits])
+        parts = np.linalg.lstsq(used[:-1], poses, rcond=None)[0]
+        left = (poses - used[:-1] @ parts)[-FORETELLING:] / np.sqrt(np.diagonal(self.fits[-1].covariance))
+        if not np.sqrt(np.mean(np.sum(left**2, axis=1))) < LARGEST_LEFT:
+            return None
+        return RigidTransform.from_pose(used[-1] @ parts)
 
     def starts(self, fit: DirectFit | None) -> list[FloatArray | None]:
         """Where each camera's subsets are to be looked for: where a fit takes those that were found last, else where
@@ -241,19 +277,16 @@ class Course:
         return here, fit
 
 
+def sine_terms(time_s: FloatArray, frequency_hz: FloatArray) -> FloatArray:
+    """Return a constant, and cosine and sine of each line (K,), at the times of the frames (F,): (F, 1 + 2K)."""
+    phase = 2.0 * np.pi * np.outer(time_s, frequency_hz)
+    both = np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(phase), -1)
+    return np.hstack([np.ones((len(phase), 1)), both])
+
+
 def carried_px(seen: SeenPoints, moved: RigidTransform) -> FloatArray:
     """By how much a body's motion moves its points (N, 2) in a camera."""
     return np.asarray(seen.camera.project(moved.apply(seen.points_m)) - seen.rest_px)
-
-
-def _foretold_fit(scene: BodyScene, fits: Sequence[DirectFit], splines: Splines) -> DirectFit | None:
-    """The direct fit of a frame from where those before it foretell the body; None where it has none like theirs."""
-    if len(fits) < FORETELLING:
-        return None
-    start = foretold_motion(fits)
-    near = approach(scene.near, splines, start) if scene.near else start
-    fit = None if near is None else fit_direct(scene.views, splines, near)
-    return None if fit is None or too_loud(fit, fits) else fit
 
 
 def foretold_motion(fits: Sequence[DirectFit]) -> RigidTransform:
