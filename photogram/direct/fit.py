@@ -63,7 +63,7 @@ class BodyView(Arrays, shapes="rates C 6 p; information C p p; information_noise
 
     @cached_property
     def answers(self) -> tuple[FloatArray, ...]:
-        """For kernels: rates, information, the part of it that is noise, and a cell's misfit by rounding per noise's."""
+        """For kernels: rates, information, the part of it that is noise, misfit by rounding over that by noise."""
         rounding = QUANTISATION * self.cells.weight / self.cells.count
         flat = (part.reshape(len(rounding), -1) for part in (self.information, self.information_noise))
         return self.rates, *flat, rounding

@@ -103,6 +103,45 @@ def test_a_drafted_demo_has_the_demos_numbers(tmp_path, demo_recording):
         assert rows(tmp_path / "own" / name) == rows(tmp_path / "first" / name)
 
 
+def test_a_camera_without_a_partner_is_drafted_as_one_alone_before_a_face(tmp_path, demo_recording, capsys):
+    """The left camera of a pair, whose file is there, three photographs, and a pair of unlike numbers of frames."""
+    folder = stripped(demo_recording, tmp_path / "demo")
+    recording = folder / "Fz-0080"
+    shutil.rmtree(recording / "top-right")
+    (recording / "photographs").mkdir()
+    for picture in sorted((recording / "base-right").iterdir())[:3]:
+        shutil.copy(picture, recording / "photographs" / f"rig{picture.name}")
+        picture.unlink()
+    drafted = draft(folder)
+    rig = tomllib.loads(drafted.files[folder / "rig.toml"])["stereo"]
+    assert {name: block["calibration"] for name, block in rig.items()} == {"top": "calibration/top.json"}
+    assert rig["top"]["surface"] == dict.fromkeys(("point", "normal", "distance_uncertainty", "tilt_uncertainty"), "?")
+    text = drafted.files[recording / "recording.toml"]
+    (images,) = tomllib.loads(text)["images"]
+    assert images == {"stereo": "top", "left": "top-left/*.tif", "trigger": "camera_trigger"}
+    left_out = text.partition("# Left out:")[2]
+    assert "# base-left/*.tif: 24 frames of 304 x 240 px, and base-right/*.tif has 21 frames" in left_out
+    assert "# photographs/rig*.tif: 3 frames of 304 x 240 px, and no camera beside it" in left_out
+    # Filled in, it is a recording that can be evaluated.
+    run_init(folder)
+    original = tomllib.loads((demo_recording / "rig.toml").read_text())
+    stated = original["stereo"]["top"] | {"surface": {"point": [0, 0, 0.07], "normal": [0, 0, 1]}}
+    stated["surface"] |= {"distance_uncertainty": 2e-4, "tilt_uncertainty": 1e-3}
+    original["stereo"] = {"top": stated}
+    for name, whole in (("rig.toml", original), ("Fz-0080/recording.toml", _without_images(demo_recording))):
+        text = (folder / name).read_text()
+        (folder / name).write_text(to_toml(filled(tomllib.loads(text), whole, text, name)))
+    assert main(["check", str(folder)]) == 0
+    assert "stereo top is one camera" in capsys.readouterr().out
+
+
+def _without_images(source: Path) -> Any:
+    """The recording with the left camera of the load alone."""
+    whole = tomllib.loads((source / "Fz-0080" / "recording.toml").read_text())
+    whole["images"] = [{k: v for k, v in block.items() if k != "right"} for block in whole["images"]][:1]
+    return whole
+
+
 def _one_laser(folder: Path) -> None:
     """A laser, a bridge and the trigger of a stereo pair."""
     place = folder / "Mx-0050"
@@ -262,7 +301,7 @@ def test_cameras_become_pairs_by_their_names(tmp_path, names, pairs, demo_record
             path = tmp_path / name.format(frame)
             path.parent.mkdir(exist_ok=True)
             shutil.copy(picture, path)
-    found = look_into(tmp_path).pairs
+    found = look_into(tmp_path).sights
     assert {pair.name: (pair.left.pattern, pair.right.pattern) for pair in found} == pairs
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from fusion.base import PROGRAM, __version__
 from fusion.instruments.transducer import TRANSDUCERS
-from fusion.planning.draft.inventory import FoundChannel, FoundDaq, FoundPair, FoundPoints, TriggerPulses
+from fusion.planning.draft.inventory import FoundChannel, FoundDaq, FoundPoints, FoundSight, TriggerPulses
 from fusion.recording.toml import UNFILLED
 from fusion.recording.values import natural_key
 
@@ -174,6 +174,6 @@ def body(name: str) -> str:
     return stated("body", "load", f"guessed: {told}")
 
 
-def ordered(items: Iterable[FoundPair | FoundPoints]) -> list[FoundPair | FoundPoints]:
-    """Return pairs and tables of points, those of the base last."""
+def ordered(items: Iterable[FoundSight | FoundPoints]) -> list[FoundSight | FoundPoints]:
+    """Return cameras and tables of points, those of the base last."""
     return sorted(items, key=lambda item: (word_in(BASE_WORDS, item.name), natural_key(item.name)))

@@ -127,8 +127,9 @@ def _told(surveyed: Surveyed) -> str:
     channels = sum(len(daq.channels) for daq in inventory.daqs)
     files = f"{len(inventory.daqs)} recorder file{'s' if len(inventory.daqs) > 1 else ''}"
     told = [f"{files} with {channels} channels"] if inventory.daqs else []
-    told += [f"stereo pair {pair.name} of {pair.left.frames} frames" for pair in inventory.pairs]
-    told += [f"camera {camera.pattern} without a partner" for camera in inventory.cameras]
+    for sight in inventory.sights:
+        told.append(f"{'camera' if sight.right is None else 'stereo pair'} {sight.name} of {sight.left.frames} frames")
+    told += [f"{camera.pattern} left out ({camera.problem})" for camera in inventory.cameras]
     told += [f"points {table.path.name}" for table in inventory.points]
     told += [f"response {path.name}" for path in inventory.responses]
     if surveyed.lines_hz:
@@ -163,13 +164,13 @@ def _taken_over(surveyed: Surveyed, like: Path) -> str:
     kept = {key: value for key, value in text.items() if key not in ("name", "rig", "date", "excitation")}
     made = {"format": 1, "name": folder.resolve().name, "rig": moved(rig), **kept, "excitation": excitation}
     made["daq"] = [_same_recorder(block, inventory, moved) for block in _blocks(text, "daq")]
-    pairs = {pair.name: pair for pair in inventory.pairs}
-    made["images"] = [
-        {**block, "left": pair.left.pattern, "right": pair.right.pattern}
-        if (pair := pairs.get(block.get("stereo", "")))
-        else {**block, "left": UNFILLED, "right": UNFILLED}
-        for block in _blocks(text, "images")
-    ]
+    sights = {sight.name: [camera.pattern for camera in sight.cameras] for sight in inventory.sights}
+    made["images"] = []
+    for block in _blocks(text, "images"):
+        sides = [side for side in ("left", "right") if side in block]
+        files = sights.get(block.get("stereo", ""), [])
+        here = files if len(files) == len(sides) else [UNFILLED] * len(sides)
+        made["images"].append(block | dict(zip(sides, here, strict=True)))
     there = {table.name: table.path.name for table in inventory.points}
     made["points"] = [
         block

@@ -7,7 +7,7 @@ import os
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from shaker.io.channel import RawChannel
 
 MOST_FILES = 100_000
+FEWEST_ALONE = 8  # frames of a camera without a partner that make it more than some photographs
 LOOKED_AT = 4  # pictures of a camera that tell its bit depth
 GREY_BITS = (8, 10, 12, 14, 16)
 NEAR_A_LEVEL, TWO_LEVELS = 0.15, 0.9  # of the step; share of the samples that lie so near to one of the two
@@ -82,14 +83,24 @@ class FoundCamera:
     exposure_s: float | None
     problem: str = ""
 
+    @property
+    def told(self) -> str:
+        """Frames and their size, in words."""
+        return f"{self.frames} frames of {self.size_px[0]} x {self.size_px[1]} px"
+
 
 @dataclass(frozen=True)
-class FoundPair:
-    """Two cameras whose names differ in left and right alone; `name` is what they have in common."""
+class FoundSight:
+    """Two cameras whose names differ in left and right alone, `name` being what they have in common, or one alone."""
 
     name: str
     left: FoundCamera
-    right: FoundCamera
+    right: FoundCamera | None
+
+    @property
+    def cameras(self) -> tuple[FoundCamera, ...]:
+        """The left and the right one, or the only one."""
+        return (self.left,) if self.right is None else (self.left, self.right)
 
 
 @dataclass(frozen=True)
@@ -109,11 +120,12 @@ class FoundPoints:
 
 @dataclass(frozen=True)
 class Inventory:
-    """What a recording folder holds; `responses`: tables over frequency; `others`: files that are none of this."""
+    """What a recording folder holds; `cameras`: those that see no body as it seems; `responses`: tables over frequency;
+    `others`: files that are none of this."""
 
     folder: Path
     daqs: tuple[FoundDaq, ...]
-    pairs: tuple[FoundPair, ...]
+    sights: tuple[FoundSight, ...]
     cameras: tuple[FoundCamera, ...]
     points: tuple[FoundPoints, ...]
     responses: tuple[Path, ...]
@@ -122,7 +134,7 @@ class Inventory:
     @property
     def empty(self) -> bool:
         """Whether nothing was recorded."""
-        return not (self.daqs or self.pairs or self.cameras or self.points)
+        return not (self.daqs or self.sights or self.cameras or self.points)
 
 
 def look_into(folder: Path) -> Inventory:
@@ -135,12 +147,12 @@ def look_into(folder: Path) -> Inventory:
     recorders = [path for path in files if path.suffix.lower() in SUFFIXES and path not in taken]
     below = [entry for entry in folder.iterdir() if entry.is_dir() and not entry.name.startswith(".")]
     pictures = [path for place in (folder, *below) for path in _pictures(place)]
-    pairs, single = _paired([_camera(folder, group) for group in _series(pictures)])
+    sights, single = _paired([_camera(folder, group) for group in _series(pictures)])
     known = {*taken, *recorders, *pictures}
     return Inventory(
         folder,
         tuple(map(_daq, recorders)),
-        pairs,
+        sights,
         single,
         points,
         responses,
@@ -280,9 +292,9 @@ def _states_its_depth(group: Sequence[Path], images: ImageSequence) -> bool:
     return group[0].suffix.lower() in VIDEO_READERS or images.full_scale != 2**16 - 1
 
 
-def _paired(cameras: Sequence[FoundCamera]) -> tuple[tuple[FoundPair, ...], tuple[FoundCamera, ...]]:
-    """Return cameras whose names differ as left and right do, as pairs, and those that have no partner."""
-    pairs, rest = list[FoundPair](), list(cameras)
+def _paired(cameras: Sequence[FoundCamera]) -> tuple[tuple[FoundSight, ...], tuple[FoundCamera, ...]]:
+    """Return cameras whose names differ as left and right do, as pairs, and those alone; and what is none of these."""
+    sights, rest, odd = list[FoundSight](), list(cameras), list[FoundCamera]()
     for left_word, right_word in SIDES:
         for camera in list(rest):
             place = _word(camera.pattern, left_word)
@@ -290,16 +302,24 @@ def _paired(cameras: Sequence[FoundCamera]) -> tuple[tuple[FoundPair, ...], tupl
                 continue
             other = camera.pattern[: place[0]] + right_word + camera.pattern[place[1] :]
             partner = next((item for item in rest if item.pattern.lower() == other.lower()), None)
-            if partner is None or (partner.frames, partner.size_px) != (camera.frames, camera.size_px):
+            if partner is None:
                 continue
             rest = [item for item in rest if item not in (camera, partner)]
-            pairs.append(FoundPair(_common_name(camera.pattern, place), camera, partner))
-    names = [pair.name for pair in pairs]
+            if (partner.frames, partner.size_px) == (camera.frames, camera.size_px):
+                sights.append(FoundSight(_common_name(camera.pattern, place), camera, partner))
+                continue
+            for one, beside in ((camera, partner), (partner, camera)):
+                odd.append(replace(one, problem=one.problem or f"{one.told}, and {beside.pattern} has {beside.told}"))
+    for camera in rest:
+        if camera.problem or camera.frames < FEWEST_ALONE:
+            odd.append(replace(camera, problem=camera.problem or f"{camera.told}, and no camera beside it"))
+        else:
+            left = _word(camera.pattern, SIDES[0][0]) or (0, 0)
+            sights.append(FoundSight(_common_name(camera.pattern, left, "camera"), camera, None))
+    names = [sight.name for sight in sights]
     counts = [names[:i].count(name) for i, name in enumerate(names)]
-    named = [
-        FoundPair(f"{p.name}{n + 1}" if n else p.name, p.left, p.right) for p, n in zip(pairs, counts, strict=True)
-    ]
-    return tuple(named), tuple(rest)
+    named = [replace(s, name=f"{s.name}{n + 1}" if n else s.name) for s, n in zip(sights, counts, strict=True)]
+    return tuple(named), tuple(odd)
 
 
 def _word(pattern: str, word: str) -> tuple[int, int] | None:
@@ -310,13 +330,13 @@ def _word(pattern: str, word: str) -> tuple[int, int] | None:
     return found[-1].span() if found else None
 
 
-def _common_name(pattern: str, place: tuple[int, int]) -> str:
+def _common_name(pattern: str, place: tuple[int, int], otherwise: str = "pair") -> str:
     """Return what the name of a camera says beside left or right and the number of the frame."""
     rest = pattern[: place[0]] + "/" + pattern[place[1] :]
     words = [word for word in re.split(r"[^A-Za-z0-9]+", rest.rpartition(".")[0]) if word]
     dull = {"cam", "camera", "img", "image", "frame", "kamera", "pair", "stereo"}
     kept = [word for word in words if word.lower() not in dull]
-    return "-".join(kept)[:40] or "pair"
+    return "-".join(kept)[:40] or otherwise
 
 
 # Calibrations.
@@ -329,9 +349,15 @@ def calibrations(folders: Iterable[Path]) -> dict[Path, tuple[int, int]]:
         for path in sorted(folder.glob("*.json")) if folder.is_dir() else ():
             content = _content(path)
             size = content.get("image_size")
-            if {"left", "right", "translation"} <= set(content) and isinstance(size, list) and len(size) == 2:
+            known = {"left", "right", "translation"} <= set(content) or "camera" in content
+            if known and isinstance(size, list) and len(size) == 2:
                 found[path] = size[0], size[1]
     return found
+
+
+def of_pair(path: Path) -> bool:
+    """Whether a calibration is that of a pair rather than of one camera."""
+    return "right" in _content(path)
 
 
 def _content(path: Path) -> dict[str, Any]:

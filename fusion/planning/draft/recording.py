@@ -22,7 +22,7 @@ from fusion.planning.draft.channels import (
     stated,
     word_in,
 )
-from fusion.planning.draft.inventory import FoundPair, Inventory
+from fusion.planning.draft.inventory import FoundSight, Inventory
 from fusion.recording.manifest import SCAN
 from fusion.recording.rig import OTHER_UNITS
 from fusion.recording.toml import UNFILLED
@@ -68,10 +68,7 @@ def recording_text(surveyed: Surveyed, rig: str, known: Sequence[str] = ()) -> s
         lines += _daq_block(recorder, inventory.responses)
     lines += _frames(inventory, found, known)
     left = [f"{daq.path.name}: {daq.problem or 'no channel over time'}" for daq in inventory.daqs if not daq.channels]
-    left += [
-        f"{camera.pattern}: {camera.problem or f'{camera.frames} frames, and no other camera beside it'}"
-        for camera in inventory.cameras
-    ]
+    left += [f"{camera.pattern}: {camera.problem}" for camera in inventory.cameras]
     if left:
         lines += ["\n# Left out:", *(f"# {' '.join(text.split())}" for text in left)]
     return "\n".join(lines) + "\n"
@@ -222,16 +219,15 @@ def _options(item: Guess, *, responding: bool) -> Iterator[str]:
 def _frames(inventory: Inventory, found: Sequence[Recorder], known: Sequence[str]) -> Iterator[str]:
     """Yield the blocks of images and points."""
     edges = {name: pulses.edges for recorder in reversed(found) for name, pulses in recorder.triggers}
-    for item in ordered([*inventory.pairs, *inventory.points]):
-        yield "\n[[images]]" if isinstance(item, FoundPair) else "\n[[points]]"
+    for item in ordered([*inventory.sights, *inventory.points]):
+        yield "\n[[images]]" if isinstance(item, FoundSight) else "\n[[points]]"
         if not known or item.name in known:
             yield stated("stereo", item.name)
         else:
-            yield asked("stereo", f"which pair of rig.toml: {', '.join(known)}")
-        if isinstance(item, FoundPair):
-            size = f"{item.left.frames} frames of {item.left.size_px[0]} x {item.left.size_px[1]} px"
-            yield stated("left", item.left.pattern, item.left.problem or size)
-            yield stated("right", item.right.pattern, item.right.problem)
+            yield asked("stereo", f"which one of rig.toml: {', '.join(known)}")
+        if isinstance(item, FoundSight):
+            for key, camera in zip(("left", "right"), item.cameras, strict=False):
+                yield stated(key, camera.pattern, camera.problem or (camera.told if key == "left" else ""))
             yield from _tied(item.left.frames, edges)
             continue
         yield stated("files", item.path.name)

@@ -18,7 +18,7 @@ from fusion.planning.draft.channels import (
     stated,
     word_in,
 )
-from fusion.planning.draft.inventory import FoundPair, FoundPoints, Inventory, calibrations, states_scale
+from fusion.planning.draft.inventory import FoundPoints, FoundSight, Inventory, calibrations, of_pair, states_scale
 from fusion.recording.toml import quoted
 from shaker.labels import LOAD_COMPONENTS
 
@@ -81,11 +81,11 @@ def rig_text(root: Path, inventories: Sequence[Inventory], found: Sequence[Recor
         lines += ["\n# [head.laser]  # what the beams of a laser, or the axes of an accelerometer, have in common"]
         lines += [optional(*entry) for entry in HEAD_KEYS]
     width_s = next((pulses.width_s for recorder in found for _, pulses in recorder.triggers), 0.0)
-    every: list[FoundPair | FoundPoints] = []
+    every: list[FoundSight | FoundPoints] = []
     for inventory in inventories:
-        every += [*inventory.points, *inventory.pairs]
+        every += [*inventory.points, *inventory.sights]
     for item in ordered({item.name: item for item in every}.values()):
-        lines += _pair(item, root, files, width_s)
+        lines += _sight(item, root, files, width_s)
     return "\n".join(lines) + "\n"
 
 
@@ -110,23 +110,28 @@ def _sensor(outputs: Sequence[Guess]) -> Iterator[str]:
     yield from (optional(*entry) for entry in SENSOR_KEYS)
 
 
-def _pair(
-    item: FoundPair | FoundPoints, root: Path, files: dict[Path, tuple[int, int]], width_s: float
+def _sight(
+    item: FoundSight | FoundPoints, root: Path, files: dict[Path, tuple[int, int]], width_s: float
 ) -> Iterator[str]:
-    """Yield the block of a stereo pair."""
+    """Yield the block of what sees a body: a pair of cameras, one alone before a known face, points."""
     yield f"\n[stereo.{quoted(item.name)}]"
     yield body(item.name)
-    scaled = False
-    if isinstance(item, FoundPair):
-        alike = [path for path, size in files.items() if size == item.left.size_px]
-        own = [path for path in alike if item.name.lower() in path.stem.lower()] or (alike if len(alike) == 1 else [])
+    scaled, pictures = False, isinstance(item, FoundSight)
+    alone = isinstance(item, FoundSight) and item.right is None
+    if isinstance(item, FoundSight):
+        sized = [path for path, size in files.items() if size == item.left.size_px]
+        alike = [path for path in sized if of_pair(path) != alone]
+        named = [path for path in (sized if alone else alike) if item.name.lower() in path.stem.lower()]
+        own = named or (alike if len(alike) == 1 else [])
         if own:
             why = f"guessed: its name, and pictures of {item.left.size_px[0]} x {item.left.size_px[1]} px"
             yield stated("calibration", Path(os.path.relpath(own[0], root)).as_posix(), why)
             scaled = states_scale(own[0])
+        elif alone:
+            yield asked("calibration", "a file of shakercal cameras --mono, or of a pair whose left camera it is")
         else:
             yield asked("calibration", "a file of shakercal cameras or import-calibration")
-    frame = "left camera" if isinstance(item, FoundPair) else "points"
+    frame = ("camera" if alone else "left camera") if pictures else "points"
     yield asked(
         "rotation", f"3 x 3, of x_sensor = rotation x_{frame.replace(' ', '_')} + translation (shakercal align)"
     )
@@ -135,16 +140,24 @@ def _pair(
     why = "relative standard uncertainty (k = 1) of all lengths"
     yield (
         optional("scale_uncertainty", 1e-4, f"{why}, beside the calibration's")
-        if scaled
+        if scaled or alone
         else asked("scale_uncertainty", why)
     )
-    if isinstance(item, FoundPair):
-        brightest = max(item.left.brightest, item.right.brightest)
-        bits = max(item.left.bits, item.right.bits)
+    if isinstance(item, FoundSight):
+        brightest = max(camera.brightest for camera in item.cameras)
+        bits = max(camera.bits for camera in item.cameras)
         yield stated("bit_depth", bits, f"guessed: the brightest grey value seen is {brightest}")
-    if isinstance(item, FoundPair) and item.left.exposure_s is not None:
+    if isinstance(item, FoundSight) and item.left.exposure_s is not None:
         yield stated("exposure", "file", f"the files state {1e6 * item.left.exposure_s:.4g} us")
     else:
         told = f" ({1e6 * width_s:.4g} us)" if width_s else ""
         yield asked("exposure", f'its length in s, or "pulse" where it lasts as long as the trigger is active{told}')
     yield optional("delay_uncertainty", 1e-6, "s")
+    if alone:
+        yield f"\n[stereo.{quoted(item.name)}.surface]  # the plane face that the camera sees, at rest: it is alone"
+        yield asked("point", "a point of it in the sensor frame, in m, by the drawing")
+        yield asked("normal", "across it, such as [0, 0, 1]")
+        yield asked("distance_uncertainty", "its standard uncertainty (k = 1) along the normal in m: drawing, paint")
+        yield asked("tilt_uncertainty", "standard uncertainty (k = 1) of its tilts in rad")
+    elif pictures:
+        yield optional("row_time", 1e-5, "s from row to row of a rolling shutter, negative from the last row on")
