@@ -331,7 +331,7 @@ def pose_text(file: AlignmentFile, alignment: Alignment, pair: Pair | None) -> s
     relative = file.other is not None and file.other.rotation is None
     frame = f"the left camera of {file.other.stereo}" if relative and file.other else "the sensor frame"
     u, answers = alignment.u, np.zeros((0, 0))
-    if pair is not None and pair.rig.covariance is not None and not relative:
+    if pair is not None and pair.rig.covariance is not None and not (relative or pair.alone):
         covered = len(calibration_steps(pair.rig))
         answers = by_parameters(alignment.by_calibration[:, :covered], pair.steps[:covered])
         answers = answers if answers[:, 24:].any() else answers[:, :24]
@@ -341,8 +341,9 @@ def pose_text(file: AlignmentFile, alignment: Alignment, pair: Pair | None) -> s
     origin = [f"{count} {one if count == 1 else many}" for count, one, many in blocks if count]
     origin += ["the pose known before"] if file.pose is not None else []
     said = " and ".join([", ".join(origin[:-1]), origin[-1]] if len(origin) > 1 else origin)
+    camera = "camera" if pair is not None and pair.alone else "left camera"
     comments = [
-        f"Pose of the left camera of {file.stereo} in {frame}, from {said}.",
+        f"Pose of the {camera} of {file.stereo} in {frame}, from {said}.",
         f"U (k = 2): position {_numbers(1e3 * K2 * u[:3])} mm, rotation {_numbers(1e3 * K2 * u[3:])} mrad (x, y, z).",
         f"Without the calibration's share: {_numbers(1e3 * held[:3])} mm and {_numbers(1e3 * held[3:])} mrad.",
         f"chi2 = {alignment.chi2:.3g} with {alignment.dof} degrees of freedom.",

@@ -40,6 +40,7 @@ from fusion.recording.values import (
 from photogram.alignment.evidence import (
     Evidence,
     KnownFace,
+    KnownPixels,
     KnownPoints,
     KnownPoses,
     StatedFrame,
@@ -47,8 +48,8 @@ from photogram.alignment.evidence import (
     seen_points,
     seen_target,
 )
-from photogram.calibration.file import read_calibration
-from photogram.camera import StereoRig
+from photogram.calibration.file import is_single, read_calibration, read_camera
+from photogram.camera import LEFT, RIG_PARAMETERS, StereoRig
 from photogram.geometry import RigidTransform, displacement_jacobian
 from photogram.images.files import read_picture
 from photogram.targets.view import Target, TargetView, find_target
@@ -72,13 +73,13 @@ Blocks = BeforeValidator(array_of_tables)
 
 
 class Point(Block):
-    """A point of known place, and where both cameras see it."""
+    """A point of known place, and where both cameras see it, or the only one."""
 
     name: Text
     position: FreeVector
     position_uncertainty: Spread3 = ZERO3
     left: Pixel
-    right: Pixel
+    right: Pixel | None = None
     pixel_uncertainty: Positive
 
 
@@ -245,15 +246,21 @@ def read_alignment(path: Path, allow_outside: bool = False) -> AlignmentFile:
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """A calibrated stereo pair and the steps (P, 24) that stand for its calibration's errors."""
+    """A calibrated stereo pair and the steps (P, 32) that stand for its calibration's errors.
+
+    `alone`: of the left camera alone, which the rig then holds on the right as well.
+    """
 
     rig: StereoRig
     steps: FloatArray
+    alone: bool = False
 
 
 def read_pair(path: Path, calibration: Path, scale_u: float | None, key: str = "") -> Pair:
     """Read a calibration that `path` names; one without covariance needs a stated scale, under `key`."""
     with as_input_error(calibration):
+        if is_single(calibration):
+            return _alone(path, calibration, scale_u, key)
         rig = read_calibration(calibration)
     if rig.covariance is None and scale_u is None:
         expected = "the relative standard uncertainty of all lengths, required without a calibration's covariance"
@@ -261,8 +268,38 @@ def read_pair(path: Path, calibration: Path, scale_u: float | None, key: str = "
     return Pair(rig, calibration_steps(rig, scale_u or 0.0))
 
 
+def _alone(path: Path, calibration: Path, scale_u: float | None, key: str) -> Pair:
+    """A camera alone, whose lengths are those of what it sees."""
+    if scale_u is not None:
+        raise InputError(
+            path, f"{key}scale_uncertainty", "one", "none of a camera alone, which has no scale of its own"
+        )
+    camera, own = read_camera(calibration)
+    covariance = np.zeros((len(RIG_PARAMETERS),) * 2)
+    covariance[np.ix_(LEFT, LEFT)] = own
+    rig = StereoRig(camera, camera, RigidTransform.identity(), covariance)
+    return Pair(rig, calibration_steps(rig), alone=True)
+
+
+def _check_cameras(path: Path, file: AlignmentFile, pair: Pair) -> None:
+    """Refuse evidence that takes two cameras of one, and points that one of two does not see."""
+    file_told = "" if file.calibration is None else f"{file.calibration.name} being of one camera"
+    if pair.alone:
+        for kind in ("face", "common_view", "motion", "axis"):
+            if getattr(file, kind):
+                raise InputError(path, kind, "one", f"[[point]] or [[target_view]], {file_told}")
+        for key in (f"target_view.{view.name}.right" for view in file.target_view if view.right):
+            raise InputError(path, key, "pictures", f"none, {file_told}")
+    for point in file.point:
+        if pair.alone and point.right is not None:
+            raise InputError(path, f"point.{point.name}.right", "a pixel", f"none, {file_told}")
+        if not pair.alone and point.right is None:
+            raise InputError(path, f"point.{point.name}.right", "nothing", "its pixel in the right camera")
+
+
 def still_evidence(path: Path, file: AlignmentFile, pair: Pair) -> list[Evidence]:
     """Return the evidence of points, faces and target views."""
+    _check_cameras(path, file, pair)
     datum = StatedFrame("datum", np.array(file.datum_uncertainty))
     evidence: list[Evidence] = [_points(path, file.point, pair, datum)] if file.point else []
     evidence += [_face(path, face, pair, datum) for face in file.face]
@@ -287,25 +324,21 @@ def known_pose(known: KnownPose) -> Evidence:
     )
 
 
-def _points(path: Path, points: Sequence[Point], pair: Pair, datum: StatedFrame) -> KnownPoints:
-    """Return the fiducials, triangulated."""
-    pixels = np.array([(point.left, point.right) for point in points])
-    u_px = np.array([point.pixel_uncertainty for point in points])
-    position, covariance, effects = seen_points(pair.rig, pair.steps, pixels[:, 0], pixels[:, 1], u_px)
+def _points(path: Path, points: Sequence[Point], pair: Pair, datum: StatedFrame) -> Evidence:
+    """Return the fiducials, triangulated where two cameras see them."""
+    names, left = tuple(f"point {point.name}" for point in points), np.array([point.left for point in points])
+    u_px, known = np.array([point.pixel_uncertainty for point in points]), np.array([p.position for p in points])
+    spread = np.array([point.position_uncertainty for point in points])[:, :, None] ** 2 * np.eye(3)
+    if pair.alone:
+        noise = u_px[:, None, None] ** 2 * np.eye(2)
+        return KnownPixels(names, pair.rig.left, left, noise, known, spread, pair.steps[:, LEFT], datum)
+    right = np.array([point.right for point in points])
+    position, covariance, effects = seen_points(pair.rig, pair.steps, left, right, u_px)
     for point, place in zip(points, position, strict=True):
         if not np.isfinite(place).all():
             expected = "pixels of one point in front of both cameras"
             raise InputError(path, f"point.{point.name}", "rays that do not meet", expected)
-    spread = np.array([point.position_uncertainty for point in points])
-    return KnownPoints(
-        tuple(f"point {point.name}" for point in points),
-        position,
-        covariance,
-        np.array([point.position for point in points]),
-        spread[:, :, None] ** 2 * np.eye(3),
-        effects,
-        datum,
-    )
+    return KnownPoints(names, position, covariance, known, spread, effects, datum)
 
 
 def _face(path: Path, face: Face, pair: Pair, datum: StatedFrame) -> KnownFace:

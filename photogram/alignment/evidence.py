@@ -1,9 +1,9 @@
-"""Five kinds of evidence about the pose of the left camera in the sensor frame, and what the cameras see of them.
+"""Six kinds of evidence about the pose of the left camera in the sensor frame, and what the cameras see of them.
 
-Points, faces, poses, motions and axes: each holds what the cameras saw, in the left camera's frame, and what is known
-of it in the sensor frame. What was seen carries its own noise as covariance, and the calibration's errors as effects:
-the changes of what was seen for one standard uncertainty of each principal component of the calibration's covariance,
-which all evidence has in common.
+Points, pixels of points, faces, poses, motions and axes: each holds what the cameras saw, in the left camera's frame,
+and what is known of it in the sensor frame. What was seen carries its own noise as covariance, and the calibration's
+errors as effects: the changes of what was seen for one standard uncertainty of each principal component of the
+calibration's covariance, which all evidence has in common.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from typing import Protocol
 
 import numpy as np
 
-from photogram.arrays import Arrays, BoolArray, ComplexArray, FloatArray, check_shape
+from photogram.arrays import Arrays, BoolArray, ComplexArray, FloatArray, check_shape, derivatives
 from photogram.calibration.bundle import see
 from photogram.calibration.start import target_pose
-from photogram.camera import TRANSLATION, StereoRig, principal_components, triangulate
+from photogram.camera import TRANSLATION, Camera, StereoRig, principal_components, triangulate
 from photogram.geometry import (
     RigidTransform,
     displacement_jacobian,
@@ -29,6 +29,9 @@ from photogram.geometry import (
 from photogram.motion import RigidMotion
 from photogram.targets.view import Target, TargetView
 
+_POINT_STEP_M = 1e-6
+FEWEST_PIXELS = 4
+"""Points whose pixels in one camera leave one pose."""
 CALIBRATION = "calibration"
 """Name of the effects of the pair's own calibration."""
 
@@ -132,6 +135,70 @@ class KnownPoints(
             {CALIBRATION: self.calibration @ rotation.T, **self.frame.common(jacobian)},
             self.names,
         )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class KnownPixels(
+    Arrays,
+    shapes="names N; pixel_px N 2; pixel_covariance_px2 N 2 2; sensor_m N 3; sensor_covariance_m2 N 3 3; calibration "
+    "P 13",
+):
+    """Points of known places `sensor_m` (N, 3) seen by one camera at `pixel_px` (N, 2), both with covariance.
+
+    `calibration` (P, 13): steps of the camera's parameters that stand for its errors. Residual: the pixel where the
+    camera would show the point, less the one where it does.
+
+    >>> camera = Camera.from_parameters(np.array([1000.0, 1000, 320, 240, 0, 0, 0, 0, 0]), np.array([640, 480]))
+    >>> known = np.array([[0.0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]])
+    >>> seen, noise = camera.project(known + [0, 0, 0.5]), np.broadcast_to(0.01 * np.eye(2), (4, 2, 2))
+    >>> points = KnownPixels(tuple("abcd"), camera, seen, noise, known, np.zeros((4, 3, 3)), np.zeros((0, 13)))
+    >>> points.residuals(RigidTransform(np.eye(3), np.array([0, 0, -0.5]))).residual.any()
+    np.False_
+    """
+
+    names: tuple[str, ...]
+    camera: Camera
+    pixel_px: FloatArray
+    pixel_covariance_px2: FloatArray
+    sensor_m: FloatArray
+    sensor_covariance_m2: FloatArray
+    calibration: FloatArray
+    frame: StatedFrame = SENSOR_FRAME
+
+    def residuals(self, sensor_from_camera: RigidTransform) -> Residuals:
+        """Return the residuals, and how they answer: x = Rᵀ·(X − t) by −Rᵀ·[I, −[X]×] to a displacement of the pose."""
+        to_camera = sensor_from_camera.inverse()
+        placed = to_camera.apply(self.sensor_m)
+        shown = self.camera.project(placed)
+        lost = [name for name, place in zip(self.names, shown, strict=True) if not np.isfinite(place).all()]
+        if lost:
+            raise ValueError(f"evidence: expected {lost[0]} before the camera, found it behind; check for mix-ups")
+        rate = derivatives(lambda step: self.camera.project(placed + step), np.full(3, _POINT_STEP_M))
+        by_place = rate @ to_camera.rotation
+        jacobian = -by_place @ displacement_jacobian(self.sensor_m)
+        moved = [
+            Camera.from_parameters(self.camera.parameters + step, self.camera.size_px).project(placed) - shown
+            for step in self.calibration
+        ]
+        return Residuals(
+            shown - self.pixel_px,
+            jacobian,
+            self.pixel_covariance_px2 + by_place @ self.sensor_covariance_m2 @ by_place.mT,
+            {CALIBRATION: np.array(moved).reshape(-1, *shown.shape), **self.frame.common(jacobian)},
+            self.names,
+        )
+
+    @property
+    def start(self) -> RigidTransform | None:
+        """A pose by perspective from four points or more (Terzakis and Lourakis 2020, ECCV, 478); None of fewer."""
+        import cv2
+
+        if len(self.names) < FEWEST_PIXELS:
+            return None
+        rays = self.camera.undistort(self.pixel_px)
+        found, *pose = cv2.solvePnP(self.sensor_m, rays, np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_SQPNP)
+        turn, shift = (np.asarray(part, dtype=np.float64).ravel() for part in pose)
+        return RigidTransform(rotation_from_vector(turn), shift).inverse() if found else None
 
 
 @dataclass(frozen=True, eq=False, repr=False)

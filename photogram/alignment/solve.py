@@ -7,19 +7,29 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from photogram.alignment.evidence import CALIBRATION, Evidence, KnownFace, KnownPoints, KnownPoses, sum_of_squares
+from photogram.alignment.evidence import (
+    CALIBRATION,
+    Evidence,
+    KnownFace,
+    KnownPixels,
+    KnownPoints,
+    KnownPoses,
+    sum_of_squares,
+)
 from photogram.arrays import Arrays, FloatArray, IntArray, Notice
 from photogram.geometry import RigidTransform, fit_rigid, fixes_rotation, nearest_rotation, rotation_from_vector
 
 
 def starting_pose(evidence: Sequence[Evidence]) -> RigidTransform | None:
-    """Return a first `sensor_from_camera` from a known pose, three points or two faces; None without any of them.
+    """Return a first `sensor_from_camera` from a known pose, three points, four of one camera, or two faces; else None.
 
     Directions and axes of motion are known up to their sense only and cannot start the search.
     """
     for item in evidence:
         if isinstance(item, KnownPoses):
             return item.sensor_from_body[0] @ item.left_from_body[0].inverse()
+        if isinstance(item, KnownPixels) and (start := item.start) is not None:
+            return start
     points = [item for item in evidence if isinstance(item, KnownPoints)]
     if sum(len(item.names) for item in points) >= 3:
         camera, sensor = (np.concatenate([getattr(p, name) for p in points]) for name in ("camera_m", "sensor_m"))

@@ -152,6 +152,12 @@ def read_camera(path: str | Path) -> tuple[Camera, FloatArray]:
     return camera, np.zeros((len(CAMERA_PARAMETERS),) * 2) if covariance is None else covariance
 
 
+def is_single(path: str | Path) -> bool:
+    """Return whether a file is that of a camera alone (`write_camera`), as far as its keys say."""
+    content = _content(Path(path))
+    return isinstance(content, dict) and "camera" in content and "left" not in content
+
+
 def _content(path: Path) -> Any:
     """Return the content of a JSON text of a size that calibrations have."""
     with path.open("rb") as file:

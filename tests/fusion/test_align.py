@@ -39,7 +39,7 @@ from fusion.recording.rig import Stereo
 from fusion.recording.toml import to_toml
 from photogram.alignment.evidence import calibration_steps
 from photogram.alignment.solve import align
-from photogram.calibration.file import write_calibration
+from photogram.calibration.file import write_calibration, write_camera
 from photogram.camera import triangulate
 from photogram.geometry import RigidTransform, rotation_from_vector, vector_from_rotation
 from photogram.motion import fit_motion
@@ -121,6 +121,36 @@ def test_fiducials_give_a_block_of_the_rig(tmp_path: Path, aligned: Aligned) -> 
     assert np.abs(normalised(block, world.sensor_from_camera)).max() < 4.5
     assert max(block["pose_uncertainty"][3:]) < 2e-4
     Stereo.model_validate({**block, "body": "load", "exposure": 1e-5})
+
+
+def alone(folder: Path, world: World, **blocks: Any) -> Path:
+    """Write the left camera's file and alignment.toml into a folder."""
+    found: Any = SimpleNamespace(rig=world.rig, rms_px=0.02)
+    write_camera(folder / "camera.json", found)
+    return write(folder, world, **{"calibration": "camera.json", **blocks})
+
+
+def test_a_camera_alone_is_placed_by_fiducials_and_told_what_it_cannot_see(
+    tmp_path: Path, aligned: Aligned, refused: Refused
+) -> None:
+    world = make_world(1)
+    seen = [{key: value for key, value in point.items() if key != "right"} for point in fiducials(world)]
+    block = aligned(alone(tmp_path, world, point=seen))
+    text = block.pop("text")
+    assert "Pose of the camera of top in the sensor frame, from 8 points" in text
+    assert np.abs(normalised(block, world.sensor_from_camera)).max() < 4.5
+    assert max(block["pose_uncertainty"][:3]) < 5e-4
+    surface = {"point": [0, 0, 0.07], "normal": [0, 0, 1], "distance_uncertainty": 1e-4, "tilt_uncertainty": 1e-3}
+    Stereo.model_validate({**block, "body": "load", "exposure": 1e-5, "surface": surface})
+    told = refused("align", alone(tmp_path, world, point=fiducials(world)), "-q")
+    assert "point.P0.right: expected none" in told
+    told = refused("align", alone(tmp_path, world, point=seen, scale_uncertainty=1e-4), "-q")
+    assert "scale_uncertainty: expected none of a camera alone" in told
+    told = refused("align", alone(tmp_path, world, **WRONG["face"][0]), "-q")
+    assert "face: expected [[point]] or [[target_view]], camera.json being of one camera, found one" in told
+    assert "point.P0.right: expected its pixel in the right camera, found nothing" in refused(
+        "align", write(tmp_path, world, point=seen), "-q"
+    )
 
 
 def test_faces_come_from_tables_of_pixels(tmp_path: Path, aligned: Aligned) -> None:
