@@ -421,6 +421,8 @@ def _common(
 ) -> Iterator[KnownPoses]:
     """Yield the target seen by both pairs, its pose in the sensor frame (or the other camera's) by the other pair."""
     second = read_pair(path, other.calibration, other.scale_uncertainty, "other.")
+    if second.alone:
+        raise InputError(path, "other.calibration", f"{other.calibration.name}, of one camera", "that of a pair")
     placed = RigidTransform.identity()
     if other.rotation is not None and other.translation is not None:
         placed = RigidTransform(np.array(other.rotation), np.array(other.translation))

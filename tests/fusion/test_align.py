@@ -294,6 +294,11 @@ def test_a_target_at_a_known_pose(pictures: Pictures, aligned: Aligned) -> None:
     block = aligned(write(folder, world, target=TABLE, target_view=[view]))
     assert "from 1 target view." in block["text"]
     assert np.abs(normalised(block, world.sensor_from_camera)).max() < 4.5
+    del view["right"]
+    one = aligned(alone(folder, world, target=TABLE, target_view=[view]))
+    assert "Pose of the camera of top" in one["text"]
+    assert np.abs(normalised(one, world.sensor_from_camera)).max() < 4.5
+    assert one["pose_uncertainty"][2] > block["pose_uncertainty"][2]
 
 
 def test_common_views_give_the_relative_pose(pictures: Pictures, aligned: Aligned) -> None:
