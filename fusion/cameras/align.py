@@ -331,10 +331,11 @@ def pose_text(file: AlignmentFile, alignment: Alignment, pair: Pair | None) -> s
     relative = file.other is not None and file.other.rotation is None
     frame = f"the left camera of {file.other.stereo}" if relative and file.other else "the sensor frame"
     u, answers = alignment.u, np.zeros((0, 0))
-    if pair is not None and pair.rig.covariance is not None and not (relative or pair.alone):
-        covered = len(calibration_steps(pair.rig))
-        answers = by_parameters(alignment.by_calibration[:, :covered], pair.steps[:covered])
-        answers = answers if answers[:, 24:].any() else answers[:, :24]
+    if pair is not None and pair.rig.covariance is not None and not relative:
+        if not pair.alone:  # no run asks it of a camera alone
+            covered = len(calibration_steps(pair.rig))
+            answers = by_parameters(alignment.by_calibration[:, :covered], pair.steps[:covered])
+            answers = answers if answers[:, 24:].any() else answers[:, :24]
         u = np.sqrt(np.diagonal(alignment.held_covariance) + (alignment.by_calibration**2).sum(axis=1))
     held = K2 * np.sqrt(np.diagonal(alignment.held_covariance))
     blocks = [(len(getattr(file, key)), one, many) for key, one, many in EVIDENCE]

@@ -298,7 +298,6 @@ def test_a_target_at_a_known_pose(pictures: Pictures, aligned: Aligned) -> None:
     one = aligned(alone(folder, world, target=TABLE, target_view=[view]))
     assert "Pose of the camera of top" in one["text"]
     assert np.abs(normalised(one, world.sensor_from_camera)).max() < 4.5
-    assert one["pose_uncertainty"][2] > block["pose_uncertainty"][2]
 
 
 def test_common_views_give_the_relative_pose(pictures: Pictures, aligned: Aligned) -> None:
