@@ -83,7 +83,7 @@ def test_a_subset_needs_fewer_than_two_steps(costs):
 
 def test_most_frames_are_compared_with_the_body_once(costs):
     calls, _ = costs
-    assert calls["pixels compared"] <= 1.7 * PICTURES * calls["pixels of a body"]
+    assert calls["pixels compared"] <= 1.3 * PICTURES * calls["pixels of a body"]
 
 
 def test_only_the_main_figures_are_drawn_as_pictures(costs):

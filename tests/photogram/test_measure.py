@@ -31,7 +31,7 @@ from photogram.images.noise import NoiseModel
 from photogram.images.sequence import ImageSequence
 from photogram.measure import follow
 from photogram.measure.body import BodyMotion, body_motion, measure_body
-from photogram.measure.follow import Course, FollowedBlock, follow_block, prepare_body
+from photogram.measure.follow import Course, FollowedBlock, KnownBody, follow_block, prepare_body, sine_terms
 from photogram.measure.follow_torch import foretold_poses
 from photogram.motion import PlacedCamera, body_patches, deformation, patch_rates, patch_warps
 from photogram.subsets.find import dropped
@@ -326,6 +326,29 @@ def test_in_frames_without_subsets_the_motion_is_as_good_as_with_them(large, mon
     assert len(some.tracks.left.zncc) == len(some.motion_of_points.pose) == some.sought.sum()
     course = check_epipolar(some.tracked, others[0], some.sought).course_px
     assert np.array_equal(np.isfinite(course).all(axis=1), some.sought)
+
+
+def test_known_lines_foretell_the_body_and_move_nothing(large, monkeypatch):
+    """From the sixth frame in a row on, without an approach by some cells; a line that is not there does no harm."""
+    (images, rig, pose), _ = large
+    before = tuple(chosen(side, *range(TOUCHED)) for side in images)
+    approached, motions, numbers = list[int](), [], []
+
+    def counted(*arguments):
+        approached.append(1)
+        return approach(*arguments)
+
+    monkeypatch.setattr(follow, "approach", counted)
+    for line in (None, 0.9, 0.37):
+        terms = None if line is None else sine_terms(np.arange(TOUCHED) / (2.0 * np.pi), np.array([line]))
+        approached.clear()
+        scene = prepare_body(before, rig, pose, SEPTIC, known=KnownBody(terms=terms))
+        motions.append(body_motion(scene, [follow_block(scene, block) for block in scene.blocks]).motion)
+        numbers.append(len(approached))
+    assert numbers == [5, 2, 5]
+    u = np.sqrt(np.diagonal(motions[0].covariance, axis1=1, axis2=2))
+    for motion in motions[1:]:
+        assert np.max(np.abs(motion.pose - motions[0].pose) / u) < 0.1
 
 
 @given(st.integers(3, 2000), st.integers(4, 400))
