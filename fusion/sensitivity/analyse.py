@@ -275,7 +275,7 @@ def analyse(inputs: Inputs) -> Analysis:
 ESTIMATE_NOISE = "noise of the estimate of shared unknowns"
 """Label of what instruments' noise leaves of clocks, amplifiers and whatever else outputs share with them."""
 COUPLED = 1e-2
-"""Least effect of one standard uncertainty of an unknown on the estimate of another that is kept by its name."""
+"""Least share of an unknown in the standard uncertainty that is left of another one, which is kept by its name."""
 
 
 def with_estimates(outputs: Outputs, fused: Acceleration) -> Outputs:
@@ -297,8 +297,8 @@ def with_estimates(outputs: Outputs, fused: Acceleration) -> Outputs:
     effects = np.stack([own[u.name].effect for _, u in tested])
     known, rows = np.isfinite(effects), fused.posterior[[place for place, _ in tested]]
     effects = np.where(known, effects, 0.0)
-    coupled = np.flatnonzero(np.abs(rows).max(axis=0) > COUPLED)
-    common = fused.uncertainty.influences
+    share = np.abs(rows) / np.array([[u.remaining] for _, u in tested])
+    coupled, common = np.flatnonzero(share.max(axis=0) > COUPLED), fused.uncertainty.influences
     left = [common[e].acting(np.einsum("c,ckj->kj", rows[:, e], effects)) for e in coupled.tolist()]
     places = [place for place, _ in tested]
     size, ways = np.linalg.eigh(rows[:, places] - rows[:, coupled] @ rows[:, coupled].T)
