@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fusion.base import AnyNotice, ComputeError
+from fusion.estimation.consistency import UNTESTED
 from fusion.estimation.fuse import Acceleration, fuse_sources
 from fusion.estimation.least_squares import observed_components, row_space
 from fusion.estimation.measurement_model import CommonError, Deviates, Geometry, Observation, UnseenMotion
+from fusion.estimation.uncertainty import Influence, Uncertainty, added_up, as_complex
 from fusion.instruments.channel import ChannelGeometry, Outputs
 from fusion.instruments.stereo import StereoReading
 from fusion.instruments.transducer import placed_at, placement_name
@@ -209,12 +211,13 @@ class Inputs:
 class Analysis:
     """Acceleration of every body, fused first and then by source; load and sensitivity where there are any.
 
-    `sensitivity`: ratios of the outputs over the driven load; `element`: the sensor's own elements, with what is
-    `known` of its matrix, None where nothing is.
+    `outputs`: of the sensor, with what the instruments say of errors that they share; `sensitivity`: their ratios over
+    the driven load; `element`: the sensor's own elements, with what is `known` of its matrix, None where nothing is.
     """
 
     accelerations: tuple[Acceleration, ...]
     load: LoadResult | None
+    outputs: Outputs | None
     sensitivity: Sensitivity | None
     element: Sensitivity | None = None
     known: KnownMatrix | None = None
@@ -249,10 +252,11 @@ def analyse(inputs: Inputs) -> Analysis:
     accelerations = tuple(acceleration for body in bodies for acceleration in fuse_sources(seen, body, inputs.unseen))
     fused = next((a for a in accelerations if a.body == "load" and a.source == "fused"), None)
     if inputs.body is None or fused is None:
-        return Analysis(accelerations, None, None)
+        return Analysis(accelerations, None, outputs, None)
     load = load_phasors(fused, inputs.body)
     if sensor is None or direction is None or outputs is None:
-        return Analysis(accelerations, load, None)
+        return Analysis(accelerations, load, outputs, None)
+    outputs = with_estimates(outputs, fused)
     component = driven_component(direction, sensor.capacity)
     ratio = sensitivity_ratio(outputs, load, component, inputs.lines.multiple, sensor.capacity)
     if np.any(np.isfinite(ratio.value)):
@@ -261,11 +265,55 @@ def analyse(inputs: Inputs) -> Analysis:
     known = known_matrix(StatedMatrix.of(sensor), outputs.phasors.channels, component, sizes)
     notices = _element_notices(known, outputs, load, sensor, component)
     if known is None:
-        return Analysis(accelerations, load, replace(ratio, notices=(*ratio.notices, *notices)))
+        return Analysis(accelerations, load, outputs, replace(ratio, notices=(*ratio.notices, *notices)))
     element = sensor_element(outputs, load, known, inputs.lines.multiple, notices)
     if not np.isfinite(element.value[:, known.main, component]).any():
-        return Analysis(accelerations, load, ratio)
-    return Analysis(accelerations, load, ratio, element, known)
+        return Analysis(accelerations, load, outputs, ratio)
+    return Analysis(accelerations, load, outputs, ratio, element, known)
+
+
+ESTIMATE_NOISE = "noise of the estimate of shared unknowns"
+"""Label of what instruments' noise leaves of clocks, amplifiers and whatever else outputs share with them."""
+COUPLED = 1e-2
+"""Least share of an unknown in the standard uncertainty that is left of another one, which is kept by its name."""
+
+
+def with_estimates(outputs: Outputs, fused: Acceleration) -> Outputs:
+    """Return the outputs less what the instruments of the load say of the errors that they share with them.
+
+    An output U that errs by o·ε beside the instruments' E·ε enters their least squares as a reading with a free motion
+    of its own, which tells nothing of ε: it becomes U - o·ε̂ with their posterior mean ε̂ and covariance S (both in u).
+    What is left, o·(ε - ε̂) = o·S·ε - o·S·(noise), is in their unknowns by name, those of which they take hold too, and
+    in noise of covariance o·(S - S²)·oᵀ, with what is coupled by less than `COUPLED`. That this noise is part of the
+    load's noise, turning both alike, is not used: U of their ratio is a little too large where both weigh alike.
+    Unknowns that the instruments cannot test, or that contradict each other, stay as they are.
+    """
+    if fused.posterior is None:
+        return outputs
+    own = {influence.name: influence for influence in outputs.uncertainty.influences}
+    tested = [(place, u) for place, u in enumerate(fused.unknowns) if u.name in own and u.remaining < UNTESTED]
+    if not tested:
+        return outputs
+    effects = np.stack([own[u.name].effect for _, u in tested])
+    known, rows = np.isfinite(effects), fused.posterior[[place for place, _ in tested]]
+    effects = np.where(known, effects, 0.0)
+    share = np.abs(rows) / np.array([[u.remaining] for _, u in tested])
+    coupled, common = np.flatnonzero(share.max(axis=0) > COUPLED), fused.uncertainty.influences
+    left = [common[e].acting(np.einsum("c,ckj->kj", rows[:, e], effects)) for e in coupled.tolist()]
+    places = [place for place, _ in tested]
+    size, ways = np.linalg.eigh(rows[:, places] - rows[:, coupled] @ rows[:, coupled].T)
+    for number, way in enumerate((ways * np.sqrt(np.maximum(size, 0.0))).T, 1):
+        name = f"{ESTIMATE_NOISE} {number}"
+        left.append(Influence(name, ESTIMATE_NOISE, 1.0, "1", np.einsum("c,ckj->kj", way, effects), "recording", "A"))
+    kept = [influence for name, influence in own.items() if name not in {u.name for _, u in tested}]
+    uncertainty = Uncertainty(outputs.uncertainty.random, added_up([*kept, *left]))
+    change = np.einsum("c,ckj->kj", [u.estimate for _, u in tested], effects)
+    value = outputs.phasors.value - as_complex(change)
+    return replace(
+        outputs,
+        phasors=replace(outputs.phasors, value=value, covariance=uncertainty.covariance),
+        uncertainty=uncertainty,
+    )
 
 
 def _element_notices(

@@ -67,8 +67,8 @@ def evaluate_recording(
     analysis = analyse(inputs)
     drawn = propagate(inputs, analysis, settings.monte_carlo, settings.seed, progress) if settings.monte_carlo else None
     points = point_spreads(observations, analysis.accelerations)
-    if body is not None and outputs is not None and analysis.sensitivity is not None:
-        points = tuple(with_ratios(spread, outputs, analysis.sensitivity, body) for spread in points)
+    if body is not None and analysis.outputs is not None and analysis.sensitivity is not None:
+        points = tuple(with_ratios(spread, analysis.outputs, analysis.sensitivity, body) for spread in points)
     parallel = beam_notices([reading.entry for reading in joined.readings])
     folded = [text for set_up in set_ups for text in set_up.not_assessed]
     lowest_hz = float(np.min(joined.lines.frequency_hz))
@@ -87,7 +87,7 @@ def evaluate_recording(
         stereo=joined.stereo,
         accelerations=analysis.accelerations,
         load=analysis.load,
-        outputs=outputs,
+        outputs=analysis.outputs,
         sensitivity=analysis.sensitivity,
         notices=tuple(dict.fromkeys(told)),
         settings=settings.as_dict(),

@@ -159,11 +159,12 @@ def _draw(
         if motion.fused.body == "load" and inputs.body is not None and analysis.load is not None:
             matrices = inputs.body.draw_load_matrices(inputs.lines.frequency_hz, deviates)
             drawn["load"] = np.einsum("nkij,nkj->nki", matrices, acceleration)
-    if inputs.outputs is not None and analysis.sensitivity is not None:
+    outputs = analysis.outputs
+    if outputs is not None and analysis.sensitivity is not None:
         channel, component = np.array(analysis.sensitivity.elements).T
-        drawn["sensitivity"] = inputs.outputs.draw(deviates)[:, :, channel] / drawn["load"][:, :, component]
+        drawn["sensitivity"] = outputs.draw(deviates)[:, :, channel] / drawn["load"][:, :, component]
         if analysis.known is not None and analysis.load is not None:
-            drawn["element"] = _draw_elements(analysis.known, inputs.outputs, analysis.load, drawn["load"], deviates)
+            drawn["element"] = _draw_elements(analysis.known, outputs, analysis.load, drawn["load"], deviates)
     return drawn
 
 
