@@ -110,10 +110,10 @@ class Timeline:
 
 
 def timeline(times: Times, kept: BoolArray | None) -> Timeline:
-    """Return the blocks of a record; long ones that are uniform but for rounding become a grid."""
+    """Return the blocks of a record; several that are uniform but for rounding become a grid."""
     if isinstance(times, UniformTimes):
         return _on_grid(Fraction(times.start_s), 1 / Fraction(times.rate_hz), times.samples)
-    grid = _uniform(times) if len(times) > LONG else None
+    grid = _uniform(times) if len(times) > _SHORT_BLOCK else None
     if grid is not None:
         return _on_grid(*grid, len(times))
     edges = _edges(len(times))
