@@ -306,7 +306,7 @@ def _slopes(knots: FloatArray, step: FloatArray, rise: ComplexArray) -> ComplexA
     right[1:-1] = 3.0 * (step[1:] * rise[:-1] + step[:-1] * rise[1:])
     if len(knots) == 3:  # both ends state the same: a parabola
         right[0], right[2] = 2.0 * rise
-        return np.linalg.solve([[1.0, 1.0, 0.0], [step[1], inner[0], step[0]], [0.0, 1.0, 1.0]], right)
+        return np.asarray(np.linalg.solve([[1.0, 1.0, 0.0], [step[1], inner[0], step[0]], [0.0, 1.0, 1.0]], right))
     first, last = knots[2] - knots[0], knots[-1] - knots[-3]
     right[0] = ((step[0] + 2.0 * first) * step[1] * rise[0] + step[0] ** 2 * rise[1]) / first
     right[-1] = (step[-1] ** 2 * rise[-2] + (2.0 * last + step[-1]) * step[-2] * rise[-1]) / last
