@@ -292,7 +292,7 @@ class _Data:
     @cached_property
     def numbers(self) -> bool:
         """Whether it holds numbers, or truths."""
-        return self.id.get_type().get_class() != h5t.STRING
+        return bool(self.id.get_type().get_class() != h5t.STRING)
 
     @cached_property
     def values(self) -> Any:
