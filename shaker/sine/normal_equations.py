@@ -18,7 +18,7 @@ from math import factorial
 import numpy as np
 
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Stacked, check_shape
-from shaker.sine.aliasing import condition_number, sine_columns
+from shaker.sine.aliasing import angles, condition_number, sine_columns
 
 # Sampling times of a record, cut into blocks whose phases are exact however long the record is.
 
@@ -346,8 +346,7 @@ class Columns:
         lines, decay = self.lines, self.decay_per_s
         columns = np.empty((len(local_s), self.linear + (2 * lines if self.slopes else 0)), order="F")
         for k in range(lines):
-            # Whole turns are taken off before the angle is formed, so long records keep their last digits.
-            angle = 2.0 * np.pi * np.mod(self.frequency_hz[k] * local_s, 1.0)
+            angle = angles(self.frequency_hz[k] * local_s)
             envelope = np.exp(-decay[k] * local_s) if decay[k] else 1.0
             columns[:, 2 * k] = np.cos(angle) * envelope
             columns[:, 2 * k + 1] = -np.sin(angle) * envelope
