@@ -112,10 +112,13 @@ class SetUp:
         return tuple(told)
 
 
-def open_set_ups(manifest: Manifest, already: AlreadyRead | None = None) -> tuple[OpenSetUp, ...]:
+def open_set_ups(
+    manifest: Manifest, already: AlreadyRead | None = None, *, shown: bool = True
+) -> tuple[OpenSetUp, ...]:
     """Read everything that was recorded, set-up by set-up, and fit the lines to the channels; no image is followed yet.
 
-    Clocks are tied, images opened, points read; what was `already` read of the files is not read again.
+    Clocks are tied, images opened, points read; what was `already` read of the files is not read again. Where nothing
+    is `shown`, channels lack what only pages and notices need.
     """
     parts = read_set_ups(manifest, already)
     tied = []
@@ -131,7 +134,7 @@ def open_set_ups(manifest: Manifest, already: AlreadyRead | None = None) -> tupl
             points = tuple(measure_points(one.manifest, base, entry) for entry in one.manifest.points)
             opened = replace(one, base=base, images=images, points=points, lines=lines)
             if lines is not None:
-                channels, readings = channel_phasors(one.manifest, base, lines)
+                channels, readings = channel_phasors(one.manifest, base, lines, shown=shown)
                 opened = replace(opened, channels=channels, readings=readings)
         fitted.append(opened)
     return tuple(fitted)
