@@ -292,7 +292,8 @@ def channel_phasors(
     """Fit the lines to every channel of every block: the phasors with what the figures show, and with their errors.
 
     Lines above the Nyquist frequency are left out, since recorders filter them away, but not in the fastest channels,
-    where the lines were found. Where nothing is `shown`, spectra and stationarity, which refuse nothing, are left out.
+    where the lines were found. Where nothing is `shown`, spectra, harmonics and stationarity are left out, which refuse
+    nothing.
     """
     groups = [(record, group) for record in base.records for group in _same_times(record)]
     rates_hz = [record.raw[group[0].name].sample_rate_hz for record, group in groups]
@@ -362,7 +363,8 @@ def _fit_group(
         order = -TRANSDUCERS[channel.quantity].order if channel.quantity in TRANSDUCERS else 0
         late = [error.through(fit, seen, order).of_channel(c).relative_to(own) for error in errors]
         steady_here = steady and steady.select(channel.name)
-        result = replace(result, stationarity=steady_here, harmonics=_harmonics(channel, fit, every, multiples))
+        harmonics = _harmonics(channel, fit, every, multiples) if shown else None
+        result = replace(result, stationarity=steady_here, harmonics=harmonics)
         result = replace(result, spectrum_hz=fitted[0][0].spectrum_hz) if fitted else result  # the same, held once
         fitted.append((result, replace(reading, further=acting(late))))
     return fitted
