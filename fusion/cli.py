@@ -33,7 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices here are small: more threads wait for each other
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # it would look among all packages for them
     with _ended_by_signals(), _terminals():
-        parser = _parser()
+        parser = _parser((sys.argv[1:] if arguments is None else arguments)[:1])
         if "_ARGCOMPLETE" in os.environ:  # the shell asks what could come next
             import argcomplete
 
@@ -169,7 +169,8 @@ def _completion() -> type[argparse.Action]:
     return Completion
 
 
-def _parser() -> Parser:
+def _parser(first: Sequence[str] = ()) -> Parser:
+    """Return the parser: of one command where that is the `first` argument, so that the others cost nothing."""
     from fusion.base import PROGRAM, __version__
     from fusion.commands.options import Parser
 
@@ -185,7 +186,7 @@ def _parser() -> Parser:
     loudness.add_argument("-v", "--verbose", action="store_true", help="tell more on stderr")
     loudness.add_argument("-q", "--quiet", action="store_true", help="warnings and errors only, no progress bar")
     parsers = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    for command in commands():
+    for command in [own for own in commands() if own.name in first] or commands():
         summary = f"{command.help[0].upper()}{command.help[1:]}."
         epilog = f"example: {command.example}"
         own = parsers.add_parser(command.name, parents=[common], help=command.help, description=summary, epilog=epilog)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -30,7 +31,7 @@ from fusion.estimation.consistency import (
     undetected_errors,
     without_readings,
 )
-from fusion.estimation.coverage import polar, region_factor
+from fusion.estimation.coverage import Polar, polar, region_factor
 from fusion.estimation.least_squares import (
     UNOBSERVED,
     UNOBSERVED_ITSELF,
@@ -47,6 +48,7 @@ from fusion.estimation.uncertainty import (
     Uncertainty,
     element_covariance,
     merge_contributions,
+    polar_elements,
     total_variance,
 )
 from fusion.estimation.variance_components import (
@@ -114,6 +116,11 @@ class Acceleration:
     def contributions(self) -> tuple[Contribution, ...]:
         """Return the budget: one contribution per label; they add up to the covariance of the phasors."""
         return self.uncertainty.grouped()
+
+    @cached_property
+    def polar(self) -> list[list[Polar | None]]:
+        """Return the components (K lines of 6) as magnitude and phase, None where one is not observed."""
+        return polar_elements(self.phasors.value, self.uncertainty, self.phasors.covariance)
 
 
 def fuse(

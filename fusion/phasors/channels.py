@@ -17,7 +17,7 @@ from fusion.recording.response import read_response
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, Stacked, brief
 from shaker.lines.detection import relative_strength, survey_lines
 from shaker.lines.frequencies import Lines, find_lines
-from shaker.lines.spectrum import amplitude_spectrum
+from shaker.lines.spectrum import Spectrum, amplitude_spectrum
 from shaker.sine.aliasing import CAPTURE, Fold, alias_frequency, folded_harmonics
 from shaker.sine.fit import Stationarity, fit_sines, stationarity
 from shaker.sine.phasor import Phasors
@@ -287,12 +287,13 @@ def _driven_lines(
 
 
 def channel_phasors(
-    manifest: Manifest, base: TimeBase, lines: Lines
+    manifest: Manifest, base: TimeBase, lines: Lines, *, shown: bool = True
 ) -> tuple[tuple[ChannelResult, ...], tuple[Reading, ...]]:
     """Fit the lines to every channel of every block: the phasors with what the figures show, and with their errors.
 
     Lines above the Nyquist frequency are left out, since recorders filter them away, but not in the fastest channels,
-    where the lines were found.
+    where the lines were found. Where nothing is `shown`, spectra, harmonics and stationarity are left out, which refuse
+    nothing.
     """
     groups = [(record, group) for record in base.records for group in _same_times(record)]
     rates_hz = [record.raw[group[0].name].sample_rate_hz for record, group in groups]
@@ -306,7 +307,7 @@ def channel_phasors(
             raise InputError(record.entry.file, group[0].name, found=f"{rate_hz:g} Hz", expected=expected)
         units = [manifest.rig.unit_of(channel) for channel in group]
         errors = together([*base.tie_errors(record.entry.name), *open_lines])
-        fitted += _fit_group(base, record, group, units, (lines, seen, errors))
+        fitted += _fit_group(base, record, group, units, (lines, seen, errors), shown)
     return tuple(result for result, _ in fitted), tuple(reading for _, reading in fitted)
 
 
@@ -326,6 +327,7 @@ def _fit_group(
     group: Sequence[ChannelEntry],
     units: Sequence[str],
     wanted_lines: tuple[Lines, BoolArray, Sequence[Lateness]],
+    shown: bool,
 ) -> list[tuple[ChannelResult, Reading]]:
     """Fit the lines seen (K,) to all channels of one group and split the result by channel.
 
@@ -352,15 +354,17 @@ def _fit_group(
     if len(fit.spikes):
         kept = np.ones(len(values), dtype=np.bool_)
         kept[fit.spikes] = False
-    steady = stationarity(time_s if kept is None else time_s[kept], values.kept(kept), frequency_hz, names)
+    times = time_s if kept is None else time_s[kept]
+    steady = stationarity(times, values.kept(kept), frequency_hz, names) if shown else None
     fitted: list[tuple[ChannelResult, Reading]] = []
     for c, channel in enumerate(group):
         own = wanted.select([channel.name])
-        result, reading = _result(record, channel, time_s, fit, own)
+        result, reading = _result(record, channel, time_s, fit, own, shown)
         order = -TRANSDUCERS[channel.quantity].order if channel.quantity in TRANSDUCERS else 0
         late = [error.through(fit, seen, order).of_channel(c).relative_to(own) for error in errors]
         steady_here = steady and steady.select(channel.name)
-        result = replace(result, stationarity=steady_here, harmonics=_harmonics(channel, fit, every, multiples))
+        harmonics = _harmonics(channel, fit, every, multiples) if shown else None
+        result = replace(result, stationarity=steady_here, harmonics=harmonics)
         result = replace(result, spectrum_hz=fitted[0][0].spectrum_hz) if fitted else result  # the same, held once
         fitted.append((result, replace(reading, further=acting(late))))
     return fitted
@@ -407,6 +411,7 @@ def _result(
     time_s: FloatArray,
     fit: SineFit,
     phasors: Phasors,
+    shown: bool,
 ) -> tuple[ChannelResult, Reading]:
     """Correct one channel's phasors for delay and response, and keep what its figures need."""
     block, rate_hz, values = record.entry.name, record.raw[channel.name].sample_rate_hz, record.stacked([channel])
@@ -416,8 +421,9 @@ def _result(
         chain = replace(chain, u_magnitude=response.u_magnitude, u_phase_rad=response.u_phase_rad)
     phasors = phasors.scaled(correction[:, None])
     place = fit.phasors.channels.index(channel.name)
-    shown = slice(0, min(len(values), int(EXCERPT_PERIODS * rate_hz / fit.phasors.frequency_hz[0]) + 2))
-    spectrum = amplitude_spectrum(values, rate_hz, MOST_BINS)
+    first = slice(0, min(len(values), int(EXCERPT_PERIODS * rate_hz / fit.phasors.frequency_hz[0]) + 2))
+    none = Spectrum(np.empty(0), np.empty((0, 1)))
+    spectrum = amplitude_spectrum(values, rate_hz, MOST_BINS) if shown else none
     result = ChannelResult(
         name=channel.name,
         daq=block,
@@ -428,9 +434,9 @@ def _result(
         samples=len(values),
         phasors=phasors,
         residual_rms=float(fit.residual_rms[place]),
-        excerpt_s=time_s[shown].copy(),  # a view would hold the whole record
-        excerpt=values[shown][:, 0],
-        excerpt_fit=fit.model(time_s[shown])[:, place],
+        excerpt_s=time_s[first].copy(),  # a view would hold the whole record
+        excerpt=values[first][:, 0],
+        excerpt_fit=fit.model(time_s[first], slice(place, place + 1))[:, 0],
         spectrum_hz=spectrum.frequency_hz,
         spectrum=spectrum.amplitude[:, 0],
         notices=tuple(Notice(n.severity, f"{block}, {n.where}: {n.text}", block) for n in fit.notices),

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from scipy.special import fdtrc
 
 from fusion.estimation.uncertainty import real_stack
 from fusion.phasors.shutter import Turned
@@ -137,6 +136,8 @@ def shape_phasors(
     `effects` (P, K, S) added, is 2Sν/(ν − 2S + 1) times F(2S, ν − 2S + 1) on a rigid body. `turned`: frames of a
     rolling shutter, that show a body `moved` so.
     """
+    from scipy.special import fdtrc
+
     names, count = deformed.shapes.names, len(deformed.shapes.names)
     gain = exposure_gain(frequency_hz, exposure_s)[:, None]
     freedom = max(LEAST_FREEDOM, count if turned is None else 2 * count)
@@ -168,6 +169,8 @@ def _tested_noise(time_s: FloatArray, amplitude: FloatArray, fit: SineFit) -> Ph
     slow, by the mean square of successive differences (von Neumann 1941, Ann. Math. Stat. 12, 367), or surely is louder
     around the line, in all shapes together: air and lamps are not white.
     """
+    from scipy.special import fdtrc
+
     used = np.array(np.isfinite(amplitude).all(axis=1))
     used[fit.spikes] = False
     times, frequency = time_s[used], fit.phasors.frequency_hz
@@ -209,6 +212,8 @@ def _independent(phasors: Phasors, covariance: FloatArray) -> int:
     beside the first r singular values is then nearly χ² of (2K − r)(S − r) (Malinowski 1989, J. Chemometrics 3, 49);
     the first r for which that is no rare value, 1 %, is the number.
     """
+    from scipy.special import fdtrc
+
     count = phasors.value.shape[1]
     of_parts = (covariance[:, :count, :count] + covariance[:, count:, count:]) / 2.0
     lower = np.linalg.cholesky(of_parts)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -29,7 +29,6 @@ from fusion.phasors.channels import (
     line_strength,
     refine_ties,
 )
-from fusion.phasors.clocks import tied_by_motion
 from fusion.phasors.stereo_motion import (
     LeftOut,
     OpenImages,
@@ -40,7 +39,6 @@ from fusion.phasors.stereo_motion import (
     open_images,
     still_calibrated,
 )
-from fusion.phasors.stereo_phasors import StereoPhasors, StereoResult, pairs_phasors
 from fusion.phasors.timing import ClockResult, TimeBase, tie_daqs
 from fusion.recording.files import AlreadyRead, read_set_ups, told_in
 from fusion.recording.load import Manifest
@@ -48,6 +46,9 @@ from shaker.arrays import Notice
 from shaker.lines.frequencies import Lines
 from shaker.sine.aliasing import alias_frequency
 from shaker.sine.fit import Stationarity
+
+if TYPE_CHECKING:
+    from fusion.phasors.stereo_phasors import StereoPhasors, StereoResult
 
 Key = tuple[float, int]
 """What makes lines of two set-ups the same: their nominal fundamental and their multiple of it."""
@@ -111,10 +112,13 @@ class SetUp:
         return tuple(told)
 
 
-def open_set_ups(manifest: Manifest, already: AlreadyRead | None = None) -> tuple[OpenSetUp, ...]:
+def open_set_ups(
+    manifest: Manifest, already: AlreadyRead | None = None, *, shown: bool = True
+) -> tuple[OpenSetUp, ...]:
     """Read everything that was recorded, set-up by set-up, and fit the lines to the channels; no image is followed yet.
 
-    Clocks are tied, images opened, points read; what was `already` read of the files is not read again.
+    Clocks are tied, images opened, points read; what was `already` read of the files is not read again. Where nothing
+    is `shown`, channels lack what only pages and notices need.
     """
     parts = read_set_ups(manifest, already)
     tied = []
@@ -130,7 +134,7 @@ def open_set_ups(manifest: Manifest, already: AlreadyRead | None = None) -> tupl
             points = tuple(measure_points(one.manifest, base, entry) for entry in one.manifest.points)
             opened = replace(one, base=base, images=images, points=points, lines=lines)
             if lines is not None:
-                channels, readings = channel_phasors(one.manifest, base, lines)
+                channels, readings = channel_phasors(one.manifest, base, lines, shown=shown)
                 opened = replace(opened, channels=channels, readings=readings)
         fitted.append(opened)
     return tuple(fitted)
@@ -144,6 +148,9 @@ def measure_set_up(
     kept: Keeper | None = None,
 ) -> SetUp:
     """Follow the images of a set-up, here or by an executor, and fit the lines to the motion of every stereo pair."""
+    from fusion.phasors.again import looked_again  # here, for `check` follows no images
+    from fusion.phasors.stereo_phasors import pairs_phasors
+
     manifest, base = opened.manifest, opened.base
     with told_in(manifest.path, opened.where, opened.name):
         seen = [
@@ -161,8 +168,6 @@ def measure_set_up(
             clock = base.sight_errors(first)
         else:
             lines, clock = opened.lines, line_clock(base)
-        from fusion.phasors.again import looked_again  # its kernels take time to import, and `check` needs none
-
         again = [still_calibrated(looked_again(item, opened.images, lines)) for item in motions]
         left_out += [item for item in again if isinstance(item, LeftOut)]
         motions = tuple(item for item in again if isinstance(item, StereoMotion))
@@ -181,6 +186,8 @@ def measure_set_up(
 
 def _tied(opened: OpenSetUp, motions: tuple[StereoMotion, ...]) -> tuple[OpenSetUp, tuple[StereoMotion, ...]]:
     """Return a set-up, and what its pairs saw, with clocks that the motion ties; channels on other times anew."""
+    from fusion.phasors.clocks import tied_by_motion
+
     assert opened.lines is not None
     base, renewed, lines = tied_by_motion(opened.manifest, opened.base, motions, opened.lines)
     if any(tie is not opened.base.ties[name] for name, tie in base.ties.items()):

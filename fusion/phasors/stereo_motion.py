@@ -40,8 +40,6 @@ from photogram.camera import FaceCamera, Rig, StereoRig
 from photogram.geometry import RigidTransform
 from photogram.images.files import open_sequence
 from photogram.images.sequence import GreyImage, ImageSequence, saturated_fraction
-from photogram.motion import Deformation, RigidMotion, deformation, fit_motion, points_with_estimated_noise
-from photogram.point_tables import read_point_tables
 from shaker.arrays import BoolArray, FloatArray, Notice
 from shaker.lines.frequencies import Lines, find_lines
 from shaker.sine.aliasing import usable_lines
@@ -53,6 +51,7 @@ if TYPE_CHECKING:
     from photogram.images.noise import NoiseModel
     from photogram.measure.body import BodyMotion
     from photogram.measure.follow import BodyScene
+    from photogram.motion import Deformation, RigidMotion
     from photogram.subsets.icgn import TrackSettings
     from photogram.subsets.texture import SubsetQuality
     from photogram.subsets.track import StereoTracks
@@ -389,6 +388,9 @@ def still_calibrated(motion: StereoMotion) -> StereoMotion | LeftOut:
 
 def measure_points(manifest: Manifest, base: TimeBase, entry: PointFiles) -> StereoMotion:
     """Fit the rigid motion about the sensor origin to the points of another program."""
+    from photogram.motion import deformation, fit_motion, points_with_estimated_noise
+    from photogram.point_tables import read_point_tables
+
     name, key = entry.stereo, f"points.{entry.stereo}.files"
     with as_input_error(manifest.path, key):
         table = read_point_tables(entry.files, entry.columns, entry.valid_status, entry.scale)

@@ -164,7 +164,7 @@ def _read_as(command: str, manifest: Manifest, already: AlreadyRead) -> None:
     if command == "run":
         from fusion.phasors.setup import open_set_ups
 
-        open_set_ups(manifest, already)
+        open_set_ups(manifest, already, shown=False)
     elif command == "transfer":
         from fusion.sensor.transfer.evaluate import estimated
         from fusion.sensor.transfer.records import TransferSettings, read_together

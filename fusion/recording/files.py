@@ -16,12 +16,12 @@ from fusion.recording.manifest import SCAN, ChannelEntry, Daq, Frames
 from shaker.arrays import FloatArray, Stacked
 from shaker.io import read_channels
 from shaker.io.channel import RawChannel
-from shaker.io.text import Scan, read_scan_asc
 from shaker.timebase.trigger import PulseWidth, pulse_width
 
 if TYPE_CHECKING:
     from fusion.recording.load import Manifest
     from photogram.images.sequence import ImageSequence
+    from shaker.io.text import Scan
 
 # DAQ blocks as read from their files, one set-up after another, checked for what a user can get wrong.
 
@@ -84,6 +84,8 @@ def scanned_points(manifest: Manifest, daq: Daq) -> tuple[ScannedPoint, ...] | N
     """
     if daq.file.suffix.lower() != SCAN:
         return None
+    from shaker.io.text import read_scan_asc
+
     with as_input_error(manifest.path, f"daq.{daq.name}.file"):
         scan = read_scan_asc(daq.file)
     if len(scan.point_m) == 1:

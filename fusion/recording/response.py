@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
+from math import isfinite, nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Self
 
@@ -213,16 +213,23 @@ def _typed_columns(path: Path) -> list[FloatArray]:
     if missing:
         found = f"columns {describe(', '.join(map(str, names)), plain=True) or 'none'}"
         raise InputError(path, missing[0], found=found, expected="this column")
-    columns = {name: np.full(len(rows), np.nan) for name in COLUMNS}
-    for name, values in columns.items():
-        for line, row in enumerate(rows):
-            with suppress(TypeError, ValueError):
-                values[line] = float(row[name])
-            if not np.isfinite(values[line]) or wrong_size(float(values[line])):
-                found = f'"{describe(row[name] or "", plain=True)}" in line {line + 2}'
-                expected = wrong_size(float(values[line])) or "one finite number per row"
-                raise InputError(path, name, found=found, expected=expected)
-    return list(columns.values())
+    columns = []
+    for name in COLUMNS:
+        values = [_number(row[name]) for row in rows]
+        for line, value in enumerate(values):
+            if not isfinite(value) or wrong_size(value):
+                found = f'"{describe(rows[line][name] or "", plain=True)}" in line {line + 2}'
+                raise InputError(path, name, found=found, expected=wrong_size(value) or "one finite number per row")
+        columns.append(np.array(values))
+    return columns
+
+
+def _number(cell: str | None) -> float:
+    """Return the number in a cell, NaN where there is none."""
+    try:
+        return nan if cell is None else float(cell)
+    except ValueError:
+        return nan
 
 
 def _named_columns(path: Path, columns: ResponseColumns) -> list[FloatArray]:

@@ -58,7 +58,7 @@ class PathScope:
 
     def file(self, text: str) -> Path:
         """Resolve the path of one existing file."""
-        path = self._inside(self._join(text), text)
+        path = self._inside(self._followed(self._join(text), text), text)
         if not path.is_file():
             raise refusal("an existing file", _other_than_file(path))
         return path
@@ -67,7 +67,7 @@ class PathScope:
         """Resolve one path or a glob (`*`, `?`, `[…]`) to its existing files in natural order."""
         plain = self._join(text)
         if plain.is_file():
-            return (self._inside(plain, text),)
+            return (self._inside(self._followed(plain, text), text),)
         if not MAGIC.search(text):
             return (self.file(text),)
         if "**" in text:
@@ -75,7 +75,9 @@ class PathScope:
         matches = [path for path in self._expand(text) if path.is_file()]
         if not matches:
             raise refusal("at least one file", f"nothing that matches {plain}")
-        return tuple(self._inside(path, text) for path in matches)
+        folders = {folder: self._followed(folder, text) for folder in {path.parent for path in matches}}
+        real = (self._followed(p, text) if p.is_symlink() else folders[p.parent] / p.name for p in matches)
+        return tuple(self._inside(path, text) for path in real)
 
     def _join(self, text: str) -> Path:
         """Check the syntax of a path and put it behind the manifest's folder."""
@@ -88,18 +90,21 @@ class PathScope:
             raise refusal("a path relative to this file", f"'{text}'")
         return self.folder / text
 
-    def _inside(self, path: Path, text: str) -> Path:
-        """Follow links and refuse what lies outside the campaign's folder."""
+    def _followed(self, path: Path, text: str) -> Path:
+        """Follow links."""
         try:
-            resolved = path.resolve()
+            return path.resolve()
         except RuntimeError as error:  # as versions of Python before 3.13 tell it
             raise refusal("a path that can be read", f"links that lead in a circle at '{text}'") from error
-        if not self.allow_outside and not resolved.is_relative_to(self.root):
+
+    def _inside(self, path: Path, text: str) -> Path:
+        """Refuse a path without links that lies outside the campaign's folder."""
+        if not self.allow_outside and not path.is_relative_to(self.root):
             raise refusal(
                 f"a path inside the folder {self.of} {self.root} (--allow-outside permits others)",
-                f"'{text}', which leads to {resolved}",
+                f"'{text}', which leads to {path}",
             )
-        return resolved
+        return path
 
     def _expand(self, text: str) -> list[Path]:
         """Match a glob part by part, case-sensitively, each folder's entries in natural order.

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
-from h5py import h5d, h5ds, h5o
+from h5py import h5d, h5ds, h5o, h5t
 
 from fusion.report.stored import put_array, put_axis, put_text, put_texts
 from fusion.report.table import sensitivity_unit
@@ -292,7 +292,7 @@ class _Data:
     @cached_property
     def numbers(self) -> bool:
         """Whether it holds numbers, or truths."""
-        return self.id.dtype.kind in "biufc"
+        return bool(self.id.get_type().get_class() != h5t.STRING)
 
     @cached_property
     def values(self) -> Any:

@@ -138,7 +138,7 @@ def row_element(row: Mapping[str, str]) -> Polar:
 def _phasors(result: Acceleration | LoadResult, body: str, source: str, recording: str) -> Iterator[Element]:
     """One entry per line and component that is observed."""
     phasors = result.phasors
-    for k, row in enumerate(tables.result_elements(result)):
+    for k, row in enumerate(result.polar):
         for c, value in enumerate(row):
             if value is not None:
                 frequency, component = float(phasors.frequency_hz[k]), phasors.channels[c]

@@ -34,7 +34,6 @@ from fusion.report.tables import (
     driven_component,
     main_line,
     main_result,
-    result_elements,
     result_name,
     sensitivity_element,
     static_sensitivity,
@@ -81,7 +80,7 @@ def draw_sources(evaluation: Evaluation, compared: list[str]) -> Figure:
 def draw_components(evaluation: Evaluation, body: str) -> Figure:
     """Six components at the strongest line in the complex plane, with 95 % ellipses of every source."""
     line, results = main_line(evaluation), by_source(evaluation, body)
-    found = {result.source: result_elements(result)[line] for result in results}
+    found = {result.source: result.polar[line] for result in results}
     drawn = sheet(f"components-{body}", 5.9, 2, 3, shared_x=False)
     for component, panel in enumerate(drawn.panels):
         panel.title = MOTION_COMPONENTS[component]
@@ -101,7 +100,7 @@ def _has_reference(evaluation: Evaluation, body: str) -> bool:
     fused = acceleration(evaluation, body, "fused")
     if fused is None or len(fused.instruments) < 2 or len(by_source(evaluation, body)) < 2:
         return False
-    element = result_elements(fused)[main_line(evaluation)][driven_component(evaluation)]
+    element = fused.polar[main_line(evaluation)][driven_component(evaluation)]
     return element is not None and element.region.half_axes[0] < 0.5 * element.magnitude
 
 
@@ -110,7 +109,7 @@ def _draw_deviations(left: Panel, right: Panel, results: list[Acceleration], lin
     names: list[str] = []
     reference = complex(results[0].phasors.value[line, component])
     for result in results:
-        element = result_elements(result)[line][component]
+        element = result.polar[line][component]
         if element is None:
             continue
         amplitude = 100.0 * (element.magnitude / abs(reference) - 1.0)

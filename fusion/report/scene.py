@@ -30,7 +30,6 @@ from fusion.report.figure import BLACK, GREY, ORANGE, PURPLE, SKY, SOURCE_COLOUR
 from fusion.report.folder import render_page
 from fusion.report.scene_still import Shape, make_box, solid, still_views
 from fusion.report.table import measured
-from fusion.report.tables import result_elements
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.body import Part, make_part, moving_parts
 from photogram.camera import Camera, FaceCamera
@@ -468,7 +467,7 @@ def evaluation_scene(evaluation: Evaluation) -> Scene:
     remarks += [text for body, result in moved.items() if (text := _unobserved(body, result))]
     frequency = next((result.phasors.frequency_hz for result in moved.values()), np.zeros(0))
     motions = list[Motion]()
-    elements = {body: result_elements(result) for body, result in moved.items()}
+    elements = {body: result.polar for body, result in moved.items()}
     displaced = {body: np.nan_to_num(displacement(result)) for body, result in moved.items()}
     for k, f in enumerate(frequency.tolist()):
         told = [_amplitude_told(body, own[k], f) for body, own in elements.items()]

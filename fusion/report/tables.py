@@ -39,7 +39,6 @@ from fusion.report.table import (
     times_ten,
 )
 from fusion.sensitivity.analyse import Evaluation
-from fusion.sensitivity.load import LoadResult
 from fusion.sensitivity.ratio import Sensitivity, StatedMatrix
 from fusion.sensitivity.ratio import driven_component as driven_load
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS, typeset
@@ -149,12 +148,6 @@ def static_value(evaluation: Evaluation, channel: int, component: int) -> float 
     return float(static[channel, component]) if static is not None and static[channel, component] != 0.0 else None
 
 
-def result_elements(result: Acceleration | LoadResult) -> list[list[Polar | None]]:
-    """Six components at every line as magnitude and phase, None where they are not observed."""
-    phasors = result.phasors
-    return polar_elements(phasors.value, result.uncertainty, phasors.covariance)
-
-
 def sensitivity_element(sensitivity: Sensitivity, line: int, channel: int, component: int) -> Polar:
     """One element of the sensitivity at one line, as magnitude and phase."""
     element = sensitivity.polar[line][sensitivity.elements.index((channel, component))]
@@ -180,7 +173,7 @@ def headlines(evaluation: Evaluation) -> list[Headline]:
     moved = acceleration(evaluation, "load", "fused") or next(iter(evaluation.accelerations), None)
     labels = f"Acceleration {MOTION_COMPONENTS[component]}", f"Load {LOAD_COMPONENTS[component]}"
     for result, label in zip((moved, evaluation.load), labels, strict=True):
-        element = None if result is None else result_elements(result)[line][component]
+        element = None if result is None else result.polar[line][component]
         if result is None or element is None:
             continue
         size, remark = WEAK, f"95 % {half_axes(element.region)}"
@@ -222,7 +215,7 @@ def source_tables(evaluation: Evaluation) -> list[Table]:
     tables = []
     for body in bodies(evaluation):
         results = by_source(evaluation, body)
-        found = [result_elements(result)[line] for result in results]
+        found = [result.polar[line] for result in results]
         rows = []
         sizes = np.abs([result.phasors.value[line] for result in results])
         for component, name in enumerate(MOTION_COMPONENTS):
@@ -251,7 +244,7 @@ def load_table(evaluation: Evaluation) -> Table | None:
     if load is None:
         return None
     strongest, driven = main_line(evaluation), driven_component(evaluation)
-    for k, row in enumerate(result_elements(load)):
+    for k, row in enumerate(load.polar):
         for c, element in enumerate(row):
             if element is not None and (k == strongest or c == driven):
                 amplitude, turn, k_factor = polar_cells(element)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fusion.base import AnyNotice
+from fusion.estimation.coverage import Polar
 from fusion.estimation.least_squares import UNOBSERVED, UNOBSERVED_ITSELF
 from fusion.estimation.measurement_model import BODY_SIZE_M
 from fusion.estimation.uncertainty import (
@@ -18,6 +20,7 @@ from fusion.estimation.uncertainty import (
     Uncertainty,
     Unknown,
     added_up,
+    polar_elements,
     real_design,
     real_stack,
     total_variance,
@@ -71,7 +74,7 @@ class LoadResult:
         check_shapes(self, (lines, 6), "value", "observed")
         check_shape("covariance", self.uncertainty.covariance, (lines, 12, 12))
 
-    @property
+    @cached_property
     def phasors(self) -> Phasors:
         """Return the components that are given as results, NaN elsewhere; `dof` of the largest force of each line."""
         mask = ~np.tile(self.observed, (1, 2))
@@ -86,6 +89,11 @@ class LoadResult:
     def contributions(self) -> tuple[Contribution, ...]:
         """Return the budget: one contribution per label; they add up to the covariance of `value`."""
         return self.uncertainty.grouped()
+
+    @cached_property
+    def polar(self) -> list[list[Polar | None]]:
+        """Return the components (K lines of 6) as magnitude and phase, None where one is not given."""
+        return polar_elements(self.phasors.value, self.uncertainty, self.phasors.covariance)
 
 
 def load_phasors(acceleration: Acceleration, body: Body) -> LoadResult:

@@ -124,4 +124,4 @@ def full_scale_of(path: Path, stored_bits: int, bit_depth: int | None) -> int:
 
 def saturated_fraction(image: GreyImage, full_scale: int) -> float:
     """Fraction of the pixels of `image` (H,W) that are at full scale."""
-    return float(np.mean(image >= full_scale))
+    return np.count_nonzero(image >= full_scale) / image.size

@@ -301,16 +301,22 @@ def _slopes(knots: FloatArray, step: FloatArray, rise: ComplexArray) -> ComplexA
     one at the second and the last but one (de Boor 2001, A Practical Guide to Splines, chapter IV)."""
     if len(knots) == 2:
         return np.repeat(rise, 2)
-    from scipy.linalg import solve, solve_banded
-
     inner = 2.0 * (step[:-1] + step[1:])
     right = np.empty(len(knots), dtype=np.complex128)
     right[1:-1] = 3.0 * (step[1:] * rise[:-1] + step[:-1] * rise[1:])
     if len(knots) == 3:  # both ends state the same: a parabola
         right[0], right[2] = 2.0 * rise
-        return np.asarray(solve([[1.0, 1.0, 0.0], [step[1], inner[0], step[0]], [0.0, 1.0, 1.0]], right))
+        return np.asarray(np.linalg.solve([[1.0, 1.0, 0.0], [step[1], inner[0], step[0]], [0.0, 1.0, 1.0]], right))
     first, last = knots[2] - knots[0], knots[-1] - knots[-3]
     right[0] = ((step[0] + 2.0 * first) * step[1] * rise[0] + step[0] ** 2 * rise[1]) / first
     right[-1] = (step[-1] ** 2 * rise[-2] + (2.0 * last + step[-1]) * step[-2] * rise[-1]) / last
-    bands = [[0.0, first, *step[:-1]], [step[1], *inner, step[-2]], [*step[1:], last, 0.0]]
-    return np.asarray(solve_banded((1, 1), bands, right))
+    # Three diagonals by elimination; as steps are positive, no middle one becomes zero.
+    above, middle, below = [first, *step[:-1]], [step[1], *inner, step[-2]], [*step[1:], last]
+    for i, element in enumerate(below):
+        share = element / middle[i]
+        middle[i + 1] -= share * above[i]
+        right[i + 1] -= share * right[i]
+    right[-1] /= middle[-1]
+    for i in range(len(below) - 1, -1, -1):
+        right[i] = (right[i] - above[i] * right[i + 1]) / middle[i]
+    return right

@@ -3,35 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from importlib import import_module
 from pathlib import Path
 
-from shaker.io.binary import read_hdf5, read_matlab, read_wave
 from shaker.io.channel import RawChannel, reading
-from shaker.io.labview import read_labview
-from shaker.io.packages import read_dewesoft, read_mdf, read_parquet
-from shaker.io.tdms import read_tdms
-from shaker.io.text import read_scan_channels, read_table
-from shaker.io.universal import read_universal
 
-_Reader = Callable[[Path, Sequence[str] | None, float | None], dict[str, RawChannel]]
-
-_READERS: dict[str, _Reader] = {
-    ".h5": read_hdf5,
-    ".hdf5": read_hdf5,
-    ".tdms": read_tdms,
-    ".uff": read_universal,
-    ".unv": read_universal,
-    ".mat": read_matlab,
-    ".csv": read_table,
-    ".wav": read_wave,
-    ".lvm": read_labview,
-    ".asc": read_scan_channels,
-    ".mf4": read_mdf,
-    ".dxd": read_dewesoft,
-    ".dxz": read_dewesoft,
-    ".d7d": read_dewesoft,
-    ".parquet": read_parquet,
+_READERS = {
+    ".h5": "binary.read_hdf5",
+    ".hdf5": "binary.read_hdf5",
+    ".tdms": "tdms.read_tdms",
+    ".uff": "universal.read_universal",
+    ".unv": "universal.read_universal",
+    ".mat": "binary.read_matlab",
+    ".csv": "text.read_table",
+    ".wav": "binary.read_wave",
+    ".lvm": "labview.read_labview",
+    ".asc": "text.read_scan_channels",
+    ".mf4": "packages.read_mdf",
+    ".dxd": "packages.read_dewesoft",
+    ".dxz": "packages.read_dewesoft",
+    ".d7d": "packages.read_dewesoft",
+    ".parquet": "packages.read_parquet",
 }
+"""Module and function of each suffix, imported for a file that has it."""
 SUFFIXES = tuple(_READERS)
 _UNIVERSAL = "export universal files (.uff, data set 58, binary)"
 _EXPORTS = {
@@ -77,5 +71,7 @@ def read_channels(
     wrong = refused_suffix(path)
     if wrong is not None:
         raise ValueError(f"{path}: expected {wrong[0]}, found {wrong[1]}")
+    module, _, name = _READERS[path.suffix.lower()].partition(".")
+    read: Callable[..., dict[str, RawChannel]] = getattr(import_module(f"shaker.io.{module}"), name)
     with reading(path):
-        return _READERS[path.suffix.lower()](path, names, sample_rate_hz)
+        return read(path, names, sample_rate_hz)

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from shaker.arrays import Brief, FloatArray, Notice, check_shape, check_shapes
+from shaker.arrays import BoolArray, Brief, FloatArray, Notice, check_shape, check_shapes
 from shaker.lti.indices import pole_notices
 from shaker.lti.system import LinearSystem, ModalModel
 from shaker.release.order import Found, Search, known_about, more_terms, remarks, searched
@@ -341,6 +341,8 @@ _FEWER = (30, 40)  # members and generations that three bounded parameters take
 _DAMPING = (1e-4, 0.5)
 _FIRST_PART = 8  # of what follows the onset is looked at first
 _HUGE = 1e100  # loss from which a member counts as grown without bound
+_LOOK = 32  # samples from the onset on in which most members of the evolution show that they grow
+_ROUNDING = 1e-9  # relative, of a loss: what two ways of adding it up differ by at most
 _BLOCKS = 1000  # blocks of the record that the evolution looks at
 
 
@@ -410,9 +412,22 @@ def _published(record: StepRecord, reading: Reading, rng: np.random.Generator, o
                 return np.inf
         return square
 
+    looked_at = slice(begin, begin + _LOOK)
+    before = np.append(still, load[looked_at])
+    lagged = np.stack([before[lag : lag - order] for lag in range(order)])
+
+    def hopeless(members: FloatArray, most: FloatArray) -> BoolArray:
+        """Which members (P, 2n) surely lose within the first samples, which all go through at once; most grow there."""
+        driven, back = members[:, ::2] @ lagged, members[:, 1::2]
+        answer = np.zeros((len(members), order + driven.shape[1]))
+        for n in range(driven.shape[1]):
+            answer[:, order + n] = driven[:, n] - np.einsum("pi,pi->p", back, answer[:, n : order + n])
+        square = quiet + np.sum((answer[:, order:] - output[looked_at]) ** 2, axis=1)
+        return np.asarray(~(square <= (1.0 + _ROUNDING) * most))
+
     bounds = [(-BOUND, BOUND)] * (2 * order)
     with np.errstate(over="ignore", invalid="ignore"):
-        best, path = _evolved(loss, bounds, rng, (POPULATION, GENERATIONS))
+        best, path = _evolved(loss, bounds, rng, (POPULATION, GENERATIONS), hopeless)
     top[1:], bottom[1:] = best[-2::-2], best[::-2]
     sampled = LinearSystem.from_coefficients(top, bottom, record.sample_rate_hz)
     fit = difference_fit(record, reading, sampled, "zoh", signals, np.array(path))
@@ -424,10 +439,12 @@ def _evolved(
     bounds: list[tuple[float, float]],
     rng: np.random.Generator,
     effort: tuple[int, int],
+    hopeless: Callable[[FloatArray, FloatArray], BoolArray] | None = None,
 ) -> tuple[FloatArray, tuple[float, ...]]:
     """Return the best vector and the best loss of every generation; `effort`: members and generations.
 
     loss(vector, most) may stop as soon as it is beyond `most`, the parent's own: such a vector is not taken over.
+    `hopeless` says of which vectors (P, N) that is sure.
     """
     from scipy.optimize import differential_evolution
 
@@ -441,7 +458,9 @@ def _evolved(
         parents[:] = intermediate_result.population_energies
 
     def of_all(_: Any, members: Iterable[FloatArray]) -> list[float]:
-        return [loss(member, most) for member, most in zip(members, parents, strict=True)]
+        every = np.array(list(members))
+        lost = [False] * len(every) if hopeless is None else hopeless(every, np.array(parents)).tolist()
+        return [np.inf if out else loss(*one) for *one, out in zip(every, parents, lost, strict=True)]
 
     end = differential_evolution(
         loss,  # which `of_all` calls in its place

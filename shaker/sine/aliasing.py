@@ -98,14 +98,20 @@ def sine_columns(time_s: FloatArray, frequency_hz: FloatArray) -> FloatArray:
     """
     samples, lines = len(time_s), len(frequency_hz)
     columns = np.empty((samples, 2 * lines + 1), order="F")
-    scale = np.sqrt(2.0 / samples)
     for k, frequency in enumerate(frequency_hz):
-        # Whole turns are taken off before the angle is formed, so long records keep their last digits.
-        angle = 2.0 * np.pi * np.mod(frequency * time_s, 1.0)
-        columns[:, 2 * k] = scale * np.cos(angle)
-        columns[:, 2 * k + 1] = scale * np.sin(angle)
+        angle = angles(frequency * time_s)
+        np.cos(angle, out=columns[:, 2 * k])
+        np.sin(angle, out=columns[:, 2 * k + 1])
+    columns[:, : 2 * lines] *= np.sqrt(2.0 / samples)
     columns[:, 2 * lines] = np.sqrt(1.0 / samples)
     return columns
+
+
+def angles(turns: FloatArray) -> FloatArray:
+    """Return angles in rad, from -π to π, of numbers of turns, in their memory: long records keep their last digits."""
+    turns -= np.rint(turns)
+    turns *= 2.0 * np.pi
+    return turns
 
 
 def condition_number(gram: FloatArray) -> float:

@@ -245,10 +245,7 @@ class Stationarity:
         that χ² falls, to first order by that of the slope times the share of this variance in that of the slope
         (Sherman & Morrison).
         """
-        from scipy.special import fdtrc
-
-        free = 2.0 * (len(self.time_s) - 1)
-        return np.asarray(fdtrc(free, self.dof[:, None], self._chi_square(u_phase_rad_per_s) / free))
+        return _by_chance(self._chi_square(u_phase_rad_per_s), len(self.time_s), self.dof)
 
     def scatter_beside(self, u_phase_rad_per_s: ArrayLike) -> FloatArray:
         """Return the variance (K, C) of the blocks beyond noise and such a rate (`p_value_beside`), both parts."""
@@ -302,8 +299,6 @@ def stationarity(
     fit leaves, without the sidebands that a drift makes. The test is that of Fisher for 2(B - 1) real residuals about
     the weighted mean. None where the blocks are too short to tell the lines apart. Rows with a NaN are left out.
     """
-    from scipy.special import fdtrc
-
     tiny = np.finfo(np.float64).tiny
     check_shape("time_s", time_s, (None,))
     check_shape("values", values, (len(time_s), len(channels)))
@@ -332,7 +327,6 @@ def stationarity(
     mean = np.sum(weight * value, axis=0) / np.sum(weight, axis=0)
     # Along the mean phasor the change of amplitude, across it that of phase times amplitude.
     turned = (value - mean) * np.exp(-1j * np.angle(mean))
-    free = 2.0 * (len(middle) - 1)
     chi2 = np.sum(weight * np.abs(turned) ** 2, axis=0)
     centred = middle[:, None, None] - np.sum(weight * middle[:, None, None], axis=0) / np.sum(weight, axis=0)
     information = np.sum(weight * centred**2, axis=0)
@@ -351,9 +345,22 @@ def stationarity(
         u_amplitude_per_s=u_slope,
         phase_rad_per_s=slope.imag / size,
         u_phase_rad_per_s=u_slope / size,
-        p_value=np.asarray(fdtrc(free, dof[:, None], chi2 / free)),
+        p_value=_by_chance(chi2, len(middle), dof),
         dof=dof,
     )
+
+
+def _by_chance(chi2: FloatArray, blocks: int, dof: FloatArray) -> FloatArray:
+    """Return how often 2(B - 1) normal variables over noise of `dof` (K,) exceed χ² (K, C), by Fisher's distribution.
+
+    Of an even number of variables it is a finite sum, Abramowitz & Stegun 26.6.4.
+    """
+    half = dof[:, None] / 2.0
+    rest = chi2 / (2.0 * half + chi2)
+    terms = [np.ones_like(rest)]
+    for i in range(1, blocks - 1):
+        terms.append(terms[-1] * (half + i - 1.0) / i * rest)
+    return np.asarray(np.exp(-half * np.log1p(chi2 / (2.0 * half))) * np.sum(terms, axis=0))
 
 
 def _block_length(time: FloatArray, frequency_hz: FloatArray) -> tuple[float, float, bool]:

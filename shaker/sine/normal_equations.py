@@ -18,7 +18,7 @@ from math import factorial
 import numpy as np
 
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Stacked, check_shape
-from shaker.sine.aliasing import condition_number, sine_columns
+from shaker.sine.aliasing import angles, condition_number, sine_columns
 
 # Sampling times of a record, cut into blocks whose phases are exact however long the record is.
 
@@ -110,10 +110,10 @@ class Timeline:
 
 
 def timeline(times: Times, kept: BoolArray | None) -> Timeline:
-    """Return the blocks of a record; long ones that are uniform but for rounding become a grid."""
+    """Return the blocks of a record; several that are uniform but for rounding become a grid."""
     if isinstance(times, UniformTimes):
         return _on_grid(Fraction(times.start_s), 1 / Fraction(times.rate_hz), times.samples)
-    grid = _uniform(times) if len(times) > LONG else None
+    grid = _uniform(times) if len(times) > _SHORT_BLOCK else None
     if grid is not None:
         return _on_grid(*grid, len(times))
     edges = _edges(len(times))
@@ -204,15 +204,21 @@ class Demodulator:
         parts = moments.reshape(blocks, 2, groups, _ORDERS, channels)
         together = parts[:, 0] + 1j * parts[:, 1]
         centre = self.timeline.edges[:-1] + int(self.timeline.edges[1]) // 2
-        scale = np.array([(-1j) ** m / factorial(m) for m in range(_ORDERS)])
-        found = np.empty((*self.bins.shape, channels), dtype=np.complex128)
-        for k, bins in enumerate(self.bins):
-            # j·n mod N in whole numbers: the phases of the blocks are exact.
+        offsets, place = np.unique(self.bins - self.centre[:, None], return_inverse=True)
+
+        def turns(bins: IntArray) -> ComplexArray:
+            """Return exp(-2πj·j·n/N) of bins (M,) at the blocks' centres, j·n mod N in whole numbers: exact phases."""
             angle = 2.0 * np.pi * (np.multiply.outer(bins, centre) % samples) / samples
-            change = 2.0 * np.pi * (bins - self.centre[k]) * self._half / samples
-            series = scale * change[:, None] ** np.arange(_ORDERS)
-            kernel = np.exp(-1j * angle)[:, :, None] * series[:, None, :]
-            found[k] = kernel.reshape(len(bins), -1) @ together[:, k].reshape(-1, channels)
+            return np.asarray(np.cos(angle) - 1j * np.sin(angle))
+
+        # Of all groups alike: what neighbours of the bin in the middle turn by against it.
+        change = 2.0 * np.pi * offsets * self._half / samples
+        scale = np.array([(-1j) ** m / factorial(m) for m in range(_ORDERS)])
+        series = scale * change[:, None] ** np.arange(_ORDERS)
+        kernel = (turns(offsets)[:, :, None] * series[:, None, :]).reshape(len(offsets), -1)
+        turned = together * turns(self.centre).T[:, :, None, None]
+        by_group = turned.transpose(1, 0, 2, 3).reshape(groups, -1, channels)
+        found = np.take_along_axis(kernel @ by_group, place.reshape(self.bins.shape)[:, :, None], axis=1)
         return found
 
     @property
@@ -340,8 +346,7 @@ class Columns:
         lines, decay = self.lines, self.decay_per_s
         columns = np.empty((len(local_s), self.linear + (2 * lines if self.slopes else 0)), order="F")
         for k in range(lines):
-            # Whole turns are taken off before the angle is formed, so long records keep their last digits.
-            angle = 2.0 * np.pi * np.mod(self.frequency_hz[k] * local_s, 1.0)
+            angle = angles(self.frequency_hz[k] * local_s)
             envelope = np.exp(-decay[k] * local_s) if decay[k] else 1.0
             columns[:, 2 * k] = np.cos(angle) * envelope
             columns[:, 2 * k + 1] = -np.sin(angle) * envelope

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from statistics import NormalDist
 from typing import Literal
 
 import numpy as np
@@ -458,10 +459,8 @@ def find_spikes(samples: Samples, frequency_hz: FloatArray, model: SineModel) ->
     Am. Stat. Assoc. 69 (1974) 383). Where more than a quarter stands out, this is no Gaussian noise with spikes, and
     nothing is left out.
     """
-    from scipy.special import ndtri
-
     count, parameters = samples.count, 2 * len(frequency_hz) + (2 if model.drift else 1)
-    limit = -float(ndtri(_FALSE_ALARM / (2.0 * count * samples.values.shape[1])))
+    limit = -NormalDist().inv_cdf(_FALSE_ALARM / (2.0 * count * samples.values.shape[1]))
     limit *= (1.0 + 2.0 * _SCATTER / float(np.sqrt(count))) * float(np.sqrt(count / (count - parameters)))
     spikes = np.zeros(samples.timeline.samples, dtype=np.bool_)
     for _ in range(_ROUNDS):

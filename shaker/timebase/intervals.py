@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, reduce
+from math import erfc
+from statistics import NormalDist
 
 import numpy as np
 
@@ -20,6 +22,8 @@ _STEEP = 2.0  # change of the log-likelihood from step to step above which a ste
 _LEAST_STEP = 0.02
 _NO_MATTER = 0.1  # of the line's smallest standard deviation: jitter below it changes nothing any more
 _NO_CHANCE = 1e-4  # share of the whole below which a step of the jitter does not count
+_NODES, _FARTHEST = 512, 9.0  # of Φ: how many for one standard deviation, and up to where
+_AT_ONCE = 4096  # values of Φ: what they need stays in the processor's cache
 
 
 @dataclass(frozen=True)
@@ -203,30 +207,50 @@ def _sampled(
 
 def _log_likelihood(points: FloatArray, jitter: float, intervals: _Intervals) -> FloatArray:
     """Return the log-likelihood (N,) of points (N, 2R), a line per record, under a jitter."""
-    from scipy.special import ndtr
-
     place, lower, upper, slopes = intervals
-    below = np.full((len(points), len(place)), -np.inf)
-    above = np.full((len(points), len(place)), np.inf)
-    for record, (low, high) in enumerate(zip(lower, upper, strict=True)):
-        line = points[:, 2 * record, None] + points[:, 2 * record + 1, None] * place
-        below, above = np.maximum(below, low - line), np.minimum(above, high - line)
+    lines = [m[:, None] + h[:, None] * place for m, h in zip(points.T[::2], points.T[1::2], strict=True)]
+    below = reduce(np.maximum, (low - line for low, line in zip(lower, lines, strict=True)))
+    above = reduce(np.minimum, (high - line for high, line in zip(upper, lines, strict=True)))
     # Edges whose intervals hold every line with room to spare say nothing.
     telling = (below.max(axis=0) > -6.0 * jitter) | (above.min(axis=0) < 6.0 * jitter)
-    share = np.maximum(ndtr(above[:, telling] / jitter) - ndtr(below[:, telling] / jitter), 0.0) + _STRAY
-    own = np.log(share).sum(axis=1)
+    share = normal_cdf(above[:, telling] / jitter)
+    share -= normal_cdf(below[:, telling] / jitter)
+    own = np.log(np.maximum(share, 0.0) + _STRAY).sum(axis=1)
     return np.asarray(own if slopes is None else own + slopes.log_likelihood(points))
+
+
+def normal_cdf(x: FloatArray) -> FloatArray:
+    """Return Φ(x) to 2·10⁻¹⁴: Taylor's series to the third order about the nearest of nodes 1/512 apart.
+
+    SciPy's own takes a fifth of a second to be imported.
+    """
+    flat, found, series = x.ravel(), np.empty(x.size), _normal_series()
+    for first in range(0, x.size, _AT_ONCE):
+        off = np.clip(flat[first : first + _AT_ONCE], -_FARTHEST, _FARTHEST)
+        place = (_NODES * off + (_NODES * _FARTHEST + 0.5)).astype(np.intp)
+        off -= place / _NODES - _FARTHEST
+        zeroth, first_order, second, third = series.take(place, axis=0).T
+        found[first : first + _AT_ONCE] = zeroth + off * (first_order + off * (second + off * third))
+    return found.reshape(x.shape)
+
+
+@cache
+def _normal_series() -> FloatArray:
+    """Return the coefficients (N, 4) of Taylor's series at the nodes."""
+    node = np.arange(2.0 * _NODES * _FARTHEST + 1.0) / _NODES - _FARTHEST
+    density = np.exp(-0.5 * node**2) / np.sqrt(2.0 * np.pi)
+    value = np.array([0.5 * erfc(x) for x in (-node / np.sqrt(2.0)).tolist()])
+    return np.stack([value, density, -density * node / 2.0, density * (node**2 - 1.0) / 6.0], axis=1)
 
 
 @cache
 def _normal_points(dimensions: int) -> FloatArray:
     """Return standard normal points (N, D) from the additive recurrence with the generalised golden ratio."""
-    from scipy.special import ndtri
-
     ratio = 1.5
     for _ in range(50):  # ratio^(D + 1) = ratio + 1
         ratio = (1.0 + ratio) ** (1.0 / (dimensions + 1))
     step = ratio ** -np.arange(1.0, dimensions + 1)
-    points = np.asarray(ndtri((0.5 + np.arange(1.0, _LAST_POINTS + 1)[:, None] * step) % 1.0))
+    chance = (0.5 + np.arange(1.0, _LAST_POINTS + 1)[:, None] * step) % 1.0
+    points = np.array([[NormalDist().inv_cdf(p) for p in row] for row in chance.tolist()])
     points.flags.writeable = False
     return points

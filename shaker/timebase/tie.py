@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from shaker.arrays import FloatArray, IntArray, Notice, check_shape, check_shapes
-from shaker.timebase.intervals import Posterior, Slopes, line_posterior
+from shaker.timebase.intervals import Posterior, Slopes, line_posterior, normal_cdf
 from shaker.timebase.trigger import (
     CONTRADICTS,
     LEAST_JITTER,
@@ -506,11 +506,9 @@ def _truncated(
     mean: FloatArray, variance: FloatArray, below: FloatArray, above: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return mean and variance of Gaussians (F,) between bounds; as they were where the bounds are far off."""
-    from scipy.special import ndtr
-
     deviation = np.sqrt(np.maximum(variance, 1e-30))
     low, high = np.clip((below - mean) / deviation, -40.0, 40.0), np.clip((above - mean) / deviation, -40.0, 40.0)
-    share = ndtr(high) - ndtr(low)
+    share = normal_cdf(high) - normal_cdf(low)
     # An interval that the model misses by more than the jitter explains says nothing about the jitter.
     inside = share > 1e-6
     share = np.where(inside, share, 1.0)

@@ -11,10 +11,11 @@ import pytest
 from contracts import refused
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from scipy.special import ndtr
 from scipy.stats import chi2
 
 from shaker.timebase.edges import Edges, find_edges
-from shaker.timebase.intervals import Posterior, Slopes, line_posterior
+from shaker.timebase.intervals import Posterior, Slopes, line_posterior, normal_cdf
 from shaker.timebase.tie import ClockTie, decide_shift, edge_instants, tie_clocks
 from shaker.timebase.trigger import TriggerFit, fit_trigger, pulse_width
 
@@ -632,3 +633,8 @@ def test_what_sampling_leaves_open_is_no_noise():
     left = tie.with_rate(tie.rate, 1e-9)
     assert left.noise[1, 1] == pytest.approx(0.5 * tie.covariance[1, 1] * (1e-18 / (tie.covariance[1, 1] + 1e-18)) ** 2)
     assert np.linalg.eigvalsh(left.covariance - left.noise).min() > -1e-30
+
+
+def test_the_normal_distribution_between_its_nodes_and_beyond_them():
+    x = np.append(np.random.default_rng(9).uniform(-12.0, 12.0, (60_000, 2)), [[-np.inf, np.inf], [0.0, -0.0]], axis=0)
+    np.testing.assert_allclose(normal_cdf(x), ndtr(x), rtol=0.0, atol=3e-14)
