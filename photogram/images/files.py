@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-import os
 import struct
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from operator import add
 from pathlib import Path
-from typing import Any, BinaryIO, cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -35,12 +33,6 @@ else:
 TIFF_SUFFIXES = (".tif", ".tiff")
 SUFFIXES = (*TIFF_SUFFIXES, ".png", ".bmp", *VIDEO_READERS)
 TIFF_CODES = ("NONE", "LZW", "ADOBE_DEFLATE", "DEFLATE", "PACKBITS", "JPEG", "OJPEG", "WEBP")
-MOST_STRIPS = 1 << 16
-PLAIN = {258: (8, 16), 259: (1, 8, 32946), 262: (0, 1), **dict.fromkeys((266, 277, 284, 317, 339), (1,))}
-"""Of a plain picture's TIFF tags: bits, compression, photometric; order of bits, samples, planes, predictor, format."""
-SHAPE = WIDTH, HEIGHT, STARTS, ROWS, SIZES = 256, 257, 273, 278, 279
-SILENT = {254, 269, 270, 271, 272, 274, 280, 281, 282, 283, 285, 296, 297, 305, 306, 315, 316, 33432}
-"""Tags that tell nothing of how the grey values are stored."""
 PICTURE_BITS = (8, 10, 12, 14, 16)
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 PNG_COLOURS = {2: "colour", 3: "palette colour", 4: "grey with transparency", 6: "colour with transparency"}
@@ -163,77 +155,8 @@ def _read_file(paths: tuple[Path, ...], bits: int, index: int) -> GreyImage:
     return cast(GreyImage, np.asarray(image))
 
 
-@dataclass(frozen=True)
-class _PlainPage:
-    """The only page of a TIFF file, its rows in strips as they are or deflated; named as tifffile names them."""
-
-    shape: tuple[int, int]
-    bitspersample: int
-    deflated: bool
-    chunks: tuple[int, int]
-    dataoffsets: tuple[int, ...]
-    databytecounts: tuple[int, ...]
-    byteorder: str
-    predictor = fillorder = 1
-    is_tiled = False
-
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        """Type of a grey value."""
-        return np.dtype(f"u{self.bitspersample // 8}")
-
-
-def _plain_page(file: BinaryIO) -> _PlainPage | None:
-    """Read the directory of a TIFF file (revision 6.0) of one plain grey picture that is all there; None for others.
-
-    Such are what most cameras write, and read here in a quarter of the time of tifffile, which takes the others.
-    """
-    try:
-        tags = _tags(file)
-        width, height, rows = (tags[tag][0] for tag in (WIDTH, HEIGHT, ROWS))
-        values = {tag: tags[tag][0] for tag, expected in PLAIN.items() if tags[tag][0] in expected}
-    except (struct.error, KeyError, IndexError, ValueError):
-        return None
-    starts, sizes, rows = tags[STARTS], tags[SIZES], min(rows, height)
-    if len(values) < len(PLAIN) or not (width and rows and len(starts) == len(sizes) == -(-height // rows)):
-        return None
-    needed = height * width * values[258] // 8 if values[259] == 1 else 0
-    if max(map(add, starts, sizes)) > file.seek(0, os.SEEK_END) or sum(sizes) < needed:
-        return None
-    order = "<" if tags[0][0] else ">"
-    return _PlainPage((height, width), values[258], values[259] != 1, (rows, width), starts, sizes, order)
-
-
-def _tags(file: BinaryIO) -> dict[int, tuple[int, ...]]:
-    """Return the numbers of a TIFF file's only directory by their tags, 0: whether its first byte is the lowest.
-
-    `ValueError`, or what `struct` raises, for a file that is none, with more pages, or with tags that no plain picture
-    has.
-    """
-    tags: dict[int, tuple[int, ...]] = {ROWS: (1 << 32,), **dict.fromkeys(PLAIN, (1,))}
-    head = file.read(8)
-    order = {b"II*\0": "<", b"MM\0*": ">"}[head[:4]]
-    file.seek(*struct.unpack(f"{order}I", head[4:]))
-    (entries,) = struct.unpack(f"{order}H", file.read(2))
-    block, (further,) = file.read(12 * entries), struct.unpack(f"{order}I", file.read(4))
-    for tag, kind, count, inline in struct.iter_unpack(f"{order}HHI4s", block):
-        if tag in SILENT:
-            continue
-        if further or tag not in (*PLAIN, *SHAPE) or kind not in (3, 4) or count > MOST_STRIPS:
-            raise ValueError(f"tag {tag}: expected those of a plain picture, found another")
-        form = f"{order}{count}{'H' if kind == 3 else 'I'}"
-        if struct.calcsize(form) > len(inline):
-            file.seek(*struct.unpack(f"{order}I", inline))
-        tags[tag] = struct.unpack_from(form, inline if struct.calcsize(form) <= len(inline) else file.read(4 * count))
-    return tags | {0: (order == "<",)}
-
-
 def _tiff_header(path: Path) -> _Header:
     """Size, bits and pages of a TIFF file whose pixel data lie within the file."""
-    with path.open("rb") as file:
-        plain = _plain_page(file)
-    if plain is not None:
-        return _Header((plain.shape[1], plain.shape[0]), plain.bitspersample)
     import tifffile
 
     try:
@@ -271,7 +194,7 @@ def _stored(page: Any) -> tuple[int, int]:
     return max((int(end) for end in ends), default=1 << 62), sum(int(count) for count in page.databytecounts)
 
 
-def _inflated(path: Path, file: Any, page: Any, byteorder: str) -> GreyImage | None:
+def _inflated(path: Path, tiff: Any, page: Any) -> GreyImage | None:
     """Return a page whose strips are deflated as they are, None where tifffile has more to undo than that.
 
     Parts that are not as long as their pixels need are refused, before they fill the memory.
@@ -279,8 +202,8 @@ def _inflated(path: Path, file: Any, page: Any, byteorder: str) -> GreyImage | N
     each, parts = math.prod(page.chunks) * page.dtype.itemsize, []
     plain = page.predictor == 1 and not page.is_tiled and page.bitspersample in (8, 16) and page.fillorder == 1
     for start, size in zip(page.dataoffsets, page.databytecounts, strict=True):
-        file.seek(start)
-        part = deflate.decompressobj().decompress(file.read(size), each + 1)
+        tiff.filehandle.seek(start)
+        part = deflate.decompressobj().decompress(tiff.filehandle.read(size), each + 1)
         # The last strip of a page may be shorter than the others, or filled up.
         if len(part) > each or (len(part) < each and (page.is_tiled or start != page.dataoffsets[-1])):
             raise ValueError(f"{path}: expected {each} bytes of pixels in every part, found others")
@@ -289,27 +212,21 @@ def _inflated(path: Path, file: Any, page: Any, byteorder: str) -> GreyImage | N
     pixels = math.prod(page.shape)
     if not plain or sum(map(len, parts)) < pixels * page.dtype.itemsize:
         return None
-    stored = np.frombuffer(bytearray().join(parts), page.dtype.newbyteorder(byteorder), pixels)
+    stored = np.frombuffer(bytearray().join(parts), page.dtype.newbyteorder(tiff.byteorder), pixels)
     return cast(GreyImage, stored.astype(page.dtype, copy=False).reshape(page.shape))
 
 
 def _read_tiff(path: Path, bits: int, page: int) -> GreyImage:
     """One page of a TIFF file; OpenCV takes what tifffile cannot decode alone (LZW, packed 12 bit)."""
+    import tifffile
+
     with reading(path):
         try:
-            with path.open("rb") as file:
-                plain = _plain_page(file) if page == 0 else None
-                image = _inflated(path, file, plain, plain.byteorder) if plain is not None and plain.deflated else None
-            if image is not None:
-                return image
-            import tifffile
-
             with tifffile.TiffFile(path) as tiff:
                 own = tiff.pages[page]
-                deflated = "DEFLATE" in own.compression.name
-                image = _inflated(path, tiff.filehandle, own, tiff.byteorder) if deflated else None
-                stored = np.asarray(own.asarray()) if image is None else image
-                return cast(GreyImage, stored.astype(stored.dtype.newbyteorder("="), copy=False))
+                inflated = _inflated(path, tiff, own) if "DEFLATE" in own.compression.name else None
+                image = inflated if inflated is not None else np.asarray(own.asarray())
+                return cast(GreyImage, image.astype(image.dtype.newbyteorder("="), copy=False))
         except (NotImplementedError, ImportError):
             return _read_tiff_opencv(path, bits, page)
         except (ValueError, zlib.error, deflate.error, IndexError) as error:
