@@ -351,16 +351,11 @@ def stationarity(
 
 
 def _by_chance(chi2: FloatArray, blocks: int, dof: FloatArray) -> FloatArray:
-    """Return how often 2(B - 1) normal variables over noise of `dof` (K,) exceed χ² (K, C), by Fisher's distribution.
+    """Return how often 2(B - 1) normal variables over noise of `dof` (K,) exceed χ² (K, C): Fisher's distribution."""
+    from scipy.special import fdtrc
 
-    Of an even number of variables it is a finite sum, Abramowitz & Stegun 26.6.4.
-    """
-    half = dof[:, None] / 2.0
-    rest = chi2 / (2.0 * half + chi2)
-    terms = [np.ones_like(rest)]
-    for i in range(1, blocks - 1):
-        terms.append(terms[-1] * (half + i - 1.0) / i * rest)
-    return np.asarray(np.exp(-half * np.log1p(chi2 / (2.0 * half))) * np.sum(terms, axis=0))
+    free = 2.0 * (blocks - 1)
+    return np.asarray(fdtrc(free, dof[:, None], chi2 / free))
 
 
 def _block_length(time: FloatArray, frequency_hz: FloatArray) -> tuple[float, float, bool]:

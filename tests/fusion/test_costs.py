@@ -115,7 +115,7 @@ COMMAND = "import sys\nfrom fusion.cli import main\nassert main(sys.argv[1:]) ==
 
 def test_check_imports_neither_what_follows_images_nor_what_draws():
     found = imported(COMMAND, "check", str(DEMO), "-q")
-    assert not found & {*DRAWING, *FOLLOWING, *OF_CAMPAIGNS, "scipy", "lxml", "tifffile", "rich", "multiprocessing"}
+    assert not found & {*DRAWING, *FOLLOWING, *OF_CAMPAIGNS, "scipy", "lxml", "rich", "multiprocessing"}
 
 
 def test_lines_need_no_images():
