@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, derivatives
 from photogram.camera import StereoRig, epipolar_residual, triangulate
 from photogram.kernels import njit
+from photogram.subsets.search import score_peaks
 
 Image = NDArray[Any]
 TOLERANCE_PX = 2.0  # of a match from its epipolar line, beside what the calibration leaves open
@@ -29,7 +30,6 @@ LARGEST_STRETCH = 4.0  # of a subset, in the right image
 LEAST_ZNCC = 0.4
 CLIMBED_PX = 0.05
 PEAKS = 8
-APART_PX = 4
 SURFACE_PX = 6.0
 TRIPLES = 500
 FEWEST, BEYOND_CHANCE = 3, 6  # points of a surface; any three lie on one
@@ -77,7 +77,8 @@ def line_starts(
     for n in np.flatnonzero((count > 1) & np.isfinite(grey[:, 0])):
         line = lines.right_px[n, : count[n]]
         score, tilt, which, frames = _correlated(right, line, lines.affine[n], (grey[n], offsets), beside)
-        for c, k in enumerate(_peaks(score)):
+        peaks = score_peaks(score[None], LEAST_ZNCC)[:PEAKS, 0] if score.max() >= LEAST_ZNCC else ()
+        for c, k in enumerate(peaks):
             (a, b), (d, e) = lines.affine[n, k // PLACES, tilt[k]]
             u, v = line[k] + beside[which[k]] * frames[k, 1] - points_px[n]
             starts[c, n], along[c, n] = (u, a - 1.0, b, v, d, e - 1.0), frames[k, 0]
@@ -191,16 +192,6 @@ def _plane(point: FloatArray, place: FloatArray, left: BoolArray, rng: np.random
     weight = scale[best]
     plane, *_ = np.linalg.lstsq(point[points[best]] * weight[:, None], value[best] * weight, rcond=None)
     return np.asarray(plane)
-
-
-def _peaks(score: FloatArray) -> IntArray:
-    """Places of the highest peaks, at least 4 px apart."""
-    from scipy import ndimage
-
-    around = ndimage.maximum_filter1d(score, 2 * APART_PX + 1, mode="constant", cval=-1.0)
-    highest = (score >= LEAST_ZNCC) & (score == around)
-    places = np.flatnonzero(highest)
-    return np.asarray(places[np.argsort(-score[places], kind="stable")][:PEAKS])
 
 
 def _rays(rig: StereoRig, left_px: FloatArray) -> FloatArray:

@@ -31,7 +31,7 @@ from photogram.subsets.find import (
 )
 from photogram.subsets.icgn import Registration, TrackSettings, noise_of, places_of, position_covariance
 from photogram.subsets.reference import Reference, TrackStatus, prepare_reference
-from photogram.subsets.search import HISTORY, predict_warp
+from photogram.subsets.search import HISTORY, LARGEST_COEFFICIENT, predict_warp
 from photogram.subsets.sweep import TOLERANCE_PX
 from photogram.subsets.texture import (
     aliasing_bias,
@@ -420,7 +420,8 @@ class StereoCourse:
         for image, area, noises, counts, where in cameras:
             noise = _middle(noises)
             bias = aliasing_bias(image, area, noise, settings.radius_px, settings.degree)
-            unresolved = aliasing_notice(image, area, noise, bias, where)
+            speckle.append(speckle_size(image, area))
+            unresolved = aliasing_notice(image, area, noise, speckle[-1], bias, where)
             notices += [unresolved] if unresolved is not None else []
             lost = counts.sum() - counts[TrackStatus.OK]
             if lost > LARGEST_LOST_SHARE * counts.sum():
@@ -428,7 +429,6 @@ class StereoCourse:
                 why = TrackStatus(int(most)).name.lower().replace("_", " ")
                 text = f"{100 * lost / counts.sum():.0f} % of the subset positions are missing, most often: {why}"
                 notices.append(Notice("warning", text, where))
-            speckle.append(speckle_size(image, area))
             levels.append(noise)
             biases.append(bias.mean_px)
         return Told(tuple(notices), np.array(speckle), np.array(levels), np.array(biases))
@@ -457,8 +457,11 @@ def _refuse_jumps(image: Image, first_px: FloatArray, moved: FloatArray, setting
     first_px (N,2): its subsets at first; moved (F,2): by how much they have moved since, NaN where none is seen. A copy
     of the pattern then lies nearer, and the pictures cannot tell which of them is the body.
     """
-    warps = np.zeros((len(moved), 1, 6))
     seen = np.isfinite(moved).all(axis=1)
+    extent = np.hypot(*np.ptp(np.vstack([np.zeros(2), moved[seen]]), axis=0))
+    if (1.0 + LARGEST_COEFFICIENT) * extent <= settings.radius_px:  # further off no rule foretells a place
+        return
+    warps = np.zeros((len(moved), 1, 6))
     last = np.maximum.accumulate(np.where(seen, np.arange(len(moved)), -1))
     warps[:, 0, [0, 3]] = np.where((last >= 0)[:, None], moved[np.maximum(last, 0)], 0.0)
     foretold = [predict_warp(list(warps[max(0, frame - HISTORY) : frame])) for frame in range(1, len(warps))]

@@ -21,7 +21,7 @@ from photogram.subsets.reference import TrackStatus
 DEMO = Path(__file__).resolve().parents[2] / "sample_images" / "demo" / "Fz-0080"
 PICTURES, CAMERAS = 96, 4
 DRAWING = ("matplotlib", "jinja2", "PIL")
-FOLLOWING = ("numba", "llvmlite", "torch", "skimage", "photogram.bspline", "photogram.measure")
+FOLLOWING = ("numba", "llvmlite", "torch", "photogram.bspline", "photogram.measure")
 SELDOM = ("scipy.interpolate", "scipy.stats", "scipy.signal", "lxml")
 OF_CAMPAIGNS = ("fusion.campaign.joint", "fusion.campaign.curve", "fusion.campaign.matrix", "scipy.sparse.csgraph")
 SOLVING = ("scipy.optimize", "scipy.fft", "scipy.ndimage", "scipy.spatial", "scipy.sparse")
