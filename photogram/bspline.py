@@ -105,16 +105,13 @@ def evaluate(spline: Spline, points_px: FloatArray) -> tuple[FloatArray, FloatAr
 def grey_values(spline: Spline) -> FloatArray:
     """The image (H,W) that the spline passes through: the coefficients weighted by the B-spline at whole pixels."""
     values, _ = _at_pixels(spline.degree)
-    return _weighted(_weighted(spline.coefficients.T, values).T, values)
+    return _weighted(spline, values, values)
 
 
 def grey_gradients(spline: Spline) -> tuple[FloatArray, FloatArray]:
     """∂/∂x and ∂/∂y (H,W) of the spline at whole pixels."""
     values, slopes = _at_pixels(spline.degree)
-    return (
-        _weighted(_weighted(spline.coefficients.T, slopes).T, values),
-        _weighted(_weighted(spline.coefficients.T, values).T, slopes),
-    )
+    return _weighted(spline, slopes, values), _weighted(spline, values, slopes)
 
 
 def _at_pixels(degree: int) -> tuple[FloatArray, FloatArray]:
@@ -124,14 +121,12 @@ def _at_pixels(degree: int) -> tuple[FloatArray, FloatArray]:
     return values[:degree], slopes[:degree]
 
 
-def _weighted(rows: NDArray[np.floating], weights: FloatArray) -> FloatArray:
-    """Weighted sums, float64, of as many neighbouring rows as there are weights, without the frame around the image."""
-    first, height = PADDING_PX - len(weights) // 2, len(rows) - 2 * PADDING_PX
-    total = weights[0] * rows[first : first + height]
-    for k, weight in enumerate(weights[1:], 1):
-        if weight != 0.0:
-            total += weight * rows[first + k : first + k + height]
-    return np.asarray(total)
+def _weighted(spline: Spline, along: FloatArray, down: FloatArray) -> FloatArray:
+    """Sums, float64, of neighbouring coefficients with these weights in x and in y, without the frame."""
+    import cv2
+
+    inside = slice(PADDING_PX, -PADDING_PX)
+    return np.asarray(cv2.sepFilter2D(spline.coefficients.astype(np.float64), -1, along, down)[inside, inside])
 
 
 def noise_gain(fraction_px: FloatArray, degree: int = 5) -> FloatArray:

@@ -47,17 +47,15 @@ def fit_noise_model(grey: FloatArray, residual_grey2: FloatArray) -> NoiseModel:
     through the bins has no negative coefficient and relative weights, taken from the line itself. A brightness range of
     less than 10 % of the brightest bin gives a constant. NaN pixels are left out.
     """
-    from scipy.optimize import nnls
-
     check_shape("grey", grey, (None,))
     check_shape("residual_grey2", residual_grey2, (len(grey),))
     known = np.isfinite(grey) & np.isfinite(residual_grey2)
     if known.sum() < FEWEST_IN_BIN:
         raise ValueError(f"grey: expected at least {FEWEST_IN_BIN} finite pixels, found {known.sum()}")
-    order = np.argsort(grey[known], kind="stable")
+    order = np.flatnonzero(known)[np.argsort(grey[known])]
     parts = np.array_split(order, max(1, min(BINS, len(order) // FEWEST_IN_BIN)))
-    brightness = np.array([grey[known][part].mean() for part in parts])
-    variance = np.array([_robust_variance(residual_grey2[known][part]) for part in parts])
+    brightness = np.array([grey[part].mean() for part in parts])
+    variance = np.array([_robust_variance(residual_grey2[part]) for part in parts])
     count = np.array([float(len(part)) for part in parts])
     if np.ptp(brightness) < NARROW * np.abs(brightness).max():
         return NoiseModel(max(float(np.average(variance, weights=count)), QUANTISATION), 0.0)
@@ -65,7 +63,7 @@ def fit_noise_model(grey: FloatArray, residual_grey2: FloatArray) -> NoiseModel:
     solution, expected = np.zeros(2), np.full_like(variance, variance.mean())
     for _ in range(4):
         weight = np.sqrt(count) / np.maximum(expected, QUANTISATION)
-        solution, _ = nnls(columns * weight[:, None], variance * weight)
+        solution = _nonnegative(columns * weight[:, None], variance * weight)
         expected = columns @ solution
     return NoiseModel(float(solution[0]), float(solution[1]))
 
@@ -75,10 +73,20 @@ def _robust_variance(squares: FloatArray) -> float:
     from scipy.special import gammainc
 
     enlarged = float(gammainc(0.5, CUT / 2.0) / gammainc(1.5, CUT / 2.0))
-    variance = float(np.median(squares)) / MEDIAN_CHI2
+    ordered = np.sort(squares)
+    sums, variance = np.cumsum(ordered), float(np.median(ordered)) / MEDIAN_CHI2
     for _ in range(ROUNDS):
-        kept = squares[squares <= CUT * variance]
-        before, variance = variance, enlarged * float(kept.mean())
+        kept = np.searchsorted(ordered, CUT * variance, side="right")
+        before, variance = variance, enlarged * float(sums[kept - 1] / kept)
         if abs(variance - before) <= 1e-6 * before:
             break
     return variance
+
+
+def _nonnegative(columns: FloatArray, values: FloatArray) -> FloatArray:
+    """The least-squares solution (2,) of values (M,) by columns (M,2), neither coefficient below zero."""
+    both, *_ = np.linalg.lstsq(columns, values)
+    if (both >= 0.0).all():
+        return np.asarray(both)
+    alone = np.diag(np.maximum(columns.T @ values, 0.0) / np.sum(columns**2, axis=0))
+    return np.asarray(min(alone, key=lambda one: float(np.sum((values - columns @ one) ** 2))))

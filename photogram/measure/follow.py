@@ -30,7 +30,7 @@ from photogram.subsets.find import BodyNotFound, DepthRange, Follower, identity
 from photogram.subsets.icgn import Registration, TrackSettings
 from photogram.subsets.reference import Reference
 from photogram.subsets.search import HISTORY, foretold, predict_warp
-from photogram.subsets.track import StereoGrid, lay_single_grid, lay_stereo_grid, prepare_sequence
+from photogram.subsets.track import StereoGrid, first_frame, lay_single_grid, lay_stereo_grid, prepare_sequence
 
 Progress = Callable[[int], None]
 Splines = tuple[Spline, ...]
@@ -128,19 +128,19 @@ def prepare_body(
     `BLOCK_FRAMES` frames, on a GPU `GPU_BLOCK_FRAMES`.
     """
     known = known or KnownBody()
+    frames = tuple(first_frame(side, settings) for side in images)
+    first, splines = zip(*frames, strict=True)
     if isinstance(rig, StereoRig):
         left, right = images
-        grid = lay_stereo_grid(left, right, rig, settings, known.depth_m)
+        grid = lay_stereo_grid(left, right, rig, settings, known.depth_m, frames)
     else:
-        grid = lay_single_grid(images[0], settings)
-    placed = zip(images, grid.places_px, strict=True)
-    references = tuple(prepare_sequence(side, px, settings) for side, px in placed)
-    first = tuple(side.read(0) for side in images)
+        grid = lay_single_grid(images[0], settings, first[0])
+    placed = zip(images, grid.places_px, frames, strict=True)
+    references = tuple(prepare_sequence(side, px, settings, frame) for side, px, frame in placed)
     fixed = images, first, rig, body_from_left, settings, grid, references
     every = np.ones(len(images[0]), dtype=np.bool_)
     scene = BodyScene(*fixed, known, np.empty((0, 3)), (), (), (), None, (), (), every)
     rest_m = _place(scene, tuple(map(identity, references))).position_m[0]
-    splines = tuple(spline_of_image(image, settings.degree) for image in first)
     seen = tuple(see_points(camera, rest_m) for camera in cameras_about(scene, rest_m))
     scene = replace(scene, rest_m=rest_m, seen=seen)
     scene = replace(scene, views=body_views(scene, splines))

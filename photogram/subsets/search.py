@@ -15,6 +15,7 @@ FEATURES = 6000
 NEIGHBOURS = 16
 FEWEST_INLIERS = 5
 RANSAC_PX = 1.5
+ALONG_A_LINE = 1e-6  # determinant of normal equations, of its bound, below which points tell no affine map
 RATIO = 0.8
 CHUNK = 1000
 SUPPORT = 8
@@ -42,7 +43,8 @@ def match_features(left_image: Image, right_image: Image, most: int = FEATURES) 
 def affine_starts(points_px: FloatArray, source_px: FloatArray, target_px: FloatArray) -> FloatArray:
     """Warps (N,6) at points_px (N,2) from the matches source_px → target_px (M,2) around each; NaN where few agree.
 
-    Affine map of the 16 nearest matches by RANSAC (Fischler, Bolles 1981, Commun. ACM 24, 381), at least 5 in line.
+    Affine map of the 16 nearest matches, of those of them that agree, at least 5, by RANSAC (Fischler, Bolles 1981,
+    Commun. ACM 24, 381) where not all do.
     """
     import cv2
     from scipy.spatial import cKDTree
@@ -51,15 +53,21 @@ def affine_starts(points_px: FloatArray, source_px: FloatArray, target_px: Float
     starts = np.full((len(points_px), 6), np.nan)
     if len(source_px) < FEWEST_INLIERS:
         return starts
-    count = min(NEIGHBOURS, len(source_px))
-    _, nearest = cKDTree(source_px).query(points_px, k=count)
-    for n, near in enumerate(nearest):
-        origin = points_px[n]
-        affine, inliers = cv2.estimateAffine2D(
-            source_px[near] - origin, target_px[near] - origin, ransacReprojThreshold=RANSAC_PX
-        )
-        if affine is not None and int(inliers.sum()) >= FEWEST_INLIERS:
-            starts[n] = warp_of_affine(np.asarray(affine, dtype=np.float64))
+    _, nearest = cKDTree(source_px).query(points_px, k=min(NEIGHBOURS, len(source_px)))
+    source, moved = (places[nearest] - points_px[:, None] for places in (source_px, target_px))
+    design = np.pad(source, ((0, 0), (0, 0), (0, 1)), constant_values=1.0)
+    turned = np.swapaxes(design, 1, 2)
+    normal = turned @ design
+    solvable = np.linalg.det(normal) > ALONG_A_LINE * np.prod(np.diagonal(normal, axis1=1, axis2=2), axis=1)
+    affine = np.linalg.solve(np.where(solvable[:, None, None], normal, np.eye(3)), turned @ moved)
+    off = np.linalg.norm(moved - design @ affine, axis=-1).max(axis=1)
+    for n, all_agree in enumerate(solvable & (off <= RANSAC_PX)):
+        if all_agree:
+            starts[n] = warp_of_affine(affine[n].T)
+            continue
+        found, inliers = cv2.estimateAffine2D(source[n], moved[n], ransacReprojThreshold=RANSAC_PX)
+        if found is not None and int(inliers.sum()) >= FEWEST_INLIERS:
+            starts[n] = warp_of_affine(np.asarray(found, dtype=np.float64))
     return starts
 
 

@@ -12,42 +12,39 @@ from numpy.typing import NDArray
 from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, derivatives
 from photogram.camera import StereoRig, epipolar_residual, triangulate
 from photogram.kernels import njit
+from photogram.subsets.search import score_peaks
 
 Image = NDArray[Any]
 TOLERANCE_PX = 2.0  # of a match from its epipolar line, beside what the calibration leaves open
 COVERAGE = 3.0
 NEAREST, FARTHEST = 0.4, 1000.0  # depths in base lengths: axes 100° apart, and parallel
 SAMPLES = 1000  # of an epipolar line before it is divided evenly
-STEP_PX = 1.5
+PLACES = 64  # a pixel apart on a line, that see a plane alike
 BLUR_PX = 0.9  # so that a subset still correlates half a step aside
 LINE_PX = 1.8  # distance of the lines beside each other within the band
 MOST_LINES = 4  # to either side
+ACROSS = 9  # pixels of a subset in each row and column that are compared
 STRAINS = np.array([-0.36, -0.24, -0.12, 0.0, 0.12, 0.24, 0.36])
 STEEPEST = 1.43  # tan 55°: tilt of the surface against what faces both cameras
+LARGEST_STRETCH = 4.0  # of a subset, in the right image
 LEAST_ZNCC = 0.4
-PROMISING = 0.1  # correlation of a quarter of the pixels, below which that of all is taken to be below the least
 CLIMBED_PX = 0.05
 PEAKS = 8
-APART_PX = 4.0
 SURFACE_PX = 6.0
 TRIPLES = 500
 FEWEST, BEYOND_CHANCE = 3, 6  # points of a surface; any three lie on one
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class _Lines(Arrays, shapes="right_px S K 2; across S K 2; affine S K 2 2; along S K 2; slope S K T 2"):
-    """Places on the epipolar lines of S points, 1.5 px apart, NaN beyond the right image; T tilts of a surface.
+class _Lines(Arrays, shapes="right_px S K 2; affine S B T 2 2"):
+    """Places on the epipolar lines of S points, 1 px apart, NaN beyond the right image; T tilts of a surface there.
 
-    right_px, and the unit vector across the line; affine: derivative of the right pixel by the left one at constant
-    depth, along: by the logarithm of inverse depth, slope: of that logarithm by the left pixel on a surface so tilted,
-    NaN where it is tilted too much.
+    right_px; affine: derivative of the right pixel by the left one on a surface so tilted in the middle of every block
+    of `PLACES`, NaN where it is tilted, or stretches a subset, too much.
     """
 
     right_px: FloatArray
-    across: FloatArray
     affine: FloatArray
-    along: FloatArray
-    slope: FloatArray
 
 
 def line_starts(
@@ -55,39 +52,77 @@ def line_starts(
 ) -> tuple[FloatArray, float]:
     """Warps (C,S,6) at which subsets around points_px (S,2) of the left image correlate best along epipolar lines.
 
-    Zero-normalised cross-correlation at places 1.5 px apart on each line and on lines beside it within the band that is
-    returned too: 2 px and three standard uncertainties of the calibration to either side, at most 8 px. There
-    every second pixel of the subset (every fourth, where these correlate by less than 0.1) warped as a plane moves it
-    that is tilted by so much: strains of 0 to ±0.36 along and across the line, as far as that is a tilt below 55°
-    against what faces both cameras (plane sweep: Collins 1996, Proc. CVPR, 358; tilts: Gallup et al. 2007, Proc. CVPR).
-    Up to C = 8 peaks, from the highest, climbed to within 0.05 px; NaN where there are fewer.
+    Zero-normalised cross-correlation at places 1 px apart on each line and on lines beside it within the band that is
+    returned too: 2 px and three standard uncertainties of the calibration to either side, at most 8 px. There 9 x 9
+    pixels of the subset warped as a plane moves it that is tilted by so much: strains of 0 to ±0.36 along and across
+    the line, as far as that is a tilt below 55° against what faces both cameras (plane sweep: Collins 1996, Proc. CVPR,
+    358; tilts: Gallup et al. 2007, Proc. CVPR). What is about a line is straightened first, so that places beside each
+    other see pixels beside each other. Up to C = 8 peaks, from the highest, climbed to within 0.05 px; NaN where there
+    are fewer.
     """
     import cv2
 
     lines = _lines(rig, points_px)
-    middle = np.isfinite(lines.right_px[..., 0]).sum(axis=1) // 2
-    sigma = line_uncertainty_px(rig, points_px, lines.right_px[np.arange(len(points_px)), middle])
+    count = np.isfinite(lines.right_px[..., 0]).sum(axis=1)
+    sigma = line_uncertainty_px(rig, points_px, lines.right_px[np.arange(len(points_px)), count // 2])
     band_px = min(TOLERANCE_PX + COVERAGE * sigma, LINE_PX * (MOST_LINES + 0.5))
-    count = math.ceil(max(0.0, band_px - LINE_PX / 2.0) / LINE_PX)
-    beside = LINE_PX * np.arange(-count, count + 1)
-    soft = [cv2.GaussianBlur(image.astype(np.float32), (0, 0), BLUR_PX) for image in images]
-    steps = np.arange(-radius_px, radius_px + 1, 2, dtype=np.float64)
+    most = math.ceil(max(0.0, band_px - LINE_PX / 2.0) / LINE_PX)
+    beside = LINE_PX * np.arange(-most, most + 1.0)
+    left, right = (np.asarray(cv2.GaussianBlur(image.astype(np.float32), (0, 0), BLUR_PX)) for image in images)
+    steps = np.linspace(-radius_px, radius_px, ACROSS)
     offsets = np.stack([grid.ravel() for grid in np.meshgrid(steps, steps)], axis=1)
-    quarter = np.add.outer(np.arange(len(steps)) % 2, np.arange(len(steps)) % 2).ravel() == 0
-    places = np.concatenate([offsets[quarter], offsets[~quarter]]), int(np.count_nonzero(quarter))
-    shape = lines.right_px.shape[:2]
-    score, tilt, line = np.full(shape, -1.0), np.zeros(shape, np.int64), np.zeros(shape, np.int64)
-    curves = lines.right_px, lines.across, lines.affine, lines.along, lines.slope
-    _correlate(soft[0], soft[1], points_px, places, curves, beside, (score, tilt, line))
-    starts = np.full((PEAKS, len(points_px), 6), np.nan)
-    for n in range(len(points_px)):
-        for c, k in enumerate(_peaks(score[n])):
-            slope = lines.slope[n, k, tilt[n, k]]
-            affine = lines.affine[n, k] + np.outer(lines.along[n, k], slope)
-            u, v = lines.right_px[n, k] + beside[line[n, k]] * lines.across[n, k] - points_px[n]
-            starts[c, n] = u, affine[0, 0] - 1.0, affine[0, 1], v, affine[1, 0], affine[1, 1] - 1.0
-    _climb(soft[0], soft[1], points_px, places, starts)
+    grey = _seen_at(left, points_px[:, None] + offsets)
+    grey -= grey.mean(axis=1, keepdims=True)
+    starts, along = (np.full((PEAKS, len(points_px), parts), np.nan) for parts in (6, 2))
+    for n in np.flatnonzero((count > 1) & np.isfinite(grey[:, 0])):
+        line = lines.right_px[n, : count[n]]
+        score, tilt, which, frames = _correlated(right, line, lines.affine[n], (grey[n], offsets), beside)
+        peaks = score_peaks(score[None], LEAST_ZNCC)[:PEAKS, 0] if score.max() >= LEAST_ZNCC else ()
+        for c, k in enumerate(peaks):
+            (a, b), (d, e) = lines.affine[n, k // PLACES, tilt[k]]
+            u, v = line[k] + beside[which[k]] * frames[k, 1] - points_px[n]
+            starts[c, n], along[c, n] = (u, a - 1.0, b, v, d, e - 1.0), frames[k, 0]
+    _climb(right, points_px, grey, offsets, starts, along)
     return starts, band_px
+
+
+def _seen_at(image: Image, places_px: FloatArray) -> FloatArray:
+    """Grey values (M,N) at places (M,N,2), NaN beyond the image; float64, for sums that nearly cancel."""
+    import cv2
+
+    x, y = np.moveaxis(places_px.astype(np.float32), -1, 0)
+    outside = (np.nan, np.nan, np.nan, np.nan)
+    seen = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=outside)
+    return seen.astype(np.float64)
+
+
+def _correlated(
+    image: Image,
+    line: FloatArray,
+    affine: FloatArray,
+    subset: tuple[FloatArray, FloatArray],
+    beside: FloatArray,
+) -> tuple[FloatArray, IntArray, IntArray, FloatArray]:
+    """The best correlation (K,) at each place of a line (K,2) over tilts and lines beside it, which tilt and which line
+    that is, and the unit vectors along the line and across it (K,2,2).
+    """
+    count, blocks = len(line), -(-len(line) // PLACES)
+    along = np.gradient(line, axis=0)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    middle = np.minimum(np.arange(blocks) * PLACES + PLACES // 2, count - 1)
+    frames = np.stack([along, np.column_stack([-along[:, 1], along[:, 0]])], axis=1)
+    maps = frames[middle, None] @ affine[:blocks]
+    reach = float(np.nanmax(np.abs(maps).sum(axis=-1), initial=0.0)) * subset[1].max()
+    margin, high = math.ceil(reach) + 1, math.ceil(reach + beside[-1]) + 1
+    # beyond its ends the line goes on as it came
+    longer = np.pad(line, ((margin, margin), (0, 0)), mode="reflect", reflect_type="odd")
+    across = np.pad(frames[:, 1], ((margin, margin), (0, 0)), mode="edge")
+    aside = np.arange(-high, high + 1.0)[:, None, None] * across
+    strip = np.full((2 * high + 1, blocks * PLACES + 2 * margin), np.nan)
+    strip[:, : len(longer)] = _seen_at(image, longer + aside)
+    score, tilt, which = np.full(count, -1.0), np.zeros(count, np.int64), np.zeros(count, np.int64)
+    _sweep(strip, (margin, high), maps, *subset, beside, (score, tilt, which))
+    return score, tilt, which, frames
 
 
 def line_uncertainty_px(rig: StereoRig, left_px: FloatArray, right_px: FloatArray) -> float:
@@ -159,16 +194,6 @@ def _plane(point: FloatArray, place: FloatArray, left: BoolArray, rng: np.random
     return np.asarray(plane)
 
 
-def _peaks(score: FloatArray) -> IntArray:
-    """Places of the highest peaks, at least 4 px apart."""
-    from scipy import ndimage
-
-    size = 2 * round(APART_PX / STEP_PX) + 1
-    highest = (score >= LEAST_ZNCC) & (score == ndimage.maximum_filter1d(score, size, mode="constant", cval=-1.0))
-    places = np.flatnonzero(highest)
-    return np.asarray(places[np.argsort(-score[places], kind="stable")][:PEAKS])
-
-
 def _rays(rig: StereoRig, left_px: FloatArray) -> FloatArray:
     """Directions (...,3) of left pixels, z = 1."""
     normalised = rig.left.undistort(left_px)
@@ -200,21 +225,24 @@ def _lines(rig: StereoRig, points_px: FloatArray) -> _Lines:
             continue
         run = run[: 1 + int(np.argmax(np.append(np.diff(run) > 1, True)))]  # as far as it is in one piece
         way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line[run], axis=0).T))])
-        divided.append(np.interp(np.arange(0.0, way[-1], STEP_PX), way, grid[run]))
+        divided.append(np.interp(np.arange(0.0, way[-1]), way, grid[run]))
     inverse = np.full((len(rays), max(1, *(len(one) for one in divided))), np.nan)
-    for row, one in zip(inverse, divided, strict=True):
+    middles = np.full((len(rays), -(-inverse.shape[1] // PLACES)), np.nan)
+    for row, middle, one in zip(inverse, middles, divided, strict=True):
         row[: len(one)] = one
+        places = np.arange(PLACES // 2, len(one) + PLACES // 2, PLACES)
+        middle[: len(places)] = one[np.minimum(places, len(one) - 1)]
+    right_px, inverse = _seen(rig, rays[:, None], inverse), middles
     sides = [_rays(rig, points_px + shift)[:, None] for shift in 0.5 * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])]
     views = [_seen(rig, side, inverse) for side in sides]
     affine = np.stack([views[0] - views[1], views[2] - views[3]], axis=-1)
     ends = [_seen(rig, rays[:, None], inverse * factor) for factor in (1.0 - 1e-4, 1.0 + 1e-4)]
     along = (ends[1] - ends[0]) / 2e-4
-    with np.errstate(invalid="ignore"):
-        unit = along / np.linalg.norm(along, axis=-1, keepdims=True)
-    across = np.stack([-unit[..., 1], unit[..., 0]], axis=-1)
     change = np.stack([sides[0] - sides[1], sides[2] - sides[3]], axis=-1)[:, 0]
     slope = _slopes(rig, rays, inverse, change)
-    return _Lines(_seen(rig, rays[:, None], inverse), across, affine, along, slope)
+    affine = affine[:, :, None] + along[:, :, None, :, None] * slope[..., None, :]
+    affine[(np.abs(affine) > LARGEST_STRETCH).any(axis=(-2, -1))] = np.nan
+    return _Lines(right_px, affine)
 
 
 def _slopes(rig: StereoRig, rays: FloatArray, inverse: FloatArray, change: FloatArray) -> FloatArray:
@@ -246,78 +274,66 @@ def _slopes(rig: StereoRig, rays: FloatArray, inverse: FloatArray, change: Float
 
 
 @njit(error_model="numpy")
-def _subset(left, x, y, places):  # type: ignore[no-untyped-def]
-    """A subset's grey values without their mean, their sum of squares, its offsets, and of its first quarter how many
-    these are, their sum and their sum of squares without their mean."""
-    offsets, quarter = places
-    grey = np.empty(offsets.shape[0])
-    for p in range(offsets.shape[0]):
-        grey[p] = _bilinear(left, x + offsets[p, 0], y + offsets[p, 1])
-    grey -= grey.mean()
-    total = np.sum(grey[:quarter])
-    own = np.sum(grey[:quarter] * grey[:quarter]) - total * total / quarter
-    return grey, np.sum(grey * grey), offsets, (quarter, total, own)
+def _sweep(strip, origin, maps, grey, offsets, beside, outcome):  # type: ignore[no-untyped-def]
+    """Fill outcome: the best correlation (K,) at each place over tilts and lines, and which tilt and line it is.
 
-
-@njit(error_model="numpy")
-def _correlate(left, right, points, places, curves, beside, outcome):  # type: ignore[no-untyped-def]
-    """Fill outcome: the best correlation (S,K) at each place over tilts and lines, and which tilt and line it is."""
-    right_px, across, affine, along, slope = curves
-    score, tilt, line = outcome
-    reach = -places[0][0, 0]
-    for n in range(points.shape[0]):
-        x, y = points[n, 0], points[n, 1]
-        if not (reach <= x < left.shape[1] - 1 - reach and reach <= y < left.shape[0] - 1 - reach):
-            continue
-        subset = _subset(left, x, y, places)
-        for k in range(right_px.shape[1]):
-            if not np.isfinite(right_px[n, k, 0]):
+    strip: grey values about the line, which begins at `origin`; grey (P,): those of the subset at its offsets (P,2),
+    which maps (B,T,2,2) carry into the strip.
+    """
+    (score, tilt, line), energy, count = outcome, np.sum(grey * grey), grey.size
+    total, square, product = np.empty((3, PLACES))
+    for block in range(maps.shape[0]):
+        first = block * PLACES
+        for t in range(maps.shape[1]):
+            if not np.isfinite(maps[block, t, 0, 0]):
                 continue
-            for t in range(slope.shape[2]):
-                if not np.isfinite(slope[n, k, t, 0]):
-                    break
-                a = affine[n, k, 0, 0] + along[n, k, 0] * slope[n, k, t, 0]
-                b = affine[n, k, 0, 1] + along[n, k, 0] * slope[n, k, t, 1]
-                c = affine[n, k, 1, 0] + along[n, k, 1] * slope[n, k, t, 0]
-                d = affine[n, k, 1, 1] + along[n, k, 1] * slope[n, k, t, 1]
-                for j in range(beside.size):
-                    found = _zncc(
-                        right,
-                        right_px[n, k, 0] + beside[j] * across[n, k, 0],
-                        right_px[n, k, 1] + beside[j] * across[n, k, 1],
-                        (a, b, c, d),
-                        subset,
-                        PROMISING,
-                    )
-                    if found > score[n, k]:
-                        score[n, k], tilt[n, k], line[n, k] = found, t, j
+            for j in range(beside.size):
+                total[:], square[:], product[:] = 0.0, 0.0, 0.0
+                for p in range(grey.size):
+                    dx, dy = offsets[p, 0], offsets[p, 1]
+                    x = origin[0] + first + maps[block, t, 0, 0] * dx + maps[block, t, 0, 1] * dy
+                    y = origin[1] + beside[j] + maps[block, t, 1, 0] * dx + maps[block, t, 1, 1] * dy
+                    column, row, own = int(x), int(y), grey[p]
+                    right, below = x - column, y - row
+                    left, above = 1.0 - right, 1.0 - below
+                    a, b, c, d = above * left, above * right, below * left, below * right
+                    upper = strip[row, column : column + PLACES + 1]
+                    lower = strip[row + 1, column : column + PLACES + 1]
+                    for k in range(PLACES):
+                        value = a * upper[k] + b * upper[k + 1] + c * lower[k] + d * lower[k + 1]
+                        total[k] += value
+                        square[k] += value * value
+                        product[k] += value * own
+                for k in range(min(PLACES, score.size - first)):
+                    spread = (square[k] - total[k] * total[k] / count) * energy
+                    if spread > 0.0 and product[k] > score[first + k] * math.sqrt(spread):
+                        score[first + k] = product[k] / math.sqrt(spread)
+                        tilt[first + k], line[first + k] = t, j
 
 
 @njit(error_model="numpy")
-def _climb(left, right, points, places, starts):  # type: ignore[no-untyped-def]
-    """Move starts (C,S,6) uphill, one part of the warp after another, by ever shorter steps."""
-    reach = -places[0][0, 0]
+def _climb(image, points, grey, offsets, starts, along):  # type: ignore[no-untyped-def]
+    """Move starts (C,S,6) uphill by ever shorter steps: in place, and in tilt, which stretches along (C,S,2) alone."""
+    reach = -offsets[0, 0]
     for n in range(points.shape[0]):
-        x, y = points[n, 0], points[n, 1]
-        if not (reach <= x < left.shape[1] - 1 - reach and reach <= y < left.shape[0] - 1 - reach):
-            continue
-        subset = _subset(left, x, y, places)
+        x, y, subset = points[n, 0], points[n, 1], (grey[n], offsets)
         for c in range(starts.shape[0]):
             if not np.isfinite(starts[c, n, 0]):
                 continue
-            here = starts[c, n].copy()
-            best = _zncc(
-                right, x + here[0], y + here[3], (1.0 + here[1], here[2], here[4], 1.0 + here[5]), subset, -1.0
-            )
+            here, (i, j) = starts[c, n].copy(), along[c, n]
+            best = _zncc(image, x, y, here, subset)
             step = LINE_PX / 2.0
             while step > CLIMBED_PX:
                 higher = False
-                for part in range(6):
+                for part in (0, 3, 1, 2):
                     for sign in (-1.0, 1.0):
                         tried = here.copy()
-                        tried[part] += sign * (step if part % 3 == 0 else step / reach)
-                        affine = (1.0 + tried[1], tried[2], tried[4], 1.0 + tried[5])
-                        found = _zncc(right, x + tried[0], y + tried[3], affine, subset, -1.0)
+                        if part % 3 == 0:
+                            tried[part] += sign * step
+                        else:
+                            tried[part] += sign * step / reach * i
+                            tried[part + 3] += sign * step / reach * j
+                        found = _zncc(image, x, y, tried, subset)
                         if found > best:
                             best, here, higher = found, tried, True
                 if not higher:
@@ -326,30 +342,23 @@ def _climb(left, right, points, places, starts):  # type: ignore[no-untyped-def]
 
 
 @njit(error_model="numpy")
-def _zncc(image, x, y, affine, subset, promising):  # type: ignore[no-untyped-def]
-    """Zero-normalised correlation of a subset with its affine image around (x, y); −1 beyond the image.
-
-    −1 too where the first quarter correlates by less than `promising`.
-    """
-    a, b, c, d = affine
-    grey, energy, offsets, (quarter, first_total, first_energy) = subset
+def _zncc(image, x, y, warp, subset):  # type: ignore[no-untyped-def]
+    """Zero-normalised correlation of a subset around (x, y) with its image by a warp (6,); −1 beyond the image."""
+    (u, a, b, v, c, d), (grey, offsets) = warp, subset
+    a, d, x, y = 1.0 + a, 1.0 + d, x + u, y + v
     reach = -offsets[0, 0]
     wide, high = reach * (abs(a) + abs(b)), reach * (abs(c) + abs(d))
     if not (wide <= x < image.shape[1] - 1 - wide and high <= y < image.shape[0] - 1 - high):
         return -1.0
-    total, square, product = 0.0, 0.0, 0.0
-    for p in range(offsets.shape[0]):
-        if p == quarter:
-            shared = product - total * first_total / quarter
-            spread = (square - total * total / quarter) * first_energy
-            if shared < promising * math.sqrt(max(spread, 0.0)):
-                return -1.0
-        dx, dy = offsets[p, 0], offsets[p, 1]
+    total, square, product, energy = 0.0, 0.0, 0.0, 0.0
+    for p in range(grey.size):
+        dx, dy, own = offsets[p, 0], offsets[p, 1], grey[p]
         value = _bilinear(image, x + a * dx + b * dy, y + c * dx + d * dy)
         total += value
         square += value * value
-        product += value * grey[p]
-    spread = (square - total * total / offsets.shape[0]) * energy
+        product += value * own
+        energy += own * own
+    spread = (square - total * total / grey.size) * energy
     return product / math.sqrt(spread) if spread > 0.0 else -1.0
 
 

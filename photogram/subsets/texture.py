@@ -35,25 +35,21 @@ def textured_area(image: Image) -> BoolArray:
     off it: 2 for the window's reach, 4 for the blurred rim. An image whose classes differ by less than a factor of 3 is
     textured everywhere.
     """
-    from scipy import ndimage
+    import cv2
 
     check_shape("image", image, (None, None))
-    coarse = _textured(image, COARSE_WINDOW_PX)
+    coarse, fine = (_textured(image, window) for window in (COARSE_WINDOW_PX, FINE_WINDOW_PX))
     if coarse is None:
         return np.ones(image.shape, dtype=np.bool_)
     body = _morphed(_closed(coarse, COARSE_WINDOW_PX), "OPEN", COARSE_WINDOW_PX)
-    fine = _textured(image, FINE_WINDOW_PX)
     if fine is not None:
         core = _morphed(np.pad(body, 1), "ERODE", COARSE_WINDOW_PX)[1:-1, 1:-1]
         body = _morphed(core | (body & _closed(fine, FINE_WINDOW_PX)), "OPEN", COARSE_WINDOW_PX)
     mask = _morphed(body, "ERODE", RIM_PX)
     # connected parts that have at least a fifth of the largest one's pixels
-    labels, count = ndimage.label(mask)
-    if count == 0:
-        return mask
-    sizes = np.bincount(labels.ravel())
-    sizes[0] = 0
-    return np.asarray((sizes >= SMALLEST_SHARE * sizes.max())[labels] & mask)
+    _, labels, parts, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
+    sizes = parts[:, cv2.CC_STAT_AREA]
+    return np.asarray((sizes >= SMALLEST_SHARE * sizes[1:].max(initial=0))[labels] & mask)
 
 
 def lay_grid(area: BoolArray, radius_px: int, step_px: int) -> FloatArray:
@@ -70,7 +66,12 @@ def lay_grid(area: BoolArray, radius_px: int, step_px: int) -> FloatArray:
     side = 2 * radius_px + 1
     square = np.ones((side, side), np.uint8)
     possible = cv2.erode(area.astype(np.uint8), square, borderType=cv2.BORDER_CONSTANT, borderValue=(0.0,)) > 0
-    columns = [_packed(np.flatnonzero(line), step_px) for line in possible]
+    edges = np.diff(np.pad(possible, ((0, 0), (1, 1))).astype(np.int8))
+    (rows, starts), stops = np.nonzero(edges > 0), np.nonzero(edges < 0)[1]
+    columns: list[list[int]] = [[] for _ in possible]
+    for row, start, stop in zip(rows.tolist(), starts.tolist(), stops.tolist(), strict=True):  # runs, each centred
+        first = max(start, columns[row][-1] + step_px) if columns[row] else start
+        columns[row].extend(range(first + max(0, stop - 1 - first) % step_px // 2, stop, step_px))
     best = np.zeros(len(columns) + 1, dtype=np.int64)
     for row, line in enumerate(columns):
         best[row + 1] = max(best[row], len(line) + best[max(0, row + 1 - step_px)])
@@ -123,15 +124,20 @@ def speckle_size(image: Image, area: BoolArray) -> float:
     background, weight = _spread(np.where(area, grey, 0.0)), _spread(inside)
     texture = np.where(area, grey - background / np.maximum(weight, 1e-9), 0.0)
     count = min(TILE_PX, min(image.shape) // 2)
-    # mean autocovariance along x and y of the grey values in the area at lags 0, 1, 2 … 31
-    lags = _lagged_products(texture, count) / np.maximum(1.0, np.rint(_lagged_products(inside, count)))
+
+    def covariance(lag: int) -> float:
+        return _lagged_products(texture, lag) / max(1.0, _lagged_products(inside, lag))
+
+    lags = [covariance(lag) for lag in range(3)]
     peak = lags[0]
     if lags[1] > 0.0 and lags[2] > 0.0:
         peak = min(peak, lags[1] * (lags[1] / lags[2]) ** (1.0 / 3.0))
-    below = np.flatnonzero(lags[1:] < 0.5 * peak)
-    if peak <= 0.0 or len(below) == 0:
+    for after in range(1, count):
+        lags += [covariance(after)] if after == len(lags) else []
+        if lags[after] < 0.5 * peak:
+            break
+    else:
         return float("nan")
-    after = int(below[0]) + 1
     before = peak if after == 1 else lags[after - 1]
     if lags[after] <= 0.0:
         return float(2.0 * (after - 1 + (before - 0.5 * peak) / (before - lags[after])))
@@ -208,14 +214,14 @@ def fine_texture_share(image: Image, area: BoolArray, noise_grey: float) -> floa
 
 def _textured(image: Image, window_px: int) -> BoolArray | None:
     """Pixels of high local contrast; None where contrast does not fall into two classes."""
-    from scipy import ndimage
-    from skimage.filters import threshold_otsu
+    import cv2
 
-    grey = image.astype(np.float64)
-    centred = grey - grey.mean()
-    mean, square = (ndimage.uniform_filter(part, window_px, mode="reflect") for part in (centred, centred**2))
-    contrast = np.log(np.sqrt(np.maximum(square - mean**2, 0.0)) + 1e-3 * (1.0 + float(np.std(image))))
-    textured: BoolArray = contrast > threshold_otsu(contrast)
+    centred = image - image.mean()
+    size = (window_px, window_px)
+    mean, square = (cv2.blur(part, size, borderType=cv2.BORDER_REFLECT) for part in (centred, centred**2))
+    variance = np.maximum(square - mean**2, 0.0).astype(np.float32)
+    contrast = np.log(np.sqrt(variance) + 1e-3 * (1.0 + float(np.std(centred))))
+    textured: BoolArray = contrast > _otsu(contrast)
     if textured.all() or not textured.any():
         return None
     if contrast[textured].mean() - contrast[~textured].mean() < np.log(CLEAR_SEPARATION):
@@ -223,12 +229,23 @@ def _textured(image: Image, window_px: int) -> BoolArray | None:
     return textured
 
 
+def _otsu(values: NDArray[np.float32]) -> float:
+    """The middle of the bin, of 256, that parts values into two classes with means as far apart as can be."""
+    counts, edges = np.histogram(values, 256)
+    middles = (edges[:-1] + edges[1:]) / 2.0
+    below, sums = np.cumsum(counts)[:-1], np.cumsum(counts * middles)
+    above, total = len(values.ravel()) - below, sums[-1]
+    apart = sums[:-1] / np.maximum(below, 1) - (total - sums[:-1]) / np.maximum(above, 1)
+    return float(middles[np.argmax(below * above * apart**2)])
+
+
 def _closed(mask: BoolArray, radius_px: int) -> BoolArray:
     """The mask with gaps and holes filled; what lies beyond the image is empty, so that no wedge is filled there."""
-    from scipy import ndimage
+    import cv2
 
-    closed = ndimage.binary_fill_holes(_morphed(np.pad(mask, 2 * radius_px), "CLOSE", radius_px))
-    return np.asarray(closed[2 * radius_px : -2 * radius_px, 2 * radius_px : -2 * radius_px], dtype=np.bool_)
+    closed = _morphed(np.pad(mask, 2 * radius_px), "CLOSE", radius_px).astype(np.uint8)
+    cv2.floodFill(closed, None, (0, 0), 2)  # all that is connected with the outside
+    return closed[2 * radius_px : -2 * radius_px, 2 * radius_px : -2 * radius_px] < 2
 
 
 def _morphed(mask: BoolArray, operation: str, radius_px: int) -> BoolArray:
@@ -240,38 +257,18 @@ def _morphed(mask: BoolArray, operation: str, radius_px: int) -> BoolArray:
     return np.asarray(cv2.morphologyEx(mask.astype(np.uint8), getattr(cv2, f"MORPH_{operation}"), disc) > 0)
 
 
-def _packed(columns: NDArray[np.int64], step: int) -> list[int]:
-    """As many of the possible columns as fit, at least `step` apart, from left to right; runs are centred."""
-    chosen: list[int] = []
-    for run in np.split(columns, np.flatnonzero(np.diff(columns) > 1) + 1):
-        if len(run) == 0:
-            continue
-        first = max(int(run[0]), chosen[-1] + step) if chosen else int(run[0])
-        if first > run[-1]:
-            continue
-        spare = (int(run[-1]) - first) % step
-        chosen.extend(range(first + spare // 2, int(run[-1]) + 1, step))
-    return chosen
-
-
-def _lagged_products(values: FloatArray, count: int) -> FloatArray:
-    """Σ v(x)·v(x+lag) over rows and columns for lags 0 … count − 1, from the power spectra of zero-padded lines."""
-    from scipy import fft
-
-    total = np.zeros(count)
-    for axis, length in enumerate(values.shape):
-        padded = fft.next_fast_len(length + count, real=True)
-        power = np.abs(fft.rfft(values, padded, axis=axis)) ** 2
-        total += fft.irfft(power.sum(axis=1 - axis), padded)[:count]
-    return total
+def _lagged_products(values: FloatArray, lag: int) -> float:
+    """Σ v(x)·v(x+lag) over rows and columns."""
+    both = (values, values.T)
+    return float(sum(np.einsum("ij,ij->", part[lag:], part[: len(part) - lag]) for part in both))
 
 
 def _spread(values: FloatArray) -> FloatArray:
     """Values blurred as by a Gaussian of σ = 32 px: three box means (Wells 1986, IEEE Trans. PAMI 8, 234)."""
-    from scipy import ndimage
+    import cv2
 
     for _ in range(3):
-        values = ndimage.uniform_filter(values, 2 * TILE_PX + 1, mode="reflect")
+        values = np.asarray(cv2.blur(values, (2 * TILE_PX + 1, 2 * TILE_PX + 1), borderType=cv2.BORDER_REFLECT))
     return values
 
 
@@ -401,20 +398,21 @@ def aliasing_bias(image: Image, area: BoolArray, noise_grey: float, radius_px: i
     return AliasingBias(max(mean for mean, _ in both), max(single for _, single in both))
 
 
-def aliasing_notice(image: Image, area: BoolArray, noise_grey: float, bias: AliasingBias, where: str) -> Notice | None:
+def aliasing_notice(
+    image: Image, area: BoolArray, noise_grey: float, speckle_px: float, bias: AliasingBias, where: str
+) -> Notice | None:
     """A warning about speckle that the camera cannot resolve: below 3 px, or with a mean bias beyond 0.5 mpx.
 
-    `bias`: the `aliasing_bias` of image (H,W) in `area` (H,W).
+    `speckle_px`, `bias`: the `speckle_size` and the `aliasing_bias` of image (H,W) in `area` (H,W).
     """
-    size = speckle_size(image, area)
-    if not (size < SMALLEST_SPECKLE_PX or bias.mean_px > LARGEST_BIAS_PX):
+    if not (speckle_px < SMALLEST_SPECKLE_PX or bias.mean_px > LARGEST_BIAS_PX):
         return None
     share = fine_texture_share(image, area, float(np.nan_to_num(noise_grey)))
     text = (
-        f"texture is finer than the camera resolves (speckle of {size:.1f} px, {100 * share:.1f} % of its power beyond "
-        f"0.4 cycles per pixel): positions may err by {bias.subset_px:.2g} px per subset and {bias.mean_px:.2g} px in "
-        "the mean of all, periodic in the pixel, which appears as false harmonics of the motion; use speckle of 4 to "
-        "5 px with soft rims or defocus slightly"
+        f"texture is finer than the camera resolves (speckle of {speckle_px:.1f} px, {100 * share:.1f} % of its power "
+        f"beyond 0.4 cycles per pixel): positions may err by {bias.subset_px:.2g} px per subset and "
+        f"{bias.mean_px:.2g} px in the mean of all, periodic in the pixel, which appears as false harmonics of the "
+        "motion; use speckle of 4 to 5 px with soft rims or defocus slightly"
     )
     return Notice("warning", text, where)
 
@@ -428,7 +426,9 @@ def _periodogram(image: Image, area: BoolArray, step_px: int) -> FloatArray | No
         return None
     tiles = np.stack([image[y - half : y + half, x - half : x + half] for x, y in centres]).astype(np.float64)
     tiles -= np.mean(tiles * window, axis=(1, 2), keepdims=True) / window.mean()
-    return np.asarray(np.mean(np.abs(np.fft.fft2(tiles * window)) ** 2, axis=0) / np.sum(window**2))
+    power = np.mean(np.abs(np.fft.rfft2(tiles * window)) ** 2, axis=0) / np.sum(window**2)
+    other = np.roll(power[::-1], 1, axis=0)[:, half - 1 : 0 : -1]  # at frequencies of the other sign
+    return np.concatenate([power, other], axis=1)
 
 
 def _axis_bias(power: FloatArray, noise_power: float, pixels: int, degree: int) -> tuple[float, float]:

@@ -31,7 +31,7 @@ from photogram.subsets.find import (
 )
 from photogram.subsets.icgn import Registration, TrackSettings, noise_of, places_of, position_covariance
 from photogram.subsets.reference import Reference, TrackStatus, prepare_reference
-from photogram.subsets.search import HISTORY, predict_warp
+from photogram.subsets.search import HISTORY, LARGEST_COEFFICIENT, predict_warp
 from photogram.subsets.sweep import TOLERANCE_PX
 from photogram.subsets.texture import (
     aliasing_bias,
@@ -164,6 +164,16 @@ class StereoGrid(Arrays):
         return self.places_px[1]
 
 
+Frame = tuple[Image, Spline]
+"""A picture and its spline."""
+
+
+def first_frame(sequence: ImageSequence, settings: TrackSettings) -> Frame:
+    """The picture that stays the reference of a whole sequence."""
+    first = sequence.read(0)
+    return first, spline_of_image(first, settings.degree)
+
+
 def match_stereo(
     left_image: Image,
     right_image: Image,
@@ -171,17 +181,18 @@ def match_stereo(
     settings: TrackSettings,
     rig: StereoRig | None = None,
     depth_m: DepthRange | None = None,
+    splines: tuple[Spline, ...] | None = None,
 ) -> Tracks:
     """Positions in the right image (F = 1) of the subsets centred at points_px (N,2) in the left image.
 
     With `rig` from its epipolar lines (`find_on_lines`, with `depth_m`); without it, or where no surface fits it, from
-    local affine maps of matched features, then from neighbours that were found. Raises `BodyNotFound` where the pattern
-    repeats so that two surfaces fit as well.
+    local affine maps of matched features, then from neighbours that were found. `splines`: of both, if at hand. Raises
+    `BodyNotFound` where the pattern repeats so that two surfaces fit as well.
     """
     check_shape("points_px", points_px, (None, 2))
-    spline = spline_of_image(left_image, settings.degree)
-    reference = prepare_reference(spline, points_px, settings.radius_px, settings.shape_order)
-    right = right_image, spline_of_image(right_image, settings.degree)
+    splines = splines or tuple(spline_of_image(image, settings.degree) for image in (left_image, right_image))
+    reference = prepare_reference(splines[0], points_px, settings.radius_px, settings.shape_order)
+    right = right_image, splines[1]
     found = None if rig is None else find_on_lines(reference, left_image, right, settings, rig, depth_m)
     if found is not None:
         return tracks_of([found], reference, settings.degree)
@@ -192,14 +203,15 @@ def match_stereo(
     return tracks_of([find_from_neighbours(reference, right[1], found, settings)], reference, settings.degree)
 
 
-def prepare_sequence(sequence: ImageSequence, points_px: FloatArray, settings: TrackSettings) -> Reference:
-    """The subsets centred at points_px (N,2) in frame 0, which stays the reference of the whole sequence.
+def prepare_sequence(
+    sequence: ImageSequence, points_px: FloatArray, settings: TrackSettings, frame: Frame | None = None
+) -> Reference:
+    """The subsets centred at points_px (N,2) in frame 0, its `first_frame`, the reference of the whole sequence.
 
     Centres may lie between pixels; a NaN centre is carried along as `NO_START`.
     """
     check_shape("points_px", points_px, (None, 2))
-    first = sequence.read(0)
-    spline = spline_of_image(first, settings.degree)
+    first, spline = frame or first_frame(sequence, settings)
     reference = prepare_reference(spline, points_px, settings.radius_px, settings.shape_order)
     return without_saturated(reference, first, sequence.full_scale)
 
@@ -250,19 +262,20 @@ def lay_stereo_grid(
     rig: StereoRig | None,
     settings: TrackSettings,
     depth_m: DepthRange | None = None,
+    frames: tuple[Frame, ...] | None = None,
 ) -> StereoGrid:
     """Lay a grid over the textured body in the first left image and match it to the first right image.
 
-    Only subsets that were found there, that are not saturated and, with `rig`, that lie on their epipolar lines are
-    kept. Raises `ValueError` when the cameras have unlike numbers of frames, and `BodyNotFound` when fewer than
-    three subsets are left or the pattern repeats so that they may be elsewhere.
+    frames: their `first_frame`, if at hand. Only subsets that were found there, that are not saturated and, with `rig`,
+    that lie on their epipolar lines are kept. Raises `ValueError` when the cameras have unlike numbers of frames, and
+    `BodyNotFound` when fewer than three subsets are left or the pattern repeats so that they may be elsewhere.
     """
     if len(left) != len(right):
         raise ValueError(f"right: expected {len(left)} frames as in left, found {len(right)}")
-    images = left.read(0), right.read(0)
+    images, splines = zip(*(frames or [first_frame(side, settings) for side in (left, right)]), strict=True)
     own, points = _laid(left.names[0], images[0], settings)
     areas, chosen = (own, _inner_area(images[1])), _chosen_part(own.shape, settings)
-    matched = match_stereo(images[0], images[1], points, settings, rig, depth_m)
+    matched = match_stereo(images[0], images[1], points, settings, rig, depth_m, splines)
     right_px = matched.position_px[0]
     kept = (matched.status[0] == TrackStatus.OK) & (subset_mean(areas[1], right_px, settings.radius_px) >= OVERLAP)
     for image, camera, centres in ((images[0], left, points), (images[1], right, right_px)):
@@ -295,12 +308,11 @@ def lay_stereo_grid(
     return StereoGrid((points[kept], right_px[kept]), areas, tuple(notices))
 
 
-def lay_single_grid(images: ImageSequence, settings: TrackSettings) -> StereoGrid:
+def lay_single_grid(images: ImageSequence, settings: TrackSettings, first: GreyImage) -> StereoGrid:
     """Lay a grid over the textured body in the first image of a camera alone, without subsets that are saturated.
 
     Raises `BodyNotFound` when fewer than three subsets are left.
     """
-    first = images.read(0)
     area, points = _laid(images.names[0], first, settings)
     kept = points[~saturated(first, images.full_scale, points, settings.radius_px)]
     if len(kept) < 3:
@@ -417,7 +429,8 @@ class StereoCourse:
         for image, area, noises, counts, where in cameras:
             noise = _middle(noises)
             bias = aliasing_bias(image, area, noise, settings.radius_px, settings.degree)
-            unresolved = aliasing_notice(image, area, noise, bias, where)
+            speckle.append(speckle_size(image, area))
+            unresolved = aliasing_notice(image, area, noise, speckle[-1], bias, where)
             notices += [unresolved] if unresolved is not None else []
             lost = counts.sum() - counts[TrackStatus.OK]
             if lost > LARGEST_LOST_SHARE * counts.sum():
@@ -425,7 +438,6 @@ class StereoCourse:
                 why = TrackStatus(int(most)).name.lower().replace("_", " ")
                 text = f"{100 * lost / counts.sum():.0f} % of the subset positions are missing, most often: {why}"
                 notices.append(Notice("warning", text, where))
-            speckle.append(speckle_size(image, area))
             levels.append(noise)
             biases.append(bias.mean_px)
         return Told(tuple(notices), np.array(speckle), np.array(levels), np.array(biases))
@@ -454,8 +466,11 @@ def _refuse_jumps(image: Image, first_px: FloatArray, moved: FloatArray, setting
     first_px (N,2): its subsets at first; moved (F,2): by how much they have moved since, NaN where none is seen. A copy
     of the pattern then lies nearer, and the pictures cannot tell which of them is the body.
     """
-    warps = np.zeros((len(moved), 1, 6))
     seen = np.isfinite(moved).all(axis=1)
+    extent = np.hypot(*np.ptp(np.vstack([np.zeros(2), moved[seen]]), axis=0))
+    if (1.0 + LARGEST_COEFFICIENT) * extent <= settings.radius_px:  # further off no rule foretells a place
+        return
+    warps = np.zeros((len(moved), 1, 6))
     last = np.maximum.accumulate(np.where(seen, np.arange(len(moved)), -1))
     warps[:, 0, [0, 3]] = np.where((last >= 0)[:, None], moved[np.maximum(last, 0)], 0.0)
     foretold = [predict_warp(list(warps[max(0, frame - HISTORY) : frame])) for frame in range(1, len(warps))]

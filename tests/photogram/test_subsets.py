@@ -186,7 +186,7 @@ def test_bias_of_unresolved_texture_is_foretold(dot_px, blur_px):
     bias = aliasing_bias(noisy, INNER, 12.0, 10)
     assert 0.5 < bias.subset_px / single < 2.0
     assert 0.4 < bias.mean_px / mean < 2.5
-    notice = aliasing_notice(noisy, INNER, 12.0, bias, "left camera")
+    notice = aliasing_notice(noisy, INNER, 12.0, speckle_size(noisy, INNER), bias, "left camera")
     assert (notice is None) == (blur_px == 0.8)
     if notice is not None:
         assert f"{bias.mean_px:.2g} px in the mean" in notice.text
@@ -197,7 +197,7 @@ def test_soft_speckle_is_not_complained_of(make_texture):
     image = SENSOR.digitise(images(5.0, 1.2, np.zeros(1))[0], np.random.default_rng(6))
     bias = aliasing_bias(image, INNER, 18.0, 10)
     assert bias.mean_px < 1.5e-4
-    assert aliasing_notice(image, INNER, 18.0, bias, "left camera") is None
+    assert aliasing_notice(image, INNER, 18.0, speckle_size(image, INNER), bias, "left camera") is None
     assert aliasing_bias(image, INNER, 18.0, 10, degree=3).mean_px > 3e-4  # cubic splines have a bias of their own
     small = make_texture(seed=5).image((30, 30))
     assert np.isnan(aliasing_bias(small, np.ones((30, 30), bool), 1.0, 10).mean_px), "no room, no answer"
