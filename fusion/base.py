@@ -473,6 +473,7 @@ LIBRARIES = {
     "numpy": "numpy",
     "scipy": "scipy",
     "cv2": "opencv-contrib-python-headless",
+    "skimage": "scikit-image",
     "torch": "torch",
     "kornia": "kornia",
     "numba": "numba",

@@ -36,7 +36,7 @@ from photogram.subsets.track import (
     StereoTracks,
     Told,
     Tracks,
-    middle_px,
+    middle,
     tracks_of,
     without_aside,
 )
@@ -351,7 +351,7 @@ def _tracked(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> tuple[Tracked
                     fits.append((fit.moved.pose, fit.covariance, fit.amplitude, fit.amplitude_covariance))
                 levels += [] if fit is None else [fit.noise]
                 if fit is not None and not sought:
-                    course.carry(tuple(middle_px(carried_px(seen, fit.moved)) for seen in scene.seen))
+                    course.carry(tuple(middle(carried_px(seen, fit.moved)) for seen in scene.seen))
     if levels:
         fits[0] = (nothing[0], rest_covariance(scene.views, float(np.median(levels))), *nothing[2:])
     grey = tuple(np.sqrt(side.mean) for side in noise)

@@ -215,28 +215,19 @@ def fine_texture_share(image: Image, area: BoolArray, noise_grey: float) -> floa
 def _textured(image: Image, window_px: int) -> BoolArray | None:
     """Pixels of high local contrast; None where contrast does not fall into two classes."""
     import cv2
+    from skimage.filters import threshold_otsu
 
     centred = image - image.mean()
     size = (window_px, window_px)
     mean, square = (cv2.blur(part, size, borderType=cv2.BORDER_REFLECT) for part in (centred, centred**2))
     variance = np.maximum(square - mean**2, 0.0).astype(np.float32)
     contrast = np.log(np.sqrt(variance) + 1e-3 * (1.0 + float(np.std(centred))))
-    textured: BoolArray = contrast > _otsu(contrast)
+    textured: BoolArray = contrast > threshold_otsu(contrast)
     if textured.all() or not textured.any():
         return None
     if contrast[textured].mean() - contrast[~textured].mean() < np.log(CLEAR_SEPARATION):
         return None
     return textured
-
-
-def _otsu(values: NDArray[np.float32]) -> float:
-    """The middle of the bin, of 256, that parts values into two classes with means as far apart as can be."""
-    counts, edges = np.histogram(values, 256)
-    middles = (edges[:-1] + edges[1:]) / 2.0
-    below, sums = np.cumsum(counts)[:-1], np.cumsum(counts * middles)
-    above, total = len(values.ravel()) - below, sums[-1]
-    apart = sums[:-1] / np.maximum(below, 1) - (total - sums[:-1]) / np.maximum(above, 1)
-    return float(middles[np.argmax(below * above * apart**2)])
 
 
 def _closed(mask: BoolArray, radius_px: int) -> BoolArray:

@@ -283,7 +283,7 @@ def lay_stereo_grid(
     notices: list[Notice] = []
     if rig is not None:
         distance, _, _ = epipolar_residual(rig, points, np.where(kept[:, None], right_px, np.nan))
-        off = _middle(distance)
+        off = float(middle(distance))
         kept &= np.abs(distance - off) <= TOLERANCE_PX
         if abs(off) > 1.0:
             period = repeat_px(images[0], points, settings.radius_px)
@@ -390,7 +390,7 @@ class StereoCourse:
         self._common.append(common)
         for side, (position, status) in enumerate(zip(positions_px, statuses, strict=True)):
             seen = np.where(aside[..., None], np.nan, position) - self._first[side]
-            self._moved[side].append(np.array([middle_px(frame) for frame in seen]))
+            self._moved[side].append(np.array([middle(frame) for frame in seen]))
             counted = np.where(aside, np.int8(TrackStatus.NOT_CONVERGED), status)
             self._statuses[side] += np.bincount(counted.ravel(), minlength=len(TrackStatus))
         return aside
@@ -410,7 +410,7 @@ class StereoCourse:
         if self._rig is None:
             return np.zeros(len(positions_px[0])), np.zeros(positions_px[0].shape[:2], np.bool_)
         change = epipolar_residual(self._rig, *positions_px)[0] - self._residual
-        common = np.array([_middle(frame) for frame in change])
+        common = np.array([middle(frame) for frame in change])
         return common, np.asarray(np.abs(change - common[:, None]) > TOLERANCE_PX)
 
     def told(
@@ -427,7 +427,7 @@ class StereoCourse:
         notices, speckle, levels, biases = list(grid.notices), [], [], []
         cameras = zip(images, grid.areas, noise_grey, self._statuses, ("left camera", "right camera"), strict=False)
         for image, area, noises, counts, where in cameras:
-            noise = _middle(noises)
+            noise = float(middle(noises))
             bias = aliasing_bias(image, area, noise, settings.radius_px, settings.degree)
             speckle.append(speckle_size(image, area))
             unresolved = aliasing_notice(image, area, noise, speckle[-1], bias, where)
@@ -569,16 +569,10 @@ def _covered(shape: tuple[int, ...], centre_px: FloatArray, radius_px: int) -> B
     return covered
 
 
-def _middle(values: FloatArray) -> float:
-    """Median of the finite values."""
-    finite = values[np.isfinite(values)]
-    return float(np.median(finite)) if len(finite) else float("nan")
-
-
-def middle_px(places_px: FloatArray) -> FloatArray:
-    """Return the median (2,) of those of the places (N,2) that are known, NaN for none."""
-    known = places_px[np.isfinite(places_px).all(axis=1)]
-    return np.asarray(np.median(known, axis=0)) if len(known) else np.full(2, np.nan)
+def middle(values: FloatArray) -> FloatArray:
+    """Return the median () or (K,) of those of the values (N,) or rows (N,K) that are known, NaN for none."""
+    known = values[np.isfinite(values).reshape(len(values), -1).all(axis=1)]
+    return np.asarray(np.median(known, axis=0) if len(known) else np.full(values.shape[1:], np.nan))
 
 
 def tracks_of(

@@ -26,7 +26,7 @@ from fusion.commands.options import EXIT_DONE, EXIT_FAILED, EXIT_INPUT, EXIT_INT
 from fusion.report.terminal import LONGEST_LINE, MOST_NOTES, progress_bar, tell
 from shaker.arrays import Notice
 
-HEAVY = ("torch", "kornia", "cv2", "numba", "matplotlib", "scipy", "h5py", "rich", "pydantic", "numpy")
+HEAVY = ("torch", "kornia", "cv2", "numba", "matplotlib", "scipy", "skimage", "h5py", "rich", "pydantic", "numpy")
 
 
 @pytest.mark.parametrize("arguments", ["--help", "run --help", "--version", "run"])
