@@ -45,8 +45,8 @@ CASES = {
 """Preset, what is broken of it, and how its rig.toml is changed, by the table that they make."""
 
 
-SPOTS = {"at 0.76 of the radius, as the preset has them": 0.0, "at 0.50": 0.50, "at 0.31": 0.31}
-"""Where the lasers look, over the radius of the plate, 0 for the preset's own place."""
+SPOTS = {"at 0.76 of the radius, as the preset has them": (0.0, 1), "at 0.50": (0.50, 10), "at 0.31": (0.31, 1)}
+"""Where the lasers look, over the radius of the plate, 0 for the preset's own place; in every which draw."""
 
 
 def error(evaluation: Evaluation, recording: Path) -> tuple[float, float]:
@@ -86,8 +86,8 @@ def drawn(case: str, draws: int, frames: int) -> Iterator[dict[str, tuple[float,
         template = make_template(Path(folder) / "template", preset)
         for seed in range(1, draws + 1):
             found = {}
-            for spots, share in SPOTS.items():
-                if share and seed % 10:
+            for spots, (share, every) in SPOTS.items():
+                if seed % every:
                     continue
                 with tempfile.TemporaryDirectory(dir=folder) as own:
                     moved = _looking(preset, share)
