@@ -190,13 +190,17 @@ class KnownPixels(
 
     @property
     def start(self) -> RigidTransform | None:
-        """A pose by perspective from four points or more (Terzakis and Lourakis 2020, ECCV, 478); None of fewer."""
+        """A pose by perspective from four points or more (Terzakis and Lourakis 2020, ECCV, 478); None of fewer, or of
+        points on a line."""
         import cv2
 
         if len(self.names) < FEWEST_PIXELS:
             return None
         rays = self.camera.undistort(self.pixel_px)
-        found, *pose = cv2.solvePnP(self.sensor_m, rays, np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_SQPNP)
+        try:
+            found, *pose = cv2.solvePnP(self.sensor_m, rays, np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_SQPNP)
+        except cv2.error:  # as it tells points that leave the rotation open
+            return None
         turn, shift = (np.asarray(part, dtype=np.float64).ravel() for part in pose)
         return RigidTransform(rotation_from_vector(turn), shift).inverse() if found else None
 

@@ -174,6 +174,10 @@ def test_one_camera_finds_its_pose_from_four_points_and_names_one_that_is_mixed_
     with pytest.raises(ValueError, match="expected a first pose beside this evidence"):
         align([pixels(world, 3)])
     seen = pixels(world, 12)
+    on_a_line = BODY_M + np.linspace(-0.04, 0.04, 12)[:, None] * np.array([1.0, 0.0, 0.0])
+    for place in (on_a_line, np.tile(BODY_M, (12, 1))):
+        with pytest.raises(ValueError, match="expected a first pose beside this evidence"):
+            align([replace(seen, sensor_m=place, pixel_px=world.see(place, U_PX)[0])])
     place = seen.sensor_m.copy()
     place[5] += [2e-4, 0.0, 0.0]
     told = align([replace(seen, sensor_m=place)])
