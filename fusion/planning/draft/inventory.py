@@ -355,11 +355,6 @@ def calibrations(folders: Iterable[Path]) -> dict[Path, tuple[int, int]]:
     return found
 
 
-def of_pair(path: Path) -> bool:
-    """Whether a calibration is that of a pair rather than of one camera."""
-    return "right" in _content(path)
-
-
 def _content(path: Path) -> dict[str, Any]:
     """Return a small JSON file's table, an empty one where it is something else."""
     try:

@@ -18,8 +18,9 @@ from fusion.planning.draft.channels import (
     stated,
     word_in,
 )
-from fusion.planning.draft.inventory import FoundPoints, FoundSight, Inventory, calibrations, of_pair, states_scale
+from fusion.planning.draft.inventory import FoundPoints, FoundSight, Inventory, calibrations, states_scale
 from fusion.recording.toml import quoted
+from photogram.calibration.file import is_single
 from shaker.labels import LOAD_COMPONENTS
 
 # The rig.
@@ -120,7 +121,7 @@ def _sight(
     alone = isinstance(item, FoundSight) and item.right is None
     if isinstance(item, FoundSight):
         sized = [path for path, size in files.items() if size == item.left.size_px]
-        alike = [path for path in sized if of_pair(path) != alone]
+        alike = [path for path in sized if is_single(path) == alone]
         named = [path for path in (sized if alone else alike) if item.name.lower() in path.stem.lower()]
         own = named or (alike if len(alike) == 1 else [])
         if own:
