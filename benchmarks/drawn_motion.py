@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from fusion.base import Settings
 from fusion.phasors import setup
-from fusion.phasors.stereo_motion import ImageView, OpenImages, StereoMotion, body_inputs, sensor_from_camera
+from fusion.phasors.stereo_motion import ImageView, Motions, OpenImages, StereoMotion, body_inputs, sensor_from_camera
 from fusion.recording.load import load_manifest
 from fusion.simulate import bending, sines
 from fusion.simulate.preset import Preset, StereoSetup, patches_of
@@ -94,10 +94,11 @@ def unrendered(template: Template, world: World, draws: Draws) -> Iterator[None]
                 for frame in range(world.preset.frames):
                     (series / f"{frame:04d}.tif").hardlink_to(template.recording / series.name / "0000.tif")
 
-    def measured(images: Sequence[OpenImages], *_: object) -> tuple[StereoMotion, ...]:
-        return tuple(_seen(one, template.pairs[one.sight.name], world, draws) for one in images)
+    @contextmanager
+    def drawn(images: Sequence[OpenImages], *_: object) -> Iterator[Motions]:
+        yield lambda _: tuple(_seen(one, template.pairs[one.sight.name], world, draws) for one in images)
 
-    with patch.object(sines, "_write_images", linked), patch.object(setup, "measure_pairs", measured):
+    with patch.object(sines, "_write_images", linked), patch.object(setup, "followed_pairs", drawn):
         yield
 
 

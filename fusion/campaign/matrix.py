@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import brentq
 
 from fusion.campaign.drive import FREQUENCY_TOLERANCE, LOADS, Drive
 from fusion.campaign.matrix_solve import (
@@ -209,6 +208,8 @@ def _disagreeing(stack: Stack) -> tuple[Solution, float]:
         low, high = low - 1.0, low
     if excess(low) < 0.0:
         return solve(stack), 0.0
+    from scipy.optimize import brentq  # here, for most drives agree
+
     tau = float(np.exp(brentq(excess, low, high, xtol=1e-2)))
     return solve(stack, tau * unit), tau
 

@@ -15,7 +15,7 @@ from photogram.arrays import RunningMean, spread_choice
 from photogram.camera import CAMERA_PARAMETERS, FaceCamera, Rig, locate, principal_components
 from photogram.direct.shapes import Shapes
 from photogram.geometry import RigidTransform, rotation_from_vector
-from photogram.motion import PlacedCamera, RigidMotion, fit_motion, relative_to, see_points
+from photogram.motion import PlacedCamera, RigidMotion, relative_to, see_points
 from shaker.arrays import ComplexArray, FloatArray, Notice
 from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.sine.fit import fit_sines
@@ -174,17 +174,21 @@ def _phasor_frames(sums: SineSums, samples: int) -> list[FloatArray]:
 
 def phasor_motion(rig: Rig, pose: RigidTransform, frames: Sequence[FloatArray], shapes: Shapes) -> ComplexArray:
     """Return the displacement phasors (K, 6) that a rig, its left camera in this pose, makes of phasor frames, and the
-    amplitudes (K, S) of shapes beside them, by least squares of the points with what depth is worth in them."""
+    amplitudes (K, S) of shapes beside them, by least squares of the points with what depth is worth in them.
+
+    Linear in the displacements: what differs by the rig is sought, to which turning by a milliradian adds a thousandth.
+    """
     points = locate(rig, frames).transformed(pose)
-    poses = fit_motion(points, None, np.zeros(3)).pose[1:]
     rest, known = points.position_m[0], np.isfinite(points.position_m).all(axis=(0, 2))
     columns = [*np.broadcast_to(np.eye(3)[:, None], (3, len(rest), 3)), *np.cross(np.eye(3)[:, None], rest)]
     design = np.stack([*columns, *shapes(rest)])[:, known].reshape(6 + len(shapes.names), -1)
     weight = np.linalg.inv(points.covariance_m2[0][known])
     weighted = np.einsum("pni,nij->pnj", design.reshape(len(design), -1, 3), weight).reshape(len(design), -1)
-    moved = (points.position_m[1:] - rest)[:, known].reshape(len(poses), -1)
-    amplitude = np.linalg.lstsq(weighted @ design.T, weighted @ moved.T, rcond=None)[0][6:].T
-    both = np.concatenate([poses, amplitude], axis=1)
+    moved = (points.position_m[1:] - rest)[:, known].reshape(len(frames[0]) - 1, -1)
+    information, sums = weighted @ design.T, weighted @ moved.T
+    motion = np.linalg.lstsq(information[:6, :6], sums[:6], rcond=None)[0]
+    amplitude = np.linalg.lstsq(information, sums, rcond=None)[0][6:]
+    both = np.concatenate([motion, amplitude]).T
     return np.asarray(both[0::2] + 1j * both[1::2])
 
 

@@ -33,7 +33,7 @@ from fusion.phasors.stereo_motion import (
     LeftOut,
     OpenImages,
     StereoMotion,
-    measure_pairs,
+    followed_pairs,
     measure_points,
     motion_lines,
     open_images,
@@ -62,7 +62,7 @@ class OpenSetUp:
     """What was recorded at once, read and checked; its images are opened and not yet followed.
 
     `name`: "take 2", empty where a recording has one set-up only; `where`: its place in recording.toml. `lines`: on its
-    own first block's clock, None where all its channels are triggers.
+    own first block's clock, None where all its channels are triggers. Those have no phasors before `with_channels`.
     """
 
     name: str
@@ -112,13 +112,10 @@ class SetUp:
         return tuple(told)
 
 
-def open_set_ups(
-    manifest: Manifest, already: AlreadyRead | None = None, *, shown: bool = True
-) -> tuple[OpenSetUp, ...]:
-    """Read everything that was recorded, set-up by set-up, and fit the lines to the channels; no image is followed yet.
+def open_set_ups(manifest: Manifest, already: AlreadyRead | None = None) -> tuple[OpenSetUp, ...]:
+    """Read everything that was recorded, set-up by set-up, and find its lines; no channel is fitted, no image followed.
 
-    Clocks are tied, images opened, points read; what was `already` read of the files is not read again. Where nothing
-    is `shown`, channels lack what only pages and notices need.
+    Clocks are tied, images opened, points read; what was `already` read of the files is not read again.
     """
     parts = read_set_ups(manifest, already)
     tied = []
@@ -132,50 +129,68 @@ def open_set_ups(
             base, lines = (one.base, None) if found is None else refine_ties(one.base, found)
             images = tuple(open_images(one.manifest, base, entry, already) for entry in one.manifest.images)
             points = tuple(measure_points(one.manifest, base, entry) for entry in one.manifest.points)
-            opened = replace(one, base=base, images=images, points=points, lines=lines)
-            if lines is not None:
-                channels, readings = channel_phasors(one.manifest, base, lines, shown=shown)
-                opened = replace(opened, channels=channels, readings=readings)
-        fitted.append(opened)
+            fitted.append(replace(one, base=base, images=images, points=points, lines=lines))
     return tuple(fitted)
 
 
-def measure_set_up(
-    opened: OpenSetUp,
+def with_channels(opened: OpenSetUp, *, shown: bool = True) -> OpenSetUp:
+    """Fit the lines of a set-up to its channels; where nothing is `shown`, without what only pages and notices need."""
+    if opened.lines is None:
+        return opened
+    with told_in(opened.manifest.path, opened.where, opened.name):
+        channels, readings = channel_phasors(opened.manifest, opened.base, opened.lines, shown=shown)
+    return replace(opened, channels=channels, readings=readings)
+
+
+def measure_set_ups(
+    set_ups: Sequence[OpenSetUp],
     settings: Settings,
     progress: ProgressCallback,
     executor: Executor | None = None,
     kept: Keeper | None = None,
-) -> SetUp:
-    """Follow the images of a set-up, here or by an executor, and fit the lines to the motion of every stereo pair."""
+) -> list[SetUp]:
+    """Follow the images of all set-ups, here or by an executor, and fit the lines to channels and motions.
+
+    All channels are fitted while the bodies of the first set-up are prepared: what is wrong with one is told early.
+    """
+    fitted, measured = list[OpenSetUp](), list[SetUp]()
+    for opened in set_ups:
+        with followed_pairs(opened.images, settings, executor, kept, opened.lines) as motions:
+            fitted = fitted or [with_channels(each) for each in set_ups]
+            opened.base.pulses()  # which results ask the records for
+            with told_in(opened.manifest.path, opened.where, opened.name):
+                measured.append(_measured(fitted[len(measured)], motions(progress)))
+    return measured
+
+
+def _measured(opened: OpenSetUp, followed: Sequence[StereoMotion | LeftOut]) -> SetUp:
+    """Fit the lines to the motion of every stereo pair of a set-up."""
     from fusion.phasors.again import looked_again  # here, for `check` follows no images
     from fusion.phasors.stereo_phasors import pairs_phasors
 
     manifest, base = opened.manifest, opened.base
-    with told_in(manifest.path, opened.where, opened.name):
-        seen = [
-            item if isinstance(item, LeftOut) or any(item.sight.pair.row_time) else still_calibrated(item)
-            for item in measure_pairs(opened.images, settings, progress, executor, kept, opened.lines)
-        ]
-        left_out = [item for item in seen if isinstance(item, LeftOut)]
-        motions = (*(item for item in seen if isinstance(item, StereoMotion)), *opened.points)
-        _check_left(opened, motions, left_out)
-        if opened.lines is not None:
-            opened, motions = _tied(opened, motions)
-            base = opened.base
-        if opened.lines is None:
-            lines, first = motion_lines(manifest, base, motions)
-            clock = base.sight_errors(first)
-        else:
-            lines, clock = opened.lines, line_clock(base)
-        again = [still_calibrated(looked_again(item, opened.images, lines)) for item in motions]
-        left_out += [item for item in again if isinstance(item, LeftOut)]
-        motions = tuple(item for item in again if isinstance(item, StereoMotion))
-        _check_left(opened, motions, left_out)
-        strength = line_strength(opened.readings, lines)
-        stereo, aliased, unfitted = pairs_phasors(base, motions, lines, base.line_errors(lines, clock), strength)
-        left_out += unfitted
-        _check_left(opened, stereo, left_out)
+    seen = [
+        item if isinstance(item, LeftOut) or any(item.sight.pair.row_time) else still_calibrated(item)
+        for item in followed
+    ]
+    left_out = [item for item in seen if isinstance(item, LeftOut)]
+    motions = (*(item for item in seen if isinstance(item, StereoMotion)), *opened.points)
+    _check_left(opened, motions, left_out)
+    if opened.lines is None:
+        lines, first = motion_lines(manifest, base, motions)
+        clock = base.sight_errors(first)
+    else:
+        opened, motions, lines = _tied(opened, motions, opened.lines)
+        base = opened.base
+        clock = line_clock(base)
+    again = [still_calibrated(looked_again(item, opened.images, lines)) for item in motions]
+    left_out += [item for item in again if isinstance(item, LeftOut)]
+    motions = tuple(item for item in again if isinstance(item, StereoMotion))
+    _check_left(opened, motions, left_out)
+    strength = line_strength(opened.readings, lines)
+    stereo, aliased, unfitted = pairs_phasors(base, motions, lines, base.line_errors(lines, clock), strength)
+    left_out += unfitted
+    _check_left(opened, stereo, left_out)
     changes = line_stationarity(opened.channels, [item.result for item in stereo], lines, base.results())
     doubts = {DISTORTION: [found.doubt for found in distortions(opened.channels, lines)]}
     doubts[DRIFT] = [doubt for frequency in _frequencies(changes) for doubt in _told(changes, frequency).doubts]
@@ -184,16 +199,16 @@ def measure_set_up(
     return SetUp(replace(opened, readings=readings), lines, stereo, (*told, *aliased))
 
 
-def _tied(opened: OpenSetUp, motions: tuple[StereoMotion, ...]) -> tuple[OpenSetUp, tuple[StereoMotion, ...]]:
-    """Return a set-up, and what its pairs saw, with clocks that the motion ties; channels on other times anew."""
+def _tied(
+    opened: OpenSetUp, motions: tuple[StereoMotion, ...], lines: Lines
+) -> tuple[OpenSetUp, tuple[StereoMotion, ...], Lines]:
+    """Return a set-up, what its pairs saw, and its lines, with clocks that the motion ties; channels on others anew."""
     from fusion.phasors.clocks import tied_by_motion
 
-    assert opened.lines is not None
-    base, renewed, lines = tied_by_motion(opened.manifest, opened.base, motions, opened.lines)
-    if any(tie is not opened.base.ties[name] for name, tie in base.ties.items()):
-        channels, readings = channel_phasors(opened.manifest, base, lines)
-        opened = replace(opened, channels=channels, readings=readings)
-    return replace(opened, base=base, lines=lines), renewed
+    base, renewed, lines = tied_by_motion(opened.manifest, opened.base, motions, lines)
+    tied = any(tie is not opened.base.ties[name] for name, tie in base.ties.items())
+    opened = replace(opened, base=base, lines=lines)
+    return (with_channels(opened) if tied else opened), renewed, lines
 
 
 def _check_left(opened: OpenSetUp, stereo: Sequence[object], left_out: Sequence[LeftOut]) -> None:

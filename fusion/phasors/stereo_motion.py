@@ -6,7 +6,8 @@ follows them brings numba, which opening them does without: it is imported by th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -244,15 +245,19 @@ def known_depth(manifest: Manifest, pair: Stereo) -> tuple[float, float] | None:
     return float(depth.min()) - reach, float(depth.max()) + reach
 
 
-def measure_pairs(
+Motions = Callable[[ProgressCallback], tuple[StereoMotion | LeftOut, ...]]
+
+
+@contextmanager
+def followed_pairs(
     images: Sequence[OpenImages],
     settings: Settings,
-    progress: ProgressCallback,
     executor: Executor | None = None,
     kept: Keeper | None = None,
     lines: Lines | None = None,
-) -> tuple[StereoMotion | LeftOut, ...]:
-    """Track the images of stereo pairs and fit the rigid motion of the body that each sees, or say why there is none.
+) -> Iterator[Motions]:
+    """Begin to track the images of stereo pairs; what is yielded goes on, and returns the rigid motion of the body that
+    each sees, or why there is none. In between the caller may do something else.
 
     Subsets are looked for in as many frames as tell the `lines` apart, in all where none are known.
 
@@ -262,33 +267,36 @@ def measure_pairs(
     """
     from photogram.subsets.track import resolve_device
 
-    device, begun = settings.device, []
-    on_gpu = executor is None and resolve_device(device) != "cpu"
+    on_gpu = executor is None and resolve_device(settings.device) != "cpu"
     with Threads(max(1, len(images)) if on_gpu else None) as here:  # a GPU holds one block of each body at a time
         crew = here if executor is None else executor
         prepared = [crew.submit(0, _prepared, item, settings, lines) for item in images]
-        for item, pending in zip(images, prepared, strict=True):
-            scene: BodyScene | LeftOut = _attempted(item, partial(_answer, item, pending))
-            followed = scene if isinstance(scene, LeftOut) else Followed(item, scene, device, kept)
-            shares = () if isinstance(followed, LeftOut) else followed.missing()
-            asked = {share: crew.submit(1, follow, pending, share, device) for share in shares}
-            begun.append((item, followed, asked))
-        moved = list[LeftOut | Pending]()
-        for item, followed, asked in begun:  # so that no block waits in memory for the motion of another pair
-            if isinstance(followed, LeftOut):
-                moved.append(followed)
-                continue
-            stage, total = f"track {item.sight.name}", 2 * len(item.left)
-            for frames in followed.scene.blocks:
-                progress(stage, 2 * frames.start, total)
-                if frames in asked:
-                    followed.add(frames, _answer(item, asked.pop(frames)))
-            progress(stage, total, total)
-            moved.append(here.submit(2, _moved, item, followed))
-        return tuple(
-            pending if isinstance(pending, LeftOut) else _attempted(item, partial(_answer, item, pending))
-            for item, pending in zip(images, moved, strict=True)
-        )
+
+        def motions(progress: ProgressCallback) -> tuple[StereoMotion | LeftOut, ...]:
+            begun, moved = [], list[LeftOut | Pending]()
+            for item, pending in zip(images, prepared, strict=True):
+                scene: BodyScene | LeftOut = _attempted(item, partial(_answer, item, pending))
+                followed = scene if isinstance(scene, LeftOut) else Followed(item, scene, settings.device, kept)
+                shares = () if isinstance(followed, LeftOut) else followed.missing()
+                asked = {share: crew.submit(1, follow, pending, share, settings.device) for share in shares}
+                begun.append((item, followed, asked))
+            for item, followed, asked in begun:  # so that no block waits in memory for the motion of another pair
+                if isinstance(followed, LeftOut):
+                    moved.append(followed)
+                    continue
+                stage, total = f"track {item.sight.name}", 2 * len(item.left)
+                for frames in followed.scene.blocks:
+                    progress(stage, 2 * frames.start, total)
+                    if frames in asked:
+                        followed.add(frames, _answer(item, asked.pop(frames)))
+                progress(stage, total, total)
+                moved.append(here.submit(2, _moved, item, followed))
+            return tuple(
+                pending if isinstance(pending, LeftOut) else _attempted(item, partial(_answer, item, pending))
+                for item, pending in zip(images, moved, strict=True)
+            )
+
+        yield motions
 
 
 def _attempted(images: OpenImages, act: Callable[[], T]) -> T | LeftOut:
@@ -332,7 +340,8 @@ def _prepared(images: OpenImages, settings: Settings, lines: Lines | None) -> Bo
 
 def measure_images(images: OpenImages, settings: Settings, progress: ProgressCallback) -> StereoMotion:
     """Track the image pairs of one stereo pair and fit the rigid motion of the body it sees."""
-    (found,) = measure_pairs((images,), settings, progress)
+    with followed_pairs((images,), settings) as motions:
+        (found,) = motions(progress)
     if isinstance(found, LeftOut):
         raise found.error
     return found

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,9 +19,8 @@ from fusion.recording.manifest import Frames, Images, PointFiles
 from fusion.recording.rig import Stereo
 from fusion.recording.values import FILE, PULSE
 from shaker.arrays import BoolArray, FloatArray
-from shaker.timebase.edges import find_edges
 from shaker.timebase.tie import ClockTie, edge_instants, tie_clocks
-from shaker.timebase.trigger import PulseWidth, TriggerFit, fit_trigger
+from shaker.timebase.trigger import PulseWidth, TriggerFit
 
 if TYPE_CHECKING:
     from fusion.recording.files import DaqRecord
@@ -269,9 +267,8 @@ class TimeBase:
         """Return the triggers that two blocks record; the first of them ties their clocks."""
         return [name for daq, name in self.triggers if daq == first and (second, name) in self.triggers]
 
-    @cached_property
     def pulses(self) -> dict[tuple[str, str], PulseWidth]:
-        """Width of the pulses per block and trigger channel, where both flanks can be told."""
+        """Width of the pulses per block and trigger channel, where both flanks can be told; the records keep them."""
         widths = {}
         for daq, name in self.triggers:
             with suppress(ValueError):
@@ -284,11 +281,11 @@ class TimeBase:
 
     def results(self) -> tuple[ClockResult, ...]:
         """Return one entry per block for the result tree."""
-        clocks = []
+        clocks, pulses = [], self.pulses()
         for record in self.records:
             name = record.entry.name
             key = next((key for key in self.triggers if key[0] == name), ("", ""))
-            pulse = self.pulses.get(key)
+            pulse = pulses.get(key)
             width, u_width = (None, None) if pulse is None else (pulse.width_s, pulse.u_width_s)
             trigger, tie = self.triggers.get(key), self.ties[name]
             grid = None if trigger is None else Grid.of(trigger, tie, width)
@@ -318,9 +315,8 @@ def tie_daqs(manifest: Manifest, records: Sequence[DaqRecord]) -> TimeBase:
     triggers: dict[tuple[str, str], TriggerFit] = {}
     for record in records:
         for channel in (channel for channel in record.entry.channel if channel.quantity == "trigger"):
-            rate_hz = record.raw[channel.name].sample_rate_hz
             with as_input_error(record.entry.file, channel.name):
-                fit = fit_trigger(find_edges(record.values(channel), rate_hz, channel.threshold, channel.edge))
+                fit = record.fit_trigger(channel)
             triggers[record.entry.name, channel.name] = fit.later_by(record.lag_s(channel.name) - channel.delay)
     ties: dict[str, ClockTie | None] = {first: None}
     time_base = TimeBase(tuple(records), triggers, ties)
@@ -365,7 +361,7 @@ def see(manifest: Manifest, base: TimeBase, entry: Images | PointFiles, frames: 
     edges = edge_instants(trigger, first + np.arange(frames), elsewhere)
     if entry.exposure == PULSE:
         try:
-            pulse = base.pulses.get((daq, entry.trigger)) or base.record(daq).pulse_width(entry.trigger)
+            pulse = base.record(daq).pulse_width(entry.trigger)
         except ValueError as error:
             raise no_pulse_width(manifest, daq, entry, error) from error
         dof = float(max(pulse.pulses - 2, 1))

@@ -162,9 +162,10 @@ def _refused(manifest: Manifest, already: AlreadyRead) -> list[str]:
 def _read_as(command: str, manifest: Manifest, already: AlreadyRead) -> None:
     """Read what a command reads; its modules are imported for it alone."""
     if command == "run":
-        from fusion.phasors.setup import open_set_ups
+        from fusion.phasors.setup import open_set_ups, with_channels
 
-        open_set_ups(manifest, already, shown=False)
+        for opened in open_set_ups(manifest, already):
+            with_channels(opened, shown=False)
     elif command == "transfer":
         from fusion.sensor.transfer.evaluate import estimated
         from fusion.sensor.transfer.records import TransferSettings, read_together

@@ -16,7 +16,8 @@ from fusion.recording.manifest import SCAN, ChannelEntry, Daq, Frames
 from shaker.arrays import FloatArray, Stacked
 from shaker.io import read_channels
 from shaker.io.channel import RawChannel
-from shaker.timebase.trigger import PulseWidth, pulse_width
+from shaker.timebase.edges import find_edges
+from shaker.timebase.trigger import PulseWidth, TriggerFit, fit_trigger, pulse_width
 
 if TYPE_CHECKING:
     from fusion.recording.load import Manifest
@@ -33,6 +34,8 @@ class DaqRecord:
     entry: Daq
     raw: dict[str, RawChannel]
     start_s: float
+    _triggers: dict[str, TriggerFit] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _pulses: dict[str, PulseWidth | ValueError] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def lag_s(self, name: str) -> float:
         """Return the time of a channel's first sample, seconds from the block's earliest sample."""
@@ -52,11 +55,27 @@ class DaqRecord:
         columns = tuple(self.raw[channel.name].samples for channel in channels)
         return Stacked(columns, tuple(channel.scale for channel in channels))
 
+    def fit_trigger(self, channel: ChannelEntry) -> TriggerFit:
+        """Fit the edges of a trigger channel, once, in seconds from its first sample."""
+        if channel.name not in self._triggers:
+            rate_hz = self.raw[channel.name].sample_rate_hz
+            edges = find_edges(self.values(channel), rate_hz, channel.threshold, channel.edge)
+            self._triggers[channel.name] = fit_trigger(edges)
+        return self._triggers[channel.name]
+
     def pulse_width(self, trigger: str) -> PulseWidth:
-        """Measure the width of the pulses of a trigger channel; a `ValueError` says why it cannot be."""
-        channel = next(channel for channel in self.entry.channel if channel.name == trigger)
-        rate_hz = self.raw[trigger].sample_rate_hz
-        return pulse_width(self.values(channel), rate_hz, channel.threshold, channel.edge)
+        """Measure the width of the pulses of a trigger channel, once; a `ValueError` says why it cannot be."""
+        if trigger not in self._pulses:
+            channel = next(channel for channel in self.entry.channel if channel.name == trigger)
+            given = self.values(channel), self.raw[trigger].sample_rate_hz, channel.threshold, channel.edge
+            try:
+                self._pulses[trigger] = pulse_width(*given, self.fit_trigger(channel))
+            except ValueError as error:
+                self._pulses[trigger] = error
+        found = self._pulses[trigger]
+        if isinstance(found, ValueError):
+            raise found
+        return found
 
 
 # A scanning vibrometer's text in a recording: every scan point is a take of its own.

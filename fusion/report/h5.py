@@ -188,7 +188,7 @@ def _free_name(group: h5py.Group, label: str) -> str:
 def _write_array(group: h5py.Group, name: str, array: np.typing.NDArray[Any]) -> None:
     """Write an array, compressed where that is worth it."""
     if array.size > COMPRESS_ABOVE:
-        group.create_dataset(name, data=array, compression="gzip", compression_opts=4, shuffle=True)
+        group.create_dataset(name, data=array, compression="gzip", compression_opts=1, shuffle=True)
     else:
         put_array(group, name, array)
 

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from jinja2.utils import htmlsafe_json_dumps
 from markupsafe import Markup
-from scipy.spatial import Delaunay
 
 from fusion.base import PROGRAM, InputError, __version__, prefix
 from fusion.estimation.coverage import Polar
@@ -332,6 +331,8 @@ def _surface(name: str, body: str, points: FloatArray) -> Shape:
 
 def _triangles(points: FloatArray) -> tuple[tuple[int, ...], ...]:
     """Return the triangles between neighbours among points (N, 3) of a surface that has no folds."""
+    from scipy.spatial import Delaunay  # here, for only pages with a viewer draw a surface
+
     _, size, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
     if size[1] <= NEAR_PARALLEL * size[0]:
         return ()

@@ -420,8 +420,11 @@ def pulse_width(
     sample_rate_hz: float,
     threshold: float | None = None,
     edge: Literal["rising", "falling"] = "rising",
+    begun: TriggerFit | None = None,
 ) -> PulseWidth:
     """Measure the width of the pulses that begin with `edge` in samples (S,), where they cross `threshold`.
+
+    `begun`: the fit of their beginnings at another threshold, taken where that lies between the same samples.
 
     Default threshold: half height, midway between the medians of the samples of either level. Both flanks follow the
     same periodic model (`fit_trigger`); the width is the distance of their lines in the middle of the burst, where
@@ -433,7 +436,10 @@ def pulse_width(
     above = samples >= find_edges(samples, sample_rate_hz, threshold, edge).threshold
     low, high = float(np.median(samples[~above])), float(np.median(samples[above]))
     level = (low + high) / 2.0 if threshold is None else threshold
-    begin = fit_trigger(find_edges(samples, sample_rate_hz, level, edge))
+    edges = find_edges(samples, sample_rate_hz, level, edge)
+    begin = begun
+    if begin is None or not (begin.kind == edges.kind == "sampled" and np.array_equal(begin.upper_s, edges.upper_s)):
+        begin = fit_trigger(edges)
     end = fit_trigger(find_edges(samples, sample_rate_hz, level, ends))
     if abs(end.period_s / begin.period_s - 1.0) > 0.5 / begin.edges:
         raise ValueError(

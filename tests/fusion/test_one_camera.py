@@ -90,7 +90,7 @@ def test_a_pose_that_is_off_does_what_the_model_says_also_through_the_distance_o
     found = read(true, FACE_POINTS) - AS_STATED
     stated = errors_by_name()[f"stereo top: pose {kind} {axis}"]
     size = np.repeat([np.linalg.norm(MOTION[:3]), np.linalg.norm(MOTION[3:])], 3)
-    np.testing.assert_allclose(found / size, stated / size, atol=3e-6)
+    np.testing.assert_allclose(found / size, stated / size, atol=5e-6)  # beside up to 2e-3, turned by milliradians
     assert np.abs(stated / size).max() > 1e-4
 
 

@@ -550,6 +550,10 @@ def test_pulse_width(rise):
     assert pulse_width(-signal, RATE_HZ, edge="falling").width_s == pytest.approx(found.width_s, abs=1e-9)
     pause = pulse_width(signal, RATE_HZ, edge="falling")
     assert pause.width_s == pytest.approx(PERIOD_S - width, abs=1e-6)
+    # A fit of the same edges stands for theirs; one of other edges does not.
+    of_these, of_others = (fit_trigger(find_edges(samples, RATE_HZ)) for samples in (signal, np.roll(signal, 10)))
+    for begun in (of_these, of_others):
+        assert pulse_width(signal, RATE_HZ, begun=begun).width_s == pytest.approx(found.width_s, abs=1e-9)
 
 
 def test_instants_follow_edges_that_jitter():
