@@ -27,9 +27,7 @@ CLIPPED, FEWEST_CLIPPED = 3.0, 8  # samples at an extreme over those of the thre
 FEWEST_STEPS = 30  # of the converter, in the amplitude of a driven line
 DRIFTS, MAINS = 0.2, 0.05  # over the amplitude of the driven line
 DRIVEN_SHARE = 0.7  # of the driven direction along a channel's, from which on it must see the line
-MAINS_BINS = 3.0
 APART_BINS = 1.0
-WELL_APART = 2.0
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,6 @@ from shaker.labels import typeset
 
 RASTER_ABOVE = 6000  # lines from which curves are drawn as an image
 LARGEST_PERCENT = 100.0
-DASHED = (0, (4, 2))
 
 
 class Line(NamedTuple):
