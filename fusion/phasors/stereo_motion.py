@@ -40,7 +40,7 @@ from photogram.calibration.file import read_calibration, read_camera
 from photogram.camera import FaceCamera, Rig, StereoRig
 from photogram.geometry import RigidTransform
 from photogram.images.files import open_sequence
-from photogram.images.sequence import GreyImage, ImageSequence, saturated_fraction
+from photogram.images.sequence import GreyImage, ImageSequence
 from shaker.arrays import BoolArray, FloatArray, Notice
 from shaker.lines.frequencies import Lines, find_lines
 from shaker.sine.aliasing import usable_lines
@@ -169,7 +169,7 @@ def open_images(manifest: Manifest, base: TimeBase, entry: Images, already: Alre
     for side, paths in entry.cameras:
         with as_input_error(manifest.path, f"{key}.{side}"):
             sequence = opened.get((paths, entry.bit_depth)) or open_sequence(paths, entry.bit_depth)
-            sequences.append(replace(sequence, reader=partial(_read_unsaturated, sequence)))
+            sequences.append(replace(sequence, most_saturated=MAX_SATURATED))
     left = sequences[0]
     for other in sequences[1:]:
         if len(left) != len(other):
@@ -416,16 +416,6 @@ def measure_points(manifest: Manifest, base: TimeBase, entry: PointFiles) -> Ste
     if not np.isfinite(motion.pose).all(axis=1).any():
         raise ComputeError(f"stereo pair {name}: {NO_MOTION}; look at its points")
     return StereoMotion(sight, motion, (deformation(points, motion, reference),), float("nan"), None, ())
-
-
-def _read_unsaturated(sequence: ImageSequence, index: int) -> GreyImage:
-    """Return one image that is not saturated."""
-    image = sequence.read(index)
-    saturated = saturated_fraction(image, sequence.full_scale)
-    if saturated > MAX_SATURATED:
-        found = f"{100 * saturated:.1f} % of its pixels at full scale {sequence.full_scale}"
-        raise ValueError(f"{sequence.names[index]}: expected an image that is not saturated, found {found}")
-    return image
 
 
 def read_rig(stereo: Stereo, sequences: Sequence[ImageSequence]) -> Rig:

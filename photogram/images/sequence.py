@@ -61,7 +61,7 @@ class ImageSequence:
 
     `reader` returns frame i as it stands in its file; `read` is the checked access to it. Where the files state them:
     `time_s` (F,) of the frames on the camera's own clock, from the first one on, and the `exposure_s`; `notices` tell
-    what the files do to the grey values.
+    what the files do to the grey values. With a larger share than `most_saturated` at full scale a frame is refused.
 
     >>> images = ImageSequence(("dark", "bright"), (640, 480), 255, lambda k: np.full((480, 640), 100 * k, np.uint8))
     >>> len(images), int(images.read(1).max())
@@ -75,6 +75,7 @@ class ImageSequence:
     time_s: FloatArray | None = None
     exposure_s: float | None = None
     notices: tuple[Notice, ...] = ()
+    most_saturated: float = 1.0
 
     def __post_init__(self) -> None:
         if self.time_s is not None:
@@ -97,6 +98,11 @@ class ImageSequence:
             raise ValueError(
                 f"{name}: expected grey values up to {self.full_scale} (bit depth {bits}), found {brightest}"
             )
+        if brightest == self.full_scale and self.most_saturated < 1.0:
+            share = np.count_nonzero(image == brightest) / image.size
+            if share > self.most_saturated:
+                found = f"{100 * share:.1f} % of its pixels at full scale {brightest}"
+                raise ValueError(f"{name}: expected an image that is not saturated, found {found}")
         return image
 
     def read_ahead(self, frames: Iterable[int]) -> Iterator[GreyImage]:
@@ -120,8 +126,3 @@ def full_scale_of(path: Path, stored_bits: int, bit_depth: int | None) -> int:
     if not 1 <= depth <= stored_bits:
         raise ValueError(f"{path}: expected images of bit depth {bit_depth}, found {stored_bits} bits per pixel")
     return int(2**depth - 1)
-
-
-def saturated_fraction(image: GreyImage, full_scale: int) -> float:
-    """Fraction of the pixels of `image` (H,W) that are at full scale."""
-    return np.count_nonzero(image >= full_scale) / image.size

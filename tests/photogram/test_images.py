@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -13,7 +14,7 @@ from contracts import refused
 
 from photogram.images.files import open_sequence
 from photogram.images.noise import NoiseModel, fit_noise_model
-from photogram.images.sequence import AHEAD, ImageSequence, saturated_fraction
+from photogram.images.sequence import AHEAD, ImageSequence
 from photogram.point_tables import read_point_tables
 from photogram.synthetic.scene import ImageSensor
 
@@ -202,10 +203,12 @@ def test_wrong_files_are_named(tmp_path, grey12):
         assert "\n" not in str(caught.value)
 
 
-def test_saturated_fraction_counts():
+def test_a_frame_with_more_than_a_share_of_its_pixels_at_full_scale_is_refused():
     image = np.zeros((10, 10), np.uint16)
     image[:2] = 4095
-    assert saturated_fraction(image, 4095) == pytest.approx(0.2)
+    frames = ImageSequence(("f",), (10, 10), 4095, lambda _: image)
+    assert replace(frames, most_saturated=0.2).read(0) is image
+    refused("f: expected an image that is not saturated, found 20.0 %", replace(frames, most_saturated=0.19).read, 0)
 
 
 def test_real_video_has_75_frames(data_dir):
