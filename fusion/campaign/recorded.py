@@ -24,6 +24,10 @@ from fusion.sensitivity.ratio import StatedMatrix
 from shaker.arrays import FloatArray, Notice
 from shaker.sine.phasor import Phasors
 
+FUSED = "accelerations/load-fused"
+READ = ("excitation", "sensor", "lines", "load", "outputs", FUSED, "clocks", "notices", "evidence", "provenance")
+"""Groups of a recording's results of which a campaign reads."""
+
 
 @dataclass(frozen=True)
 class SensorFacts:
@@ -91,7 +95,7 @@ def read_recorded(folder: str | Path) -> Recorded:
     folder = Path(folder)
     if not (folder / RESULT_FILE).is_file():
         raise InputError(folder / RESULT_FILE, "", found="no results", expected="the results of a recording")
-    with opened_results(folder / RESULT_FILE) as file:
+    with opened_results(folder / RESULT_FILE, *READ) as file:
         if file.attrs["format"] != RESULT_FORMAT:
             expected = f"format {RESULT_FORMAT}; --force evaluates the recording anew"
             raise InputError(folder / RESULT_FILE, "", found=f"format {file.attrs['format']}", expected=expected)
@@ -139,7 +143,7 @@ def _drives(file: h5py.File) -> tuple[Drive, ...]:
 
 def _knowledge(file: h5py.File) -> Callable[[], Knowledge] | None:
     """What the readings say of the unknowns that they share."""
-    fused = file.get("accelerations/load-fused", {})
+    fused = file.get(FUSED, {})
     if "load" not in file or "posterior" not in fused:
         return None
     both = _texts(file["load"], "both") if "both" in file["load"] else ()

@@ -62,7 +62,7 @@ def _notices_in(path: Path) -> tuple[AnyNotice, ...]:
     """Return the notices of a file of results; none where it is missing."""
     if not path.is_file():
         return ()
-    with opened_results(path) as file:
+    with opened_results(path, "notices") as file:
         return read_notices(file)
 
 

@@ -190,7 +190,7 @@ def read_provenance(folder: Path, marker: str = RESULT_FILE, *, alone: bool = Fa
     path = folder / marker
     if not path.is_file() or not h5py.is_hdf5(path):
         return None
-    with suppress(InputError), opened_results(path, "provenance" if alone else "") as file:
+    with suppress(InputError), opened_results(path, *(["provenance"] if alone else [])) as file:
         return provenance_of(file)
     return None
 

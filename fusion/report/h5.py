@@ -20,7 +20,7 @@ from fusion.report.quantities import describe
 from fusion.report.stored import put_array, put_text, put_texts
 from fusion.sensitivity.evidence import Evidence
 from shaker.arrays import Notice
-from shaker.io.channel import check_inside, opened_hdf5
+from shaker.io.channel import check_inside, check_links, full_name, opened_hdf5
 
 COMPRESS_ABOVE = 512
 LEFT_OUT = {"manifest", "reference_image", "surface", "settings", "versions", "input_hashes"}
@@ -46,14 +46,18 @@ def h5_content(fill: Callable[[h5py.File], None], *, in_order: bool = True) -> b
 
 
 @contextmanager
-def opened_results(path: Path, only: str = "") -> Iterator[h5py.File]:
+def opened_results(path: Path, *only: str) -> Iterator[h5py.File]:
     """Open the results of an earlier run; `InputError` where they are damaged or lead to other files.
 
-    `only`: the group of which something is read, and which alone is looked through then, with what stands in it.
+    `only`: the groups of which something is read, and which alone are looked through then, with all below them: a
+    campaign reads a tenth of what each of its recordings has.
     """
     try:
         with opened_hdf5(path, links=bool(only)) as file:
-            _check_group(path, file, only) if only else _check_all(path, file)
+            for name in only:
+                _check_group(path, file, name.split("/"))
+            if not only:
+                _check_all(path, file)
             yield file
     except (OSError, ValueError, KeyError, RuntimeError) as error:
         told = " ".join(str(error).split()).removeprefix(f"{path}: ")
@@ -63,25 +67,32 @@ def opened_results(path: Path, only: str = "") -> Iterator[h5py.File]:
         raise InputError(path, "", expected="results of an earlier run", found=found) from error
 
 
-def _check_all(path: Path, file: h5py.File) -> None:
+def _check_all(path: Path, group: h5py.Group) -> None:
     """Refuse results with data sets whose samples stand in other files, each asked as little as that takes."""
 
     def check(name: bytes, what: Any) -> None:
         if what.type == h5o.TYPE_DATASET:
-            made = h5o.open(file.id, name).get_create_plist()
+            made = h5o.open(group.id, name).get_create_plist()
             if made.get_layout() == h5d.VIRTUAL or made.get_external_count():
-                check_inside(path, name.decode("utf-8", "replace"), file[name])
+                check_inside(path, full_name(group, name), group[name])
 
-    h5o.visit(file.id, check, info=True)
+    h5o.visit(group.id, check, info=True)
 
 
-def _check_group(path: Path, file: h5py.File, name: str) -> None:
-    """Refuse results of which a group, or what stands in it, is in other files."""
-    links = [(file, name), *((file[name], inner) for inner in file.get(name, ()))]
-    for group, inner in links:
-        if not isinstance(group.get(inner, getlink=True), h5py.HardLink):
-            raise ValueError(f'{path}: "{inner}": expected samples in this file, found a link')
-        check_inside(path, inner, group[inner])
+def _check_group(path: Path, group: h5py.Group, names: Sequence[str]) -> None:
+    """Refuse results of which the group that these names lead to, or anything below it, is in other files."""
+    for name in names:
+        link = group.get(name, getlink=True)
+        if link is None:
+            return
+        if not isinstance(link, h5py.HardLink):
+            raise ValueError(f'{path}: "{name}": expected samples in this file, found a link')
+        group = group[name]
+    if isinstance(group, h5py.Dataset):  # an empty list
+        check_inside(path, "/".join(names), group)
+    else:
+        check_links(path, group, soft=False)
+        _check_all(path, group)
 
 
 def write_fields(group: h5py.Group, item: Any) -> None:

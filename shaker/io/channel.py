@@ -213,19 +213,32 @@ def opened_hdf5(path: Path, *, links: bool = False) -> Iterator[Any]:
     """
     import h5py
 
-    own = (h5py.h5l.TYPE_HARD, h5py.h5l.TYPE_SOFT)
+    with h5py.File(path, "r") as file:
+        if not links:
+            check_links(path, file)
+        yield file
+
+
+def full_name(group: Any, name: bytes) -> str:
+    """Return the name in its file of what has this name in a group of an HDF5 file."""
+    return f"{group.name}/{name.decode('utf-8', 'replace')}".lstrip("/")
+
+
+def check_links(path: Path, group: Any, *, soft: bool = True) -> None:
+    """Refuse a group of an HDF5 file with links to other files below it; unless `soft`, also to other groups."""
+    import h5py
+
+    own = (h5py.h5l.TYPE_HARD, h5py.h5l.TYPE_SOFT)[: 1 + soft]
 
     def wrong(name: bytes, link: Any) -> str | None:
         if name.count(b"/") > DEEPEST:
             return f"groups in {DEEPEST} others"
-        told = f'"{name.decode("utf-8", "replace")}": expected samples in this file, found a link to another'
+        told = f'"{full_name(group, name)}": expected samples in this file, found a link to another'
         return None if link.type in own else told
 
-    with h5py.File(path, "r") as file:
-        found = None if links else file.id.links.visit(wrong, info=True)
-        if found is not None:
-            raise ValueError(f"{path}: {found}")
-        yield file
+    found = group.id.links.visit(wrong, info=True)
+    if found is not None:
+        raise ValueError(f"{path}: {found}")
 
 
 def check_inside(path: Path, name: str, dataset: Any) -> None:
