@@ -27,6 +27,7 @@ import h5py
 import numpy as np
 
 from fusion.base import Settings
+from fusion.campaign.recorded import READ
 from fusion.campaign.run import run_path
 from fusion.recording.load import RECORDING_NAME
 from fusion.report.folder import RESULT_FILE
@@ -35,9 +36,6 @@ from fusion.simulate import simulate
 
 FREQUENCIES, PER_FREQUENCY, PER_MOUNTING = 12, 4, 2
 NOISE = 1e-3
-READ = (
-    "excitation", "sensor", "notices", "lines", "accelerations/load-fused", "load", "outputs", "clocks", "provenance",
-)  # fmt: skip
 """What of result.h5 a campaign reads."""
 STEM = re.compile(", (?:mounting|simulated)")
 RUN = "import sys; from fusion.cli import main; sys.exit(main(sys.argv[1:]))"
@@ -90,7 +88,7 @@ def multiply(base: Path, campaign: Path, recordings: int, amplitudes: bool) -> N
         with h5py.File(before / RESULT_FILE) as old, h5py.File(after / RESULT_FILE, "w", track_order=True) as new:
             for key, value in old.attrs.items():
                 new.attrs[key] = {"recording": other, "mounting": mounting}.get(key, value)
-            for group in READ:
+            for group in filter(old.__contains__, READ):
                 old.copy(group, new, name=group)
             for place, factor in zip(("load/value", "outputs/phasors/value"), noise, strict=True):
                 new[place][...] = old[place][()] * factor
