@@ -4,9 +4,9 @@ Usage: python benchmarks/commands.py [--before FOLDER] [--repeats 3] [--keep FOL
 
 Each command is a process of its own; of the repeats, taken in turn with those of the other checkout, the smallest
 times count. Kernels are compiled and modules read once before. The recordings are the demo in the repository and a
-simulated `nitsche2018` (844 pictures of 640 x 512 px, 12 bit, deflated, and as most cameras write them), which takes two
-minutes to render and is kept in --keep; `lines` reads 30 million samples; `step` and `decouple` fit the 19 releases of preset `steps`, `cameras`
-the pictures of preset `targets`. With --docs the table goes to performance.md there.
+simulated `nitsche2018` (844 pictures of 640 x 512 px, 12 bit, deflated, and as most cameras write them), which takes
+two minutes to render and is kept in --keep; `lines` reads 30 million samples; `step` and `decouple` fit the 19 releases
+of preset `steps`, `cameras` the pictures of preset `targets`. With --docs the table goes to performance.md there.
 """
 
 from __future__ import annotations
