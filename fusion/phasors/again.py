@@ -11,7 +11,7 @@ from fusion.base import Threads
 from fusion.phasors.image_effects import displacement, fit_about_mean
 from fusion.phasors.shutter import Turned
 from fusion.phasors.stereo_motion import OpenImages, StereoMotion, lines_seen, seen_motion
-from photogram.measure.again import Again, Swing, prepare_again, row_delay_s
+from photogram.measure.again import WIDEST_CELL, Again, Swing, prepare_again, row_delay_s
 from photogram.measure.body import Tracked, body_motion
 from photogram.measure.follow import FollowedFrame, in_turn
 from shaker.arrays import ComplexArray, FloatArray, Notice
@@ -22,7 +22,6 @@ from shaker.sine.normal_equations import SineSums
 FINEST_RAD_PX = 0.7  # of the waves of grey that tell the place of speckle, about
 BLUR_COUNTS = 1e-5  # of an amplitude: bias by the path of an exposure from which on it is taken off
 CLOSE, MOST_LOOKS = 3e-4, 6  # relative change of the motion within which it is known, and how often that is sought
-WIDEST_CELL = 0.35  # periods of a line
 SETTLED = 3e-3  # the largest one at the end of which nothing is said
 
 
@@ -71,7 +70,7 @@ def _told(measured: StereoMotion, frequency_hz: FloatArray, bias: float, left: f
         told.append(Notice("info", text, "row_time"))
         side = float(np.max(np.abs(measured.sight.pair.row_time))) * turned.side_px * float(frequency_hz.max())
         if side > WIDEST_CELL:
-            text = f"rows of one cell span {side:.2g} periods of {frequency_hz.max():.6g} Hz: smaller subsets would do"
+            text = f"the rows of the smallest cells span {side:.2g} periods of {frequency_hz.max():.6g} Hz"
             told.append(Notice("warning", f"{text}; what that does to its phasors is not in U", "row_time"))
     if bias > BLUR_COUNTS:
         text = (

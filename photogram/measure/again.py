@@ -36,6 +36,7 @@ Carried = tuple[FloatArray, FloatArray]
 ROUNDS = 2  # of places, and the instants of the rows that show them
 PATH_TIMES = 16  # Gauss-Legendre, in which the path of an exposure is summed up
 BAND_PX = 24  # rows that are blurred alike where they are exposed one after the other
+WIDEST_CELL = 1.0 / 3.0  # periods of a line, in which the rows of one cell are exposed
 MOST_POINTS = 200  # of a surface that tell how their paths differ
 
 
@@ -59,6 +60,11 @@ class Swing(Arrays, shapes="frequency_hz K; phasors K 6; time_s F"):
     def rolls(self) -> bool:
         """Whether a camera exposes its rows one after the other."""
         return any(self.row_s)
+
+    @property
+    def per_row(self) -> float:
+        """Periods of the fastest line from row to row."""
+        return float(np.max(np.abs(self.row_s)) * self.frequency_hz.max())
 
     def pose(self, time_s: FloatArray, exposure_s: float) -> Carried:
         """Return the body's mean poses over exposures about instants (...)."""
@@ -279,7 +285,7 @@ def prepare_again(scene: BodyScene, swing: Swing) -> Again:
         seen = tuple(see_points(camera, rest_m) for camera in cameras_about(scene, rest_m))
         again = replace(scene, references=(left, right), rest_m=rest_m, seen=seen)
     splines = tuple(spline_of_image(image, scene.settings.degree) for image in scene.first)
-    views = body_views(again, splines)
+    views = body_views(again, splines, WIDEST_CELL / swing.per_row if swing.rolls else np.inf)
     if swing.rolls:
         views = tuple(_with_instants(again, swing, side, view) for side, view in enumerate(views))
     again = replace(again, views=views, near=(), noise=None, lead=(), blocks=())

@@ -49,6 +49,7 @@ FEWEST_CONTINUED = 6
 LARGEST_LEFT = 8.0
 """Standard uncertainties of a motion, rms of the last frames, that its terms may leave: less than half of the step that
 may be the last one of a fit."""
+LEAST_CELL_PX = 9  # of which gain and offset leave most of what its pixels tell
 FITS_KEPT = 128  # as far back as sines are fitted that foretell many frames
 FEW_MORE = 1.25  # times the frames wanted, below which subsets are looked for in all
 LOUDER = 4.0
@@ -367,9 +368,9 @@ def cameras_about(scene: BodyScene, rest_m: FloatArray) -> tuple[PlacedCamera, .
     return tuple(PlacedCamera(camera, from_left @ left_from_body) for camera, from_left in scene.rig.placed)
 
 
-def body_views(scene: BodyScene, splines: Splines) -> tuple[BodyView, ...]:
-    """The body at rest in each camera, all pixels equally trusted."""
-    side_px, shapes = 2 * scene.settings.radius_px + 1, scene.shapes
+def body_views(scene: BodyScene, splines: Splines, most_px: float = np.inf) -> tuple[BodyView, ...]:
+    """The body at rest in each camera, all pixels equally trusted, in cells as large as subsets or as they may be."""
+    side_px, shapes = max(LEAST_CELL_PX, int(min(2 * scene.settings.radius_px + 1, most_px))), scene.shapes
     return tuple(
         view_body(one.camera, (spline, area, float(images.full_scale)), one.points_m, side_px, UNIFORM, shapes)
         for one, spline, area, images in zip(scene.seen, splines, scene.grid.areas, scene.images, strict=True)
