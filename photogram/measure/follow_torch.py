@@ -54,7 +54,9 @@ def found_together(course: Course, frames: range, device: str) -> Iterator[Follo
     for batch in _read_ahead(course, frames, device):
         done = 0
         while done < len(batch.numbers):
-            starts = foretold_poses(course, len(batch.numbers) - done)
+            starts = course.continued(batch.numbers[done:])
+            if len(starts) == 0:
+                starts = foretold_poses(course, len(batch.numbers) - done)
             here, lost = batch.part(done, max(1, len(starts))), False
             found = engine.find(here, starts) if len(starts) else [None]
             for number, images, one in zip(here.numbers, here.images, found, strict=True):
