@@ -47,8 +47,8 @@ FORETELLING = 4
 FEWEST_CONTINUED = 6
 """Frames in a row that a mean and one line are fitted to, to foretell the next."""
 LARGEST_LEFT = 8.0
-"""Standard uncertainties that a motion foretold by its terms may be off: less than half of the step that may be the last
-one of a fit."""
+"""Standard uncertainties by which a motion that its terms foretell may be off: less than half of the step that may be
+the last one of a fit."""
 FITS_KEPT = 128  # as far back as sines are fitted that foretell many frames
 FEW_MORE = 1.25  # times the frames wanted, below which subsets are looked for in all
 LOUDER = 4.0
