@@ -1,4 +1,4 @@
-"""Six components of two bodies from four cameras of 1.3 Mpx by the batched engine: on a GPU timed, elsewhere counted.
+"""Six components of two bodies from four cameras of 1.3 Mpx by the batched engine: counted, and timed on a GPU.
 
 Usage: python benchmarks/gpu.py [--device auto|cpu|cuda] [--frames 1025] [--keep FOLDER] [--docs docs]
 
@@ -8,8 +8,11 @@ both bodies at once; beside it the parts: decoding, transfer, prefilter, subsets
 the motion is from the CPU's, in its standard uncertainties, when both are iterated to the end, and which frames each
 rejects.
 
-With --docs the table goes to performance.md there. Asked of an H200: 2·10⁶ subsets of 31 x 31 px/s, 1000 pictures/s of
-1.3 Mpx for the six components, four cameras followed faster than the 53 frames/s at which they are taken.
+Counted everywhere, the line of the motion known and unknown: batches, and how often a frame is compared with all cells.
+
+With --docs both tables go to performance.md there, from a GPU only. Asked of an H200: 2·10⁶ subsets of 31 x 31 px/s,
+1000 pictures/s of 1.3 Mpx for the six components, four cameras followed faster than the 53 frames/s at which they are
+taken.
 """
 
 from __future__ import annotations
@@ -20,7 +23,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +34,8 @@ from marked import markdown_table, write_marked
 from photogram.direct import fit, fit_torch
 from photogram.direct.fit_torch import fit_frames, torch_view
 from photogram.images.sequence import ImageSequence
-from photogram.measure.follow import BodyScene, follow_block, prepare_body
+from photogram.measure import follow_torch
+from photogram.measure.follow import BodyScene, KnownBody, follow_block, prepare_body, sine_terms
 from photogram.measure.follow_torch import MOST_FRAMES
 from photogram.subsets.icgn import TrackSettings
 from photogram.subsets.icgn_torch import PRECISION, register_frames, splines_of, torch_reference, uploaded
@@ -52,14 +56,14 @@ class Body:
 
 
 def bodies(folder: Path, frames: int) -> list[Body]:
-    """Both bodies with so many frames, of which pictures come from memory."""
-    found = []
+    """Both bodies with so many frames, of which pictures come from memory, and whose line is known."""
+    found, known = [], KnownBody(terms=sine_terms(np.arange(frames, dtype=np.float64), np.array([1.0 / POSES])))
     for setup in setups():
         rig, (left_from_world, _) = cameras_from_world(setup)
         files = [sequence_of(folder / camera_folder(setup, side), setup, POSES + 1) for side in SIDES]
         pictures = tuple(np.stack([one.read(k) for k in range(POSES + 1)]) for one in files)
         images = tuple(repeated(stack, one, frames) for stack, one in zip(pictures, files, strict=True))
-        scene = prepare_body((images[0], images[1]), rig, left_from_world.inverse(), SETTINGS)
+        scene = prepare_body((images[0], images[1]), rig, left_from_world.inverse(), SETTINGS, known=known)
         found.append(Body(scene, (pictures[0], pictures[1])))
     return found
 
@@ -88,6 +92,34 @@ def agreement(some: list[Body], device: str) -> tuple[float, int]:
             worst = max(worst, float(np.max(np.abs(other.moved.pose - one.moved.pose) / u)))
     fit.LEFT_OVER = fit_torch.LEFT_OVER = usual
     return worst, unlike
+
+
+def counted(some: list[Body], device: str) -> str:
+    """The table of what `COMPARED` frames of each body take, their line known and unknown."""
+    rows, compared, batches = list[str](), list[int](), list[int]()
+    compare, fit_all = fit_torch._compared, fit_frames
+
+    def comparing(view, frames, number, *motion):
+        compared.append(len(number))
+        return compare(view, frames, number, *motion)
+
+    def fitted(views, targets, starts):
+        batches.append(len(starts))
+        return fit_all(views, targets, starts)
+
+    fit_torch._compared, follow_torch.fit_frames = comparing, fitted
+    for name, scenes in (
+        ("known", [body.scene for body in some]),
+        ("unknown", [replace(body.scene, body=KnownBody()) for body in some]),
+    ):
+        compared.clear(), batches.clear()
+        for scene in scenes:
+            follow_block(scene, range(2, 2 + COMPARED), device)
+        views, frames = len(some[0].scene.views), COMPARED * len(some)
+        steps, all_cells = len(compared) // views, sum(compared) / views / frames
+        rows.append(f"| {name} | {', '.join(map(str, batches))} | {steps} | {all_cells:.2f} |")
+    fit_torch._compared, follow_torch.fit_frames = compare, fit_all
+    return markdown_table("| line | frames of the batches, both bodies | steps | comparisons of a frame |", rows)
 
 
 def seconds(act: Callable[[], object]) -> float:
@@ -173,7 +205,8 @@ def main() -> None:
         if not (folder / camera_folder(next(setups()), SIDES[0])).is_dir():
             write_recording(folder, POSES + 1)
         some = bodies(folder, options.frames)
-        worst, unlike = agreement(some, "cpu:0" if device == "cpu" else device)
+        there = "cpu:0" if device == "cpu" else device
+        (worst, unlike), counts = agreement(some, there), counted(some, there)
         table = timed(some, folder, device) if device != "cpu" else "No GPU here: nothing is timed."
     where = "torch's CPU device" if device == "cpu" else torch.cuda.get_device_name()
     told = (
@@ -181,9 +214,10 @@ def main() -> None:
     )
     told += "both are iterated to the end; "
     told += f"frames that only one of them rejects: {unlike}."
-    print(f"{table}\n\n{told}")
+    text = f"{table}\n\n{told}\n\n{counts}"
+    print(text)
     if options.docs and device != "cpu":
-        write_marked(options.docs / "performance.md", {"gpu": f"{table}\n\n{told}"})
+        write_marked(options.docs / "performance.md", {"gpu": text})
 
 
 if __name__ == "__main__":

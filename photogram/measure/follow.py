@@ -47,8 +47,8 @@ FORETELLING = 4
 FEWEST_CONTINUED = 6
 """Frames in a row that a mean and one line are fitted to, to foretell the next."""
 LARGEST_LEFT = 8.0
-"""Standard uncertainties of a motion, rms of the last frames, that its terms may leave: less than half of the step that
-may be the last one of a fit."""
+"""Standard uncertainties by which a motion that its terms foretell may be off: less than half of the step that may be
+the last one of a fit."""
 LEAST_CELL_PX = 9  # of which gain and offset leave most of what its pixels tell
 FITS_KEPT = 128  # as far back as sines are fitted that foretell many frames
 FEW_MORE = 1.25  # times the frames wanted, below which subsets are looked for in all
@@ -233,26 +233,34 @@ class Course:
         """
         if len(self.fits) < FORETELLING:
             return None
-        scene, start = self.scene, self._continued(number)
-        if start is None:
+        scene, along = self.scene, self.continued(range(number, number + 1))
+        start: RigidTransform | None
+        if len(along):
+            start = RigidTransform.from_pose(along[0])
+        else:
             start = foretold_motion(self.fits)
             start = approach(scene.near, splines, start) if scene.near else start
         fit = None if start is None else fit_direct(scene.views, splines, start)
         return None if fit is None or too_loud(fit, self.fits) else fit
 
-    def _continued(self, number: int) -> RigidTransform | None:
-        """Where the terms of the motion take the body in a frame, half as many as there are frames before it; None
-        where they do not describe the last of those."""
+    def continued(self, numbers: range) -> FloatArray:
+        """Where the terms of the motion take the body in the next frames, `numbers`: poses (n, 6) of as many of them
+        as are foretold.
+
+        Half as many terms as there are frames before them, by least squares. A frame is foretold if s·√(1 + |w|²) is
+        less than `LARGEST_LEFT`: w what each pose so far weighs in the frame's, s the rms that the terms leave of the
+        last of them.
+        """
         terms, count = self.scene.body.terms, len(self.fits)
         if terms is None or count < FEWEST_CONTINUED:
-            return None
-        used = terms[number - count : number + 1, : (count // 2 - 1) | 1]
+            return np.empty((0, 6))
+        used = terms[numbers.start - count : numbers.stop, : (count // 2 - 1) | 1].T
+        weight = np.linalg.lstsq(used[:, :count], used, rcond=None)[0].T
         poses = np.array([fit.moved.pose for fit in self.fits])
-        parts = np.linalg.lstsq(used[:-1], poses, rcond=None)[0]
-        left = (poses - used[:-1] @ parts)[-FORETELLING:] / np.sqrt(np.diagonal(self.fits[-1].covariance))
-        if not np.sqrt(np.mean(np.sum(left**2, axis=1))) < LARGEST_LEFT:
-            return None
-        return RigidTransform.from_pose(used[-1] @ parts)
+        along = weight @ poses
+        left = (poses - along[:count])[-FORETELLING:] / np.sqrt(np.diagonal(self.fits[-1].covariance))
+        off = np.sqrt(np.mean(np.sum(left**2, axis=1)) * (1.0 + np.sum(weight[count:] ** 2, axis=1)))
+        return np.asarray(along[count:][np.logical_and.accumulate(off < LARGEST_LEFT)])
 
     def starts(self, fit: DirectFit | None) -> list[FloatArray | None]:
         """Where each camera's subsets are to be looked for: where a fit takes those that were found last, else where

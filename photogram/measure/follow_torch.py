@@ -54,7 +54,9 @@ def found_together(course: Course, frames: range, device: str) -> Iterator[Follo
     for batch in _read_ahead(course, frames, device):
         done = 0
         while done < len(batch.numbers):
-            starts = foretold_poses(course, len(batch.numbers) - done)
+            starts = course.continued(batch.numbers[done:])
+            if len(starts) == 0:
+                starts = foretold_poses(course, len(batch.numbers) - done)
             here, lost = batch.part(done, max(1, len(starts))), False
             found = engine.find(here, starts) if len(starts) else [None]
             for number, images, one in zip(here.numbers, here.images, found, strict=True):
@@ -153,6 +155,7 @@ class _Engine:
 FEWEST = 8  # frames to which sines are fitted
 LINES = 4
 TRUSTED_PX, CLOSE_PX = 0.5, 0.05
+NEAR_PX = 3.0  # rms, from which a body is found, mostly
 POINTS = 16
 FINER, REFINEMENTS = 33, 4
 
@@ -166,9 +169,10 @@ def foretold_poses(course: Course, most: int) -> FloatArray:
     """Return the poses (n, 6) that the fits so far foretell of the next frames, at most so many; none from no fits.
 
     The body stays where it was, or moves by up to `LINES` sines about a drifting mean, taken from the strongest on:
-    whatever would have foretold the last quarter of the frames best. No more frames are foretold than there were, and
-    only the next one, by `foretold_motion`, where that last quarter would have been missed by half a pixel. After
-    fewer than `FORETELLING` frames it is looked for near the last place in `FIRST_FRAMES`, which finds small motions.
+    whatever would have foretold the last quarter of the frames best. No more frames are foretold than there were. Where
+    that last quarter would have been missed by half a pixel, they are looked for from the mean place, if none was far
+    from it; else only the next one is foretold, by `foretold_motion`. After fewer than `FORETELLING` frames it are
+    `FIRST_FRAMES` from the mean place, the first ones from half way between rest and the lead.
     """
     fits = fits_before(course)
     if not fits:
@@ -176,14 +180,17 @@ def foretold_poses(course: Course, most: int) -> FloatArray:
     turned = vector_from_rotation(np.array([fit.moved.rotation for fit in fits]))
     poses = np.hstack([np.array([fit.moved.translation_m for fit in fits]), turned])
     if len(fits) < FORETELLING:
-        return np.tile(poses[-1], (min(most, FIRST_FRAMES), 1))
+        middle = np.mean(poses if course.fits else [np.zeros(6), *poses], axis=0)
+        return np.tile(middle, (min(most, FIRST_FRAMES), 1))
     tested = len(fits) // 4
     count, known = min(most, len(fits)), len(fits) - tested
     rates = np.concatenate([seen.rates[np.isfinite(seen.rates).all(axis=(1, 2))] for seen in course.scene.seen])
     moved_px = poses @ rates[:: max(1, len(rates) // POINTS)].reshape(-1, 6).T
     lines, miss = _lines_of(moved_px[:known], moved_px[known:]) if count > 1 and known >= FEWEST else (0, np.inf)
     if miss > TRUSTED_PX:
-        return foretold_motion(fits).pose[None]
+        off_px = np.sqrt(np.mean((moved_px - moved_px.mean(axis=0)) ** 2, axis=1))
+        near = np.max(off_px) < NEAR_PX
+        return np.tile(poses.mean(axis=0), (count, 1)) if near else foretold_motion(fits).pose[None]
     if lines == 0:
         return np.tile(poses[-1], (count, 1))
     frequencies = np.zeros(0)

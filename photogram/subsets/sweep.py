@@ -73,6 +73,8 @@ def line_starts(
     offsets = np.stack([grid.ravel() for grid in np.meshgrid(steps, steps)], axis=1)
     grey = _seen_at(left, points_px[:, None] + offsets)
     grey -= grey.mean(axis=1, keepdims=True)
+    length = np.linalg.norm(grey, axis=1, keepdims=True)
+    grey /= np.where(length > 0.0, length, np.nan)
     starts, along = (np.full((PEAKS, len(points_px), parts), np.nan) for parts in (6, 2))
     for n in np.flatnonzero((count > 1) & np.isfinite(grey[:, 0])):
         line = lines.right_px[n, : count[n]]
@@ -278,9 +280,9 @@ def _sweep(strip, origin, maps, grey, offsets, beside, outcome):  # type: ignore
     """Fill outcome: the best correlation (K,) at each place over tilts and lines, and which tilt and line it is.
 
     strip: grey values about the line, which begins at `origin`; grey (P,): those of the subset at its offsets (P,2),
-    which maps (B,T,2,2) carry into the strip.
+    normalised, which maps (B,T,2,2) carry into the strip.
     """
-    (score, tilt, line), energy, count = outcome, np.sum(grey * grey), grey.size
+    (score, tilt, line), count = outcome, grey.size
     total, square, product = np.empty((3, PLACES))
     for block in range(maps.shape[0]):
         first = block * PLACES
@@ -305,7 +307,7 @@ def _sweep(strip, origin, maps, grey, offsets, beside, outcome):  # type: ignore
                         square[k] += value * value
                         product[k] += value * own
                 for k in range(min(PLACES, score.size - first)):
-                    spread = (square[k] - total[k] * total[k] / count) * energy
+                    spread = square[k] - total[k] * total[k] / count
                     if spread > 0.0 and product[k] > score[first + k] * math.sqrt(spread):
                         score[first + k] = product[k] / math.sqrt(spread)
                         tilt[first + k], line[first + k] = t, j
@@ -343,22 +345,21 @@ def _climb(image, points, grey, offsets, starts, along):  # type: ignore[no-unty
 
 @njit(error_model="numpy")
 def _zncc(image, x, y, warp, subset):  # type: ignore[no-untyped-def]
-    """Zero-normalised correlation of a subset around (x, y) with its image by a warp (6,); −1 beyond the image."""
+    """Correlation of a normalised subset around (x, y) with its image by a warp (6,), likewise; −1 beyond the image."""
     (u, a, b, v, c, d), (grey, offsets) = warp, subset
     a, d, x, y = 1.0 + a, 1.0 + d, x + u, y + v
     reach = -offsets[0, 0]
     wide, high = reach * (abs(a) + abs(b)), reach * (abs(c) + abs(d))
     if not (wide <= x < image.shape[1] - 1 - wide and high <= y < image.shape[0] - 1 - high):
         return -1.0
-    total, square, product, energy = 0.0, 0.0, 0.0, 0.0
+    total, square, product = 0.0, 0.0, 0.0
     for p in range(grey.size):
         dx, dy, own = offsets[p, 0], offsets[p, 1], grey[p]
         value = _bilinear(image, x + a * dx + b * dy, y + c * dx + d * dy)
         total += value
         square += value * value
         product += value * own
-        energy += own * own
-    spread = (square - total * total / grey.size) * energy
+    spread = square - total * total / grey.size
     return product / math.sqrt(spread) if spread > 0.0 else -1.0
 
 

@@ -29,7 +29,8 @@ from photogram.epipolar import check_epipolar
 from photogram.geometry import RigidTransform
 from photogram.images.noise import NoiseModel
 from photogram.images.sequence import ImageSequence
-from photogram.measure import follow
+from photogram.measure import follow, follow_torch
+from photogram.measure.again import Swing, prepare_again
 from photogram.measure.body import BodyMotion, body_motion, measure_body
 from photogram.measure.follow import Course, FollowedBlock, KnownBody, follow_block, prepare_body, sine_terms
 from photogram.measure.follow_torch import foretold_poses
@@ -191,6 +192,14 @@ def test_blocks_can_be_followed_elsewhere_and_in_any_order(series, measured):
         assert getattr(whole.motion, name).tobytes() == getattr(again.motion, name).tobytes()
     assert whole.tracks.left.position_px.tobytes() == again.tracks.left.position_px.tobytes()
     assert whole.notices == again.notices
+
+
+@pytest.mark.parametrize(("row_s", "side_px"), [(0.0, 17), (5e-6, 17), (20e-6, 16), (-20e-6, 16), (100e-6, 9)])
+def test_the_rows_of_a_cell_span_a_third_of_a_period(series, row_s, side_px):
+    """20 µs times 16 rows are 0.32 of a period of 1 kHz; cells of less than 9 px tell too little."""
+    prepared = prepare_body(*series)
+    swing = Swing(np.array([250.0, 1000.0]), np.zeros((2, 6), complex), np.arange(8) / 50.0, 1e-4, (row_s, 0.0), False)
+    assert {view.cells.side_px for view in prepare_again(prepared, swing).scene.views} == {side_px}
 
 
 @pytest.mark.parametrize("length", [1, 3, 5])
@@ -580,7 +589,40 @@ def test_a_body_followed_on_a_device_moves_as_on_the_cpu(series, device, monkeyp
     assert np.array_equal(there.tracks.left.status, here.tracks.left.status)
 
 
-def course_of(poses: np.ndarray) -> Course:
+SWINGS = (0.17, 0.6, 1.3, 2.2, 2.9)  # rad per frame, more than are looked for in the motion
+
+
+def test_known_lines_foretell_the_rest_of_a_batch_on_a_device_which_is_compared_once(monkeypatch):
+    """Counted: steps and comparisons of a frame. The motion is as the CPU's within what both leave."""
+    count = np.arange(40)
+    poses = sum(np.sin(line * count + k)[:, None] * np.roll(0.06 * SWING, k) for k, line in enumerate(SWINGS))
+    images, *others = rendered(poses - poses[0], (0.015, 0.013), (100, 90), 43)
+    compared, batches = list[int](), list[tuple[int, float]]()
+    compare, fit_all = fit_torch._compared, follow_torch.fit_frames
+
+    def comparing(view, frames, number, *motion):
+        compared.append(len(number))
+        return compare(view, frames, number, *motion)
+
+    def fitted(views, targets, starts):
+        compared.clear()
+        found = fit_all(views, targets, starts)
+        batches.append((len(starts), sum(compared) / len(views) / len(starts)))
+        return found
+
+    monkeypatch.setattr(fit_torch, "_compared", comparing)
+    monkeypatch.setattr(follow_torch, "fit_frames", fitted)
+    known = KnownBody(terms=sine_terms(count.astype(np.float64), np.array(SWINGS) / (2.0 * np.pi)))
+    scene = prepare_body(images, *others, SEPTIC, device="cpu:0", known=known)
+    (block,) = scene.blocks
+    here, there = ([fit for _, fit in follow_block(scene, block, where)] for where in ("cpu", "cpu:0"))
+    assert [frames for frames, _ in batches] == [12, 12, 14]
+    assert batches[-1][1] <= 1.1
+    for one, other in zip(here, there, strict=True):
+        assert np.max(np.abs(other.moved.pose - one.moved.pose) / sigma(one.covariance)) < 0.1
+
+
+def course_of(poses: np.ndarray, terms: np.ndarray | None = None) -> Course:
     """A body whose frames so far gave these poses, and of which 20 points are seen at 1 px by 0.1 mm or 2 mrad."""
     rng = np.random.default_rng(29)
     rates = rng.normal(0.0, [1e4, 1e4, 1e4, 500, 500, 500], (20, 2, 6))
@@ -588,7 +630,8 @@ def course_of(poses: np.ndarray) -> Course:
     fits = [
         DirectFit(RigidTransform.from_pose(pose), covariance, 1.0, 99, np.zeros(0), np.zeros((0, 0))) for pose in poses
     ]
-    scene = SimpleNamespace(seen=[SimpleNamespace(rates=rates)], lead=((None, fits[0]),) if fits else ())
+    lead, known = ((None, fits[0]),) if fits else (), KnownBody(terms=terms)
+    scene = SimpleNamespace(seen=[SimpleNamespace(rates=rates)], lead=lead, body=known)
     return cast("Course", SimpleNamespace(fits=fits, scene=scene))
 
 
@@ -608,14 +651,41 @@ def test_sines_are_foretold_over_a_whole_batch(lines):
 
 
 def test_rest_is_expected_to_stay_and_what_cannot_be_foretold_is_taken_frame_by_frame():
-    """Rest, random motion, too few frames for sines, too few for any rule, none."""
+    """Rest, random motion, too few frames for sines, random motion near its mean, too few for any rule, none."""
     rng = np.random.default_rng(31)
     rest, jumps = rng.normal(0, 1e-6, (20, 6)), rng.normal(0, 1e-3, (20, 6))
     np.testing.assert_allclose(foretold_poses(course_of(rest), 12), np.tile(rest[-1], (12, 1)), atol=1e-12)
     for past in (jumps, jumps[:8]):
         assert foretold_poses(course_of(past), 12).shape == (1, 6)
-    np.testing.assert_allclose(foretold_poses(course_of(jumps[:3]), 9), np.tile(jumps[2], (9, 1)), atol=1e-12)
+    mean = np.tile(0.05 * jumps.mean(axis=0), (12, 1))
+    np.testing.assert_allclose(foretold_poses(course_of(0.05 * jumps), 12), mean, atol=1e-12)
+    mean = np.tile(jumps[:3].mean(axis=0), (9, 1))
+    np.testing.assert_allclose(foretold_poses(course_of(jumps[:3]), 9), mean, atol=1e-12)
     assert foretold_poses(course_of(jumps[:0]), 9).shape == (0, 6)
+
+
+def test_known_lines_foretell_as_far_as_their_fit_is_certain():
+    """Monte Carlo: all frames, by lines that the first ones tell apart; by others the next few; none of a motion with
+    another line as well. What is foretold is within the step that may be the last one of a fit."""
+    rng, frames, u = np.random.default_rng(32), np.arange(120.0), np.array([1e-8, 1e-8, 1e-8, 1e-7, 1e-7, 1e-7])
+
+    def foretold(first: int, lines: tuple[float, ...], more: tuple[float, ...] = ()) -> tuple[int, float]:
+        """How many frames after the first ones, and how far off the worst of them is, in u."""
+        terms, moving = (sine_terms(frames / (2.0 * np.pi), np.array(own)) for own in (lines, lines + more))
+        truth = moving @ rng.normal(0.0, 1.0, (moving.shape[1], 6)) * AMPLITUDE
+        course = course_of(truth[:first] + rng.normal(0.0, 1.0, (first, 6)) * u, terms)
+        found = Course.continued(course, range(first, len(frames)))
+        off = np.linalg.norm((found - truth[first : first + len(found)]) / u, axis=1)
+        return len(found), float(np.max(off, initial=0.0))
+
+    for _ in range(20):
+        apart, close = foretold(12, (0.9, 2.1)), foretold(12, (0.9, 0.92))
+        assert apart[0] == 108
+        assert apart[1] < 5.0
+        assert 12 < close[0] < 60
+        assert close[1] < direct_fit.LARGEST_STEP
+        assert foretold(60, (0.9, 0.92))[0] == 60
+        assert foretold(12, (0.9,), (2.1,))[0] == 0
 
 
 # Cells of an area: every pixel once, sums against plain numpy, and the surface they lie on.
