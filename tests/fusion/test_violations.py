@@ -173,9 +173,9 @@ def test_lost_frames_are_renumbered(written: Callable[..., Path]) -> None:
 
 def test_a_wrong_violation_is_refused_in_one_sentence(tmp_path: Path, refused: Refused) -> None:
     for preset, text, said in (
-        ("sweep", "nonsense", "--violate: expected one of head-tilt, "),
-        ("sweep", "mass=-1", "--violate: expected a number above 0 of unit u for mass, found -1"),
-        ("sweep", "mass=five", "--violate: expected a number above 0 of unit u for mass, found five"),
+        ("demo", "nonsense", "--violate: expected one of head-tilt, "),
+        ("demo", "mass=-1", "--violate: expected a number above 0 of unit u for mass, found -1"),
+        ("demo", "mass=five", "--violate: expected a number above 0 of unit u for mass, found five"),
         ("sweep", "lamp-flicker", "--violate: expected a preset with images for lamp-flicker, found sweep"),
         ("matrix", "camera-shake", "--violate: expected a preset with cameras for camera-shake, found matrix"),
         ("steps", "mass", "--violate: expected one of the presets demo, nitsche2018, bending, room, "),
