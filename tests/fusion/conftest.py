@@ -13,8 +13,10 @@ from evaluation_factory import Choice, make_evaluation
 from recordings import once
 from support import DOCS, Refused, examples, refusals, without_pages
 
+from fusion import simulate_preset
 from fusion.base import Settings, versions
 from fusion.campaign.executor import one_blas_thread
+from fusion.cli import main
 from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.evaluate import evaluate_recording
@@ -108,9 +110,38 @@ def demo_evaluation(demo_recording: Path, tmp_path_factory: pytest.TempPathFacto
     return once(tmp_path_factory, "demo", evaluate)
 
 
+COMMANDS = {
+    "steps": "step",
+    "rotation": "rotate",
+    "loads": "load",
+    "chirp": "transfer",
+    "masses": "identify",
+    "elastomer": "elastomer",
+}
+
+
+@pytest.fixture(scope="session")
+def commanded(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Return a function that returns a simulated campaign with the results of its command, once per test run.
+
+    Several tests read there: who changes something copies it.
+    """
+
+    def made(preset: str) -> Path:
+        def write(folder: Path) -> Path:
+            simulate_preset(folder, preset, seed=1)
+            source = folder / "elastomer.toml" if preset == "elastomer" else folder
+            assert main([COMMANDS[preset], str(source), "-q"]) == 0
+            return folder
+
+        return once(tmp_path_factory, f"preset-{preset}", write)
+
+    return made
+
+
 @pytest.fixture
 def evaluated(monkeypatch: pytest.MonkeyPatch, ready_evaluation: Evaluation) -> list[str]:
-    """Put the ready evaluation in place of tracking and fusion, and no figures into the report.
+    """Put the ready evaluation in place of tracking and fusion, no figures into reports, no words into HDF5 files.
 
     The list returned tells the folders of the recordings that were evaluated.
     """
@@ -123,6 +154,7 @@ def evaluated(monkeypatch: pytest.MonkeyPatch, ready_evaluation: Evaluation) -> 
         )
 
     monkeypatch.setattr("fusion.campaign.run.evaluate_recording", evaluate)
+    monkeypatch.setattr("fusion.report.h5.describe", lambda _: None)
     without_pages(monkeypatch)
     return done
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import re
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from certificates import FORM, NAMES, SCHEMA, broken_rules, texts
 from lxml import etree
-from support import Refused, edit, rows, without_pages
+from support import Refused, edit, rows
 
-from fusion import simulate_preset
 from fusion.cli import main
 from fusion.recording.dcc import read_dcc
 from fusion.recording.load import load_manifest
@@ -21,19 +21,16 @@ NUMBERED = FORM.replace('model = "W6"', 'model = "W6"\ncustomer_number = "C-1"')
 RULES = SCHEMA.with_name("dcc.sch")
 
 
-def evaluated(folder: Path, preset: str, command: str) -> Path:
-    """A simulated campaign with the results of a command and a filled form."""
-    simulate_preset(folder, preset, seed=1)
-    with pytest.MonkeyPatch.context() as patch:
-        without_pages(patch)
-        assert main([command, str(folder), "-q"]) == 0
+def filled(source: Path, folder: Path) -> Path:
+    """A copy of a campaign with results, and a filled form."""
+    shutil.copytree(source, folder)
     (folder / "certificate.toml").write_text(NUMBERED, encoding="utf-8")
     return folder
 
 
 @pytest.fixture(scope="module")
-def rotated(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return evaluated(tmp_path_factory.mktemp("turned") / "rotation", "rotation", "rotate")
+def rotated(commanded: Callable[[str], Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return filled(commanded("rotation"), tmp_path_factory.mktemp("turned") / "rotation")
 
 
 def certified(folder: Path, out: Path) -> etree._Element:
@@ -110,8 +107,10 @@ def test_its_mass_is_an_input_of_the_next_recording(rotated, tmp_path, demo_reco
         ),
     ],
 )  # fmt: skip
-def test_numbers_of_other_commands_are_those_of_their_tables(preset, command, names, units, tmp_path) -> None:
-    folder = evaluated(tmp_path / preset, preset, command)
+def test_numbers_of_other_commands_are_those_of_their_tables(
+    preset, command, names, units, commanded, tmp_path
+) -> None:
+    folder = filled(commanded(preset), tmp_path / preset)
     root = certified(folder, tmp_path / "out")
     found, table = stated(root), rows(folder / command / SOURCES[command].table)
     assert [line[0] for line in found[: len(names)]] == names
@@ -145,8 +144,8 @@ def test_schematron_rules_find_what_is_wrong(rotated, tmp_path) -> None:
         assert any(role == "error" and said in told for role, told in broken_rules(wrong, RULES)), said
 
 
-def test_a_draft_names_the_method_and_what_is_missing_is_told(tmp_path, refused: Refused) -> None:
-    folder = evaluated(tmp_path / "rotation", "rotation", "rotate")
+def test_a_draft_names_the_method_and_what_is_missing_is_told(rotated, tmp_path, refused: Refused) -> None:
+    folder = filled(rotated, tmp_path / "rotation")
     (folder / "certificate.toml").unlink()
     assert main(["certificate", str(folder), "--draft"]) == 0
     assert 'method = "Rotation in gravity' in (folder / "certificate.toml").read_text(encoding="utf-8")

@@ -430,9 +430,9 @@ def test_a_band_that_a_peak_may_cut_short_is_covered(tmp_path):
 
 @pytest.mark.slow
 def test_bands_and_overshoot_of_simulated_campaigns_hold_the_truth(monkeypatch):
-    """Each of 18 figures per row is held 95 times in 100: fewer than 15 are seen by chance once in 90."""
+    """Each of 12 figures per row is held 95 times in 100: fewer than 10 are seen by chance once in 50."""
     monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
     found = import_module("steps").errors_over_u
-    ratio = np.abs(np.array([one for seed in (1, 3, 6) for one in found(seed).values()]))
-    assert ratio.shape == (18, 3, 2)
-    assert np.min(np.sum(ratio <= 1.0, axis=0)) >= 15
+    ratio = np.abs(np.array([one for seed in (1, 3) for one in found(seed).values()]))
+    assert ratio.shape == (12, 3, 2)
+    assert np.min(np.sum(ratio <= 1.0, axis=0)) >= 10

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import h5py
@@ -122,17 +123,19 @@ def test_phasors_are_equal_in_every_format(tmp_path, suffix):
     assert {a.body for a in evaluation.accelerations} == {"load", "base"}
 
 
-@pytest.fixture
-def shaker(data_dir: Path, tmp_path: Path) -> Callable[[int], Evaluation]:
-    """Return a function that evaluates a real shaker's record of three tones, downsampled by a factor."""
+@pytest.fixture(scope="module")
+def shaker(data_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], Evaluation]:
+    """Return a function that evaluates a real shaker's record of three tones, downsampled by a factor, once."""
 
+    @cache
     def of(factor: int) -> Evaluation:
+        folder = tmp_path_factory.mktemp("shaker")
         source = data_dir / "shaker_three_tone" / f"data_set_1_downsampled_by_{factor}.lvm"
-        (tmp_path / "shaker.lvm").write_bytes(source.read_bytes())
+        (folder / "shaker.lvm").write_bytes(source.read_bytes())
         force = channel("Force", "force", scale=4.4482216)
         drive = channel("Voltage", "voltage")
         top = acceleration("Acceleratio", scale=GRAVITY)
-        return evaluate(tmp_path, "[100.0, 120.0, 150.0]", 'file = "shaker.lvm"\n' + top + force + drive)
+        return evaluate(folder, "[100.0, 120.0, 150.0]", 'file = "shaker.lvm"\n' + top + force + drive)
 
     return of
 

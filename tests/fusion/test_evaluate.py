@@ -178,7 +178,7 @@ def test_subsets_that_are_lost_now_and_then_tell_what_the_calibration_does(tmp_p
         losing(0.7)
 
 
-TRIALS = 12
+TRIALS = 10
 
 
 @pytest.mark.slow
@@ -187,7 +187,7 @@ def test_regions_hold_the_truth_from_tracks_and_channels(case):
     counts = coverage_tracks.run_case(case, range(1, TRIALS + 1))
     for quantity in (counts.acceleration, counts.load, counts.sensitivity):
         for tally in quantity:
-            # 95 % regions of a dozen independent recordings: fewer hits happen once in 100 000 components
+            # 95 % regions of ten independent recordings: fewer hits happen once in 100 000 components
             assert not tally.errors or np.sum(tally.covered) >= binom.ppf(1e-5, len(tally.errors), 0.95)
     driven = counts.sensitivity[case.driven]
     assert np.max(np.abs(driven.normalised)) < 4.5

@@ -113,7 +113,7 @@ def tilted(rng: np.random.Generator, common: float, own: float) -> list[complex]
     ]
 
 
-MANY = pytest.mark.parametrize("trials", [40, pytest.param(400, marks=pytest.mark.slow)])
+MANY = pytest.mark.parametrize("trials", [40, pytest.param(200, marks=pytest.mark.slow)])
 
 
 @MANY

@@ -184,9 +184,8 @@ def test_a_recording_of_one_laser_and_one_pair_asks_for_less_than_15_values(tmp_
 
 @pytest.mark.parametrize("preset", ["sweep", "matrix"])
 def test_presets_drafted_and_filled_in_are_what_they_were(tmp_path, preset):
-    source = simulate(tmp_path / "source", preset, 1)
-    folder = tmp_path / "drafted"
-    one = next(iter(sorted(source.glob("*/recording.toml")))).parent
+    source, folder = tmp_path / "source", tmp_path / "drafted"
+    one = simulate(source, preset, 1, recordings=1)
     stripped(one, folder / one.name)
     run_init(folder)
     for name in ("rig.toml", f"{one.name}/recording.toml"):

@@ -149,7 +149,7 @@ def test_noise_that_was_estimated_is_in_draws_as_in_first_order(dof, least):
 
 
 @pytest.mark.parametrize(
-    ("count", "dof", "trials"), [(3, 4.0, 400), pytest.param(2, 3.0, 2000, marks=pytest.mark.slow)]
+    ("count", "dof", "trials"), [(3, 4.0, 400), pytest.param(2, 3.0, 1000, marks=pytest.mark.slow)]
 )
 def test_a_mean_weighted_by_estimated_noise_holds(count, dof, trials):
     """True noise of 1e-3, estimated with few degrees of freedom: 400 means, two parts each, fix 95 % to 0.8 %."""

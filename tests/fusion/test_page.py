@@ -14,7 +14,6 @@ import pytest
 from browsing import Page
 from evaluation_factory import make_evaluation
 
-from fusion.cli import main
 from fusion.report.figure import RED, Figure, Scale, sheet
 from fusion.report.recording import render_report, write_results
 
@@ -91,24 +90,21 @@ def test_every_figure_of_a_report_is_drawn(browser, results, scheme):
     opened.close()
 
 
-COMMANDS = {
-    "steps": ("step", "step.html"),
-    "rotation": ("rotate", "rotation.html"),
-    "loads": ("load", "load.html"),
-    "chirp": ("transfer", "transfer.html"),
-    "masses": ("identify", "identify.html"),
-    "elastomer": ("elastomer", "elastomer.html"),
+PAGES = {
+    "steps": "step.html",
+    "rotation": "rotation.html",
+    "loads": "load.html",
+    "chirp": "transfer.html",
+    "masses": "identify.html",
+    "elastomer": "elastomer.html",
 }
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("preset", COMMANDS)
-def test_every_figure_of_every_command_is_drawn(browser, preset, tmp_path):
-    command, name = COMMANDS[preset]
-    assert main(["simulate", str(tmp_path / "made"), "--preset", preset, "-q"]) == 0
-    source = tmp_path / "made" / ("elastomer.toml" if preset == "elastomer" else "")
-    assert main([command, str(source), "-o", str(tmp_path / "out"), "-q"]) == 0
-    opened = Page(browser, tmp_path / "out" / name)
+@pytest.mark.parametrize("preset", PAGES)
+def test_every_figure_of_every_command_is_drawn(browser, preset, commanded):
+    (page,) = commanded(preset).rglob(PAGES[preset])
+    opened = Page(browser, page)
     names = opened.page.eval_on_selector_all("figure[data-figure]", "all => all.map((one) => one.dataset.figure)")
     assert names or opened.page.locator("figure img").count()
     for figure in names:

@@ -365,8 +365,8 @@ def simulated_mean(folder: Path, seed: int, *, anew: bool) -> tuple[Repeats, Rep
 @pytest.mark.slow
 @pytest.mark.parametrize("anew", [False, True])
 def test_phases_of_means_are_covered_however_the_recorders_start(tmp_path, anew: bool):
-    over = []
-    for seed in range(20):
+    over, draws = [], 12
+    for seed in range(draws):
         *means, truth = simulated_mean(tmp_path / f"{seed}", seed, anew=anew)
         row = []
         for mean in means:
@@ -377,11 +377,11 @@ def test_phases_of_means_are_covered_however_the_recorders_start(tmp_path, anew:
         over.append(row)
     error, expanded = np.moveaxis(np.array(over), 2, 0)
     held = np.sum(error <= expanded, axis=0)
-    assert held[0] >= binom.ppf(5e-3, 20, 0.95)
+    assert held[0] >= binom.ppf(5e-3, draws, 0.95)
     if anew:
         np.testing.assert_array_equal(expanded[:, 0], expanded[:, 1])
     else:
-        assert held[1] < binom.ppf(5e-3, 20, 0.95)
+        assert held[1] < binom.ppf(5e-3, draws, 0.95)
 
 
 @pytest.mark.parametrize("turned", [0.01, 0.1])

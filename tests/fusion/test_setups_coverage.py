@@ -125,7 +125,7 @@ def _analyse(rng: np.random.Generator, rig: Rig, drift: float) -> Analysis:
 
 @pytest.mark.parametrize(
     ("trials", "drift"),
-    [(30, DRIFT), pytest.param(150, 0.0, marks=pytest.mark.slow), pytest.param(150, DRIFT, marks=pytest.mark.slow)],
+    [(30, DRIFT), pytest.param(100, 0.0, marks=pytest.mark.slow), pytest.param(100, DRIFT, marks=pytest.mark.slow)],
 )
 def test_regions_hold_the_truth_as_often_as_stated(rig, trials, drift):
     """Of both bodies' acceleration along z and of the sensitivity."""

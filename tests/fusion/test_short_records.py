@@ -171,7 +171,7 @@ def test_less_than_a_third_of_a_beat_is_left_out_with_its_harmonics():
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("beats", "noise", "trials"),
-    [(0.38, 1.0, 200), (0.46, 0.3, 200), (0.61, 1.0, 200), (0.91, 0.3, 200), (1.5, 1.0, 80), (3.0, 1.0, 80)],
+    [(0.38, 1.0, 100), (0.46, 0.3, 100), (0.61, 1.0, 100), (0.91, 0.3, 100), (1.5, 1.0, 50), (3.0, 1.0, 50)],
 )
 def test_records_of_any_length_err_as_they_state(beats, noise, trials):
     share, _ = held_over(beats, trials, noise, 2)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -175,12 +174,8 @@ METHODS = ["pencil", "arx", "sim", "sim_zoh", "evolution", "evolution_coefficien
 
 
 @pytest.mark.slow
-def test_the_amplifier_is_in_bands_and_their_u_even_where_it_hides(tmp_path):
-    campaign = tmp_path / "campaign"
-    assert main(["simulate", str(campaign), "--preset", "steps", "-q"]) == 0
-    for folder in [path for path in campaign.iterdir() if path.is_dir() and path.name[:2] not in ("Fx", "Mx")]:
-        shutil.rmtree(folder)
-    assert main(["step", str(campaign), "-q"]) == 0
+def test_the_amplifier_is_in_bands_and_their_u_even_where_it_hides(commanded):
+    campaign = commanded("steps")
     truth = json.loads((campaign / "truth.json").read_text(encoding="utf-8"))
     table = {(row["component"], row["name"]): row for row in rows(campaign / "step" / "indices.csv")}
     for component in ("Fx", "Mx"):

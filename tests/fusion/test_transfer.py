@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from page_outline import self_contained
 from scipy.stats import binom
+from scipy.stats import chi2 as chi_square
 from support import AT_ORIGIN, DOCS, block, channel, edit, rows, told_columns
 
 from fusion.base import InputError
@@ -160,14 +161,15 @@ def test_every_peak_of_a_curve_is_a_resonance_of_its_own(simulated, tmp_path):
 @pytest.mark.slow
 def test_the_uncertainty_of_a_resonance_covers(tmp_path):
     """Noise, scales, delays, corner and clock drawn anew: deviations over their standard uncertainties."""
-    deviations = []
-    for seed in range(60):
+    deviations, trials = [], 30
+    for seed in range(trials):
         (tmp_path / f"{seed}").mkdir()
         (found,) = _evaluated(write_chirp(tmp_path / f"{seed}", seed, RIG)).resonances
         error = found.fit.frequency_hz - RIG.frequency_hz, found.fit.damping_ratio - RIG.damping_ratio
         deviations.append(np.divide(error, (found.u_frequency_hz, found.u_damping_ratio)))
     spread = np.sqrt(np.mean(np.square(deviations), axis=0))
-    assert np.all((spread > 0.75) & (spread < 1.28))  # 99.5 % limits of the rms of 60 normal deviates
+    low, high = np.sqrt(chi_square.ppf([2.5e-3, 1.0 - 2.5e-3], trials) / trials)
+    assert np.all((spread > low) & (spread < high))
 
 
 def test_files_of_a_run(recording, capsys):

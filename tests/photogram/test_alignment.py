@@ -307,8 +307,8 @@ MOTION_KINDS: dict[str, Callable[[World], list[Evidence]]] = {
     ("kind", "cases"),
     [
         *((kind, 2) for kind in (*KINDS, *MOTION_KINDS)),
-        *(pytest.param(kind, 100, marks=pytest.mark.slow) for kind in KINDS),
-        *(pytest.param(kind, 30, marks=pytest.mark.slow) for kind in MOTION_KINDS),  # up to 0.6 s each
+        *(pytest.param(kind, 60, marks=pytest.mark.slow) for kind in KINDS),
+        *(pytest.param(kind, 20, marks=pytest.mark.slow) for kind in MOTION_KINDS),  # up to 0.6 s each
     ],
 )
 def test_rigs_are_covered_by_their_uncertainty(kind, cases):

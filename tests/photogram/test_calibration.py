@@ -104,15 +104,15 @@ def _in_order(calibration: Calibration) -> np.ndarray:
 @pytest.mark.slow
 def test_parameters_come_back_within_their_covariance():
     lengths = []
-    for seed in range(12):
+    for seed in range(8):
         calibration = calibrate_pair(_session(seed, 10), TARGET)
         error = rig_error(calibration.rig, RIG)
         assert _largest(calibration) < 4.5
         lengths.append(error[:24] @ np.linalg.solve(calibration.rig.covariance[:24, :24], error[:24]))
         assert calibration.sigma_factor == pytest.approx(1.0, abs=0.05)
         assert calibration.rms_px == pytest.approx(NOISE_PX * np.sqrt(2), rel=0.06)
-    # χ² of 12·24 degrees of freedom has a standard deviation of 8.3 % of its mean; the lens prior takes a little away
-    assert 0.75 < np.mean(lengths) / 24 < 1.25
+    # χ² of 8·24 degrees of freedom has a standard deviation of 10.2 % of its mean; the lens prior takes a little away
+    assert 0.7 < np.mean(lengths) / 24 < 1.3
 
 
 @pytest.mark.parametrize("side", [0, 1])
@@ -306,7 +306,7 @@ def test_one_step_without_a_view_is_the_fit_without_it(drifts):
 def test_u_holds_what_real_sessions_do_to_a_calibration(faults):
     """By the residuals alone shared errors are 2 to 3 u (rms); benchmarks/cameras.py has the statistics."""
     ratios, alone = [], []
-    for seed in range(8):
+    for seed in range(5):
         rig, pairs = _faulty(seed, faults)
         found = calibrate_pair(pairs, SESSION_BOARD.target)
         error, u = rig_error(found.rig, rig)[:24], np.sqrt(np.diagonal(found.rig.covariance))[:24]
@@ -321,7 +321,7 @@ def test_u_holds_what_real_sessions_do_to_a_calibration(faults):
 
 
 def test_focal_lengths_that_change_during_the_session_are_found_and_others_are_not():
-    for seed in range(4):
+    for seed in range(2):
         rig, pairs = _faulty(seed, Faults(focus=5e-4))
         found = calibrate_pair(pairs, SESSION_BOARD.target)
         value, u = found.judged.drift.T

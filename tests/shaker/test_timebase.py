@@ -42,13 +42,18 @@ def _pulses(instants, rate, length_s, width_s=0.005, noise=0.0):
 
 
 def _band_limited(instants: np.ndarray, rate: float, length_s: float, width_s: float = 5e-3) -> np.ndarray:
-    """The same pulses through an ideal low-pass at 0.45 of the rate: the integral of sinc, from its closed form."""
+    """The same pulses through an ideal low-pass at 0.45 of the rate: the integral of sinc, from its closed form.
+
+    Ringing is left out 4096 samples away, where it is 5e-5 of a pulse and moves a crossing by a nanosecond.
+    """
     from scipy.special import sici
 
     time = np.arange(int(length_s * rate)) / rate
     signal, cutoff = np.zeros(len(time)), 2.0 * np.pi * 0.45 * rate
     for instant in instants:
-        signal += (sici(cutoff * (time - instant))[0] - sici(cutoff * (time - instant - width_s))[0]) / np.pi
+        near = slice(max(0, int(instant * rate) - 4096), int((instant + width_s) * rate) + 4096)
+        since = time[near] - instant
+        signal[near] += (sici(cutoff * since)[0] - sici(cutoff * (since - width_s))[0]) / np.pi
     return 5.0 * signal
 
 
@@ -130,7 +135,7 @@ def test_missing_doubled_and_stray_edges_are_survived():
 def test_jitter_is_measured():
     rng, even = np.random.default_rng(6), 0.1 + PERIOD_S * np.arange(EDGES)
     for jitter in (2e-6, 100e-6):
-        fits = [fit_trigger(_latched(even + jitter * rng.normal(size=EDGES), 51_200.0, 4.3)) for _ in range(6)]
+        fits = [fit_trigger(_latched(even + jitter * rng.normal(size=EDGES), 51_200.0, 4.3)) for _ in range(3)]
         assert np.mean([fit.jitter_s for fit in fits]) == pytest.approx(jitter, rel=0.3)
 
 
@@ -251,11 +256,13 @@ def _charging(x: np.ndarray) -> np.ndarray:
     return 1.0 - np.exp(-np.maximum(x / 2.0 + np.log(2.0), 0.0))
 
 
+TAP_PLACES = np.arange(-24 * 64, 24 * 64 + 1) / 64.0
+TAPS = np.sinc(TAP_PLACES) * np.kaiser(len(TAP_PLACES), 8.0)
+
+
 def _half_band(x: np.ndarray) -> np.ndarray:
     """A delta-sigma converter's decimation filter: half amplitude at half the sampling rate."""
-    place = np.arange(-24 * 64, 24 * 64 + 1) / 64.0
-    taps = np.sinc(place) * np.kaiser(len(place), 8.0)
-    return np.interp(x - 0.5 / 64.0, place, np.cumsum(taps) / taps.sum(), left=0.0, right=1.0)
+    return np.interp(x - 0.5 / 64.0, TAP_PLACES, np.cumsum(TAPS) / TAPS.sum(), left=0.0, right=1.0)
 
 
 def _shaped(

@@ -137,7 +137,7 @@ def test_a_transducer_elsewhere_is_found_and_one_in_all_recordings():
 @pytest.mark.slow
 def test_intervals_hold_the_truth_with_transducers_elsewhere():
     rng = np.random.default_rng(22)
-    trials, few = 250, 15
+    trials, few = 125, 15
     deviation, trusting = np.zeros((trials, len(TRUTH))), np.zeros((few, len(TRUTH)))
     for trial in range(trials):
         draws = rng.standard_normal((2, 4))
@@ -145,8 +145,8 @@ def test_intervals_hold_the_truth_with_transducers_elsewhere():
         deviation[trial] = away(fitted(records))
         if trial < few:
             trusting[trial] = away(fitted([replace(record, placement_errors=()) for record in records]))
-    # 250 trials of 95 %: 0.95 ± 0.0138, three parameters.
+    # 125 trials of 95 %: 0.95 ± 0.0195, three parameters.
     inside = np.mean(np.abs(deviation) < 1.96, axis=0)
-    assert np.all(np.abs(inside - 0.95) < 0.038), inside
-    assert np.std(deviation, axis=0) == pytest.approx([1.0] * 3, abs=0.14)
+    assert np.all(np.abs(inside - 0.95) < 0.054), inside
+    assert np.std(deviation, axis=0) == pytest.approx([1.0] * 3, abs=0.2)
     assert np.all(np.mean(np.abs(trusting) < 1.96, axis=0) < 0.8), trusting
