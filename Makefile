@@ -6,7 +6,7 @@ export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export OMP_WAIT_POLICY := passive
 
-.PHONY: demo test validate everything lint types platforms win32 darwin docs docs-pictures sample-images benchmark wheel clean
+.PHONY: demo test validate lint types platforms win32 darwin docs docs-pictures sample-images benchmark wheel clean
 
 demo: .venv/installed
 	$(BIN)/shakercal run sample_images/demo -o demo-results --force
@@ -19,10 +19,6 @@ test: lint types
 
 validate: .venv/dev
 	$(PYTEST) -m slow
-
-# Both in one run: tests are collected once, and what quick and slow ones of a file share is made once.
-everything: lint types
-	$(PYTEST)
 
 lint: .venv/dev
 	$(BIN)/ruff check .
