@@ -2,19 +2,23 @@
 
 `python benchmarks/modes.py --docs docs` renders recordings of the preset `bending`, evaluates each from its files three
 times, and writes a table into docs/modes.md; `"all at once"` those of the preset `laboratory`, whose load bends, whose
-cameras shake by 0.2 % of the driven motion and whose clocks are nearly locked, with `--drawn` without rendering them
-(`drawn_motion`), every tenth with the lasers elsewhere as well.
+cameras shake by 0.2 % of the driven motion and whose clocks are nearly locked, with the lasers elsewhere as well; with
+`--drawn` without rendering them (`drawn_motion`).
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
 import re
+import shutil
 import tempfile
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 from drawn_motion import make_template, unrendered
@@ -23,10 +27,11 @@ from marked import markdown_table, write_marked
 from fusion import evaluate_recording, load_manifest, simulate_preset
 from fusion.report.tables import sensitivity_element
 from fusion.sensitivity.analyse import Evaluation
+from fusion.simulate import sines
 from fusion.simulate.preset import Preset, read_preset
 from fusion.simulate.sines import TRIGGER_JITTER_S, rendered_run, write_run
 from fusion.simulate.violations import violations
-from fusion.simulate.world import Draws, make_world
+from fusion.simulate.world import Draws, World, make_world
 
 BLOCK = re.compile(r"\[\[load\.elastic\]\].*?(?=\n\[environment\])", re.DOTALL)
 TREATMENTS = {
@@ -36,16 +41,11 @@ TREATMENTS = {
 }
 CASES = {
     "measured modes": ("bending", (), TREATMENTS),
-    "all at once": (
-        "laboratory",
-        ("camera-shake=0.002", "locked-clocks=0.6"),
-        {"all at once, as stated": lambda text: text},
-    ),
+    "all at once": ("laboratory", ("camera-shake=0.002", "locked-clocks=0.6"), {}),
 }
-"""Preset, what is broken of it, and how its rig.toml is changed, by the table that they make."""
-
-
-SPOTS = {"at 0.76 of the radius, as the preset has them": (0.0, 1), "at 0.50": (0.50, 10), "at 0.31": (0.31, 1)}
+"""Preset, what is broken of it, and how its rig.toml is changed, if not where its lasers look, by the table of them."""
+AS_IT_IS = "at 0.76 of the radius, as the preset has them"
+SPOTS = {AS_IT_IS: (0.0, 1), "at 0.50": (0.50, 10), "at 0.31": (0.31, 1)}
 """Where the lasers look, over the radius of the plate, 0 for the preset's own place; in every which draw."""
 
 
@@ -60,17 +60,39 @@ def error(evaluation: Evaluation, recording: Path) -> tuple[float, float]:
 
 
 def draw(folder: Path, case: str, seed: int, frames: int, scale: float) -> dict[str, tuple[float, float]]:
-    """Return error and U of the element by treatment, in one simulated recording of a case."""
-    preset, broken, treatments = CASES[case]
+    """Return error and U of the element by treatment, or by where the lasers look, in one recording of a case."""
+    name, broken, treatments = CASES[case]
     switches = {"violate": broken} if broken else {}
-    recording = simulate_preset(folder, preset, seed=seed, frames=frames, image_scale=scale, **switches)
+    recording = simulate_preset(folder, name, seed=seed, frames=frames, image_scale=scale, **switches)
     rig = folder / "rig.toml"
     whole, found = rig.read_text(encoding="utf-8"), {}
-    for name, changed in treatments.items():
+    for treatment, changed in (treatments or {AS_IT_IS: str}).items():
         rig.write_text(changed(whole), encoding="utf-8")
-        found[name] = error(evaluate_recording(load_manifest(recording)), recording)
-        tell(seed, name, found[name])
+        found[treatment] = error(evaluate_recording(load_manifest(recording)), recording)
+        tell(seed, treatment, found[treatment])
+    for spots, (share, every) in ({} if treatments else SPOTS).items():
+        if share and every == 1:
+            moved, world, drawing = looking(case, read_preset(Preset, name).shrunk(frames, scale), seed, share)
+            with pictures_of(recording):
+                elsewhere = write_run(folder / f"{share}", rendered_run(moved), world, drawing)
+            found[spots] = error(evaluate_recording(load_manifest(elsewhere)), elsewhere)
+            tell(seed, spots, found[spots])
     return found
+
+
+@contextmanager
+def pictures_of(recording: Path) -> Iterator[None]:
+    """Write recordings with the pictures of another one that has the same truth: cameras do not see the lasers."""
+
+    def linked(folder: Path, *_: object) -> None:
+        here, there = ((one / "truth.json").read_text(encoding="utf-8") for one in (folder, recording))
+        if json.loads(here) != json.loads(there):
+            raise ValueError("expected pictures of the same motion")
+        for series in (entry for entry in recording.iterdir() if entry.is_dir()):
+            shutil.copytree(series, folder / series.name, copy_function=os.link)
+
+    with patch.object(sines, "_write_images", linked):
+        yield
 
 
 def tell(seed: int, name: str, found: tuple[float, float]) -> None:
@@ -80,8 +102,7 @@ def tell(seed: int, name: str, found: tuple[float, float]) -> None:
 
 def drawn(case: str, draws: int, frames: int) -> Iterator[dict[str, tuple[float, float]]]:
     """Yield error and U of the element by where the lasers look, of one draw after the other that is not rendered."""
-    name, broken, _ = CASES[case]
-    preset = read_preset(Preset, name).shrunk(frames, 1.0)
+    preset = read_preset(Preset, CASES[case][0]).shrunk(frames, 1.0)
     with tempfile.TemporaryDirectory() as folder:
         template = make_template(Path(folder) / "template", preset)
         for seed in range(1, draws + 1):
@@ -89,19 +110,16 @@ def drawn(case: str, draws: int, frames: int) -> Iterator[dict[str, tuple[float,
             for spots, (share, every) in SPOTS.items():
                 if seed % every:
                     continue
-                with tempfile.TemporaryDirectory(dir=folder) as own:
-                    moved = _looking(preset, share)
-                    drawing = Draws(seed, True, broken=violations(broken, moved))
-                    world = make_world(moved, drawing, TRIGGER_JITTER_S)
-                    with unrendered(template, world, drawing):
-                        recording = write_run(Path(own), rendered_run(moved), world, drawing)
-                        found[spots] = error(evaluate_recording(load_manifest(recording)), recording)
+                moved, world, drawing = looking(case, preset, seed, share)
+                with tempfile.TemporaryDirectory(dir=folder) as own, unrendered(template, world, drawing):
+                    recording = write_run(Path(own), rendered_run(moved), world, drawing)
+                    found[spots] = error(evaluate_recording(load_manifest(recording)), recording)
                 tell(seed, spots, found[spots])
             yield found
 
 
-def _looking(preset: Preset, share: float) -> Preset:
-    """Return a preset whose lasers look at a share of the plate's radius, 0 for where they do."""
+def looking(case: str, preset: Preset, seed: int, share: float) -> tuple[Preset, World, Draws]:
+    """Return a preset whose lasers look at a share of the plate's radius, 0 for where they do, and the truth of it."""
     assert preset.plate is not None
     daqs = []
     for daq in preset.daqs:
@@ -112,7 +130,9 @@ def _looking(preset: Preset, share: float) -> Preset:
                 size = share * preset.plate.radius / float(np.hypot(x, y))
                 channels[place] = replace(spec, point=(size * x, size * y, z))
         daqs.append(replace(daq, channels=tuple(channels)))
-    return replace(preset, daqs=tuple(daqs))
+    moved = replace(preset, daqs=tuple(daqs))
+    drawing = Draws(seed, True, broken=violations(CASES[case][1], moved))
+    return moved, make_world(moved, drawing, TRIGGER_JITTER_S), drawing
 
 
 def rows(found: list[dict[str, tuple[float, float]]]) -> list[str]:
@@ -144,16 +164,17 @@ def main() -> None:
     parser.add_argument("--docs", type=Path)
     options = parser.parse_args()
     if options.drawn:
-        mark, what = f"{options.case}, drawn", "lasers look"
+        mark = f"{options.case}, drawn"
         told = f"{options.draws} draws of {options.frames} frames."
         found = list(drawn(options.case, options.draws, options.frames))
     else:
-        mark, what = options.case, "load"
+        mark = options.case
         width = round(640 * options.scale)
         told = f"{options.draws} recordings of {options.frames} frames, pictures of {width} px width."
         with tempfile.TemporaryDirectory() as folder:
             size, seeds = (options.frames, options.scale), range(1, options.draws + 1)
             found = [draw(Path(folder) / str(seed), options.case, seed, *size) for seed in seeds]
+    what = "load" if CASES[options.case][2] else "lasers look"
     head = f"| {what} | error / %, mean ± scatter | largest / % | U / % | within U | contradicted: no result |"
     table = f"{told}\n\n{markdown_table(head, rows(found))}"
     print(table)

@@ -282,7 +282,8 @@ def with_estimates(outputs: Outputs, fused: Acceleration) -> Outputs:
     """Return the outputs less what the instruments of the load say of the errors that they share with them.
 
     An output U that errs by o·ε beside the instruments' E·ε enters their least squares as a reading with a free motion
-    of its own, which tells nothing of ε: it becomes U - o·ε̂ with their posterior mean ε̂ and covariance S (both in u).
+    of its own, which tells nothing of ε: it becomes U·exp(-o·ε̂/U) with their posterior mean ε̂ and covariance S (both
+    in u). Errors of a chain are relative: what a late clock turns is turned back by any angle and keeps its size.
     What is left, o·(ε - ε̂) = o·S·ε - o·S·(noise), is in their unknowns by name, those of which they take hold too, and
     in noise of covariance o·(S - S²)·oᵀ, with what is coupled by less than `COUPLED`. That this noise is part of the
     load's noise, turning both alike, is not used: U of their ratio is a little too large where both weigh alike.
@@ -307,8 +308,9 @@ def with_estimates(outputs: Outputs, fused: Acceleration) -> Outputs:
         left.append(Influence(name, ESTIMATE_NOISE, 1.0, "1", np.einsum("c,ckj->kj", way, effects), "recording", "A"))
     kept = [influence for name, influence in own.items() if name not in {u.name for _, u in tested}]
     uncertainty = Uncertainty(outputs.uncertainty.random, added_up([*kept, *left]))
-    change = np.einsum("c,ckj->kj", [u.estimate for _, u in tested], effects)
-    value = outputs.phasors.value - as_complex(change)
+    value = outputs.phasors.value
+    change = as_complex(np.einsum("c,ckj->kj", [u.estimate for _, u in tested], effects))
+    value = value * np.exp(-np.divide(change, value, out=np.zeros_like(value), where=value != 0.0))
     return replace(
         outputs,
         phasors=replace(outputs.phasors, value=value, covariance=uncertainty.covariance),

@@ -130,6 +130,19 @@ def test_outputs_are_least_squares_with_the_instruments(benchmark: ModuleType) -
     assert np.linalg.norm(after) < 0.9 * np.linalg.norm(own[clock])
 
 
+def test_a_late_clock_turns_outputs_and_leaves_their_size(benchmark: ModuleType) -> None:
+    phasors = importlib.import_module("simulated_phasors")
+    case = next(case for case in phasors.CASES if case.one_clock)
+    inputs, _ = phasors.simulate_phasors(phasors.case_setup(case), Draws(3, True))
+    fused, clock, late_s = fuse(inputs.observations), "clock bridge: time", 5e-6
+    estimates = tuple(replace(u, estimate=late_s / u.u if u.name == clock else 0.0) for u in fused.unknowns)
+    turned = with_estimates(inputs.outputs, replace(fused, unknowns=estimates)).phasors.value
+    frequency, before = inputs.outputs.phasors.frequency_hz, inputs.outputs.phasors.value
+    assert np.abs(turned / before) == pytest.approx(1.0, abs=1e-9)
+    angle = np.abs(np.angle(turned / before))
+    assert angle == pytest.approx(np.broadcast_to(2.0 * np.pi * late_s * frequency[:, None], angle.shape), rel=1e-6)
+
+
 def test_edges_that_tell_enough_are_left_alone(benchmark: ModuleType) -> None:
     one = benchmark.simulate(benchmark.CASES["no lock: 500.382 samples"], np.random.default_rng(1))
     base, motions, lines = tied_by_motion(one.manifest, one.base, [one.motion], one.lines)
