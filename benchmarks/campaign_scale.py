@@ -36,7 +36,6 @@ from fusion.simulate import simulate
 
 FREQUENCIES, PER_FREQUENCY, PER_MOUNTING = 12, 4, 2
 NOISE = 1e-3
-"""What of result.h5 a campaign reads."""
 STEM = re.compile(", (?:mounting|simulated)")
 RUN = "import sys; from fusion.cli import main; sys.exit(main(sys.argv[1:]))"
 

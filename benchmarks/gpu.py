@@ -25,6 +25,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import torch
@@ -96,29 +97,21 @@ def agreement(some: list[Body], device: str) -> tuple[float, int]:
 
 def counted(some: list[Body], device: str) -> str:
     """The table of what `COMPARED` frames of each body take, their line known and unknown."""
-    rows, compared, batches = list[str](), list[int](), list[int]()
-    compare, fit_all = fit_torch._compared, fit_frames
-
-    def comparing(view, frames, number, *motion):
-        compared.append(len(number))
-        return compare(view, frames, number, *motion)
-
-    def fitted(views, targets, starts):
-        batches.append(len(starts))
-        return fit_all(views, targets, starts)
-
-    fit_torch._compared, follow_torch.fit_frames = comparing, fitted
+    rows, views = list[str](), len(some[0].scene.views)
     for name, scenes in (
         ("known", [body.scene for body in some]),
         ("unknown", [replace(body.scene, body=KnownBody()) for body in some]),
     ):
-        compared.clear(), batches.clear()
-        for scene in scenes:
-            follow_block(scene, range(2, 2 + COMPARED), device)
-        views, frames = len(some[0].scene.views), COMPARED * len(some)
-        steps, all_cells = len(compared) // views, sum(compared) / views / frames
-        rows.append(f"| {name} | {', '.join(map(str, batches))} | {steps} | {all_cells:.2f} |")
-    fit_torch._compared, follow_torch.fit_frames = compare, fit_all
+        with (
+            patch.object(fit_torch, "_compared", wraps=fit_torch._compared) as compare,
+            patch.object(follow_torch, "fit_frames", wraps=fit_frames) as fit_all,
+        ):
+            for scene in scenes:
+                follow_block(scene, range(2, 2 + COMPARED), device)
+        compared = [len(call.args[2]) for call in compare.call_args_list]
+        batches = ", ".join(str(len(call.args[2])) for call in fit_all.call_args_list)
+        all_cells = sum(compared) / views / (COMPARED * len(some))
+        rows.append(f"| {name} | {batches} | {len(compared) // views} | {all_cells:.2f} |")
     return markdown_table("| line | frames of the batches, both bodies | steps | comparisons of a frame |", rows)
 
 

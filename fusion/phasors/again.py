@@ -54,27 +54,28 @@ def looked_again(measured: StereoMotion, images: Sequence[OpenImages], lines: Li
             break
         phasors, last = _nearer(answer, change, last), (answer, change)
     bias = _blur_bias(first, frequency_hz, phasors, exposure_s)
-    return replace(found, notices=(*found.notices, *_told(found, frequency_hz, bias, left)))
+    return replace(found, notices=(*found.notices, *_told(found, swing, bias, left)))
 
 
-def _told(measured: StereoMotion, frequency_hz: FloatArray, bias: float, left: float) -> list[Notice]:
+def _told(measured: StereoMotion, swing: Swing, bias: float, left: float) -> list[Notice]:
     """Say what moves while frames are exposed, and where the motion that is taken for known did not settle."""
     told, turned = list[Notice](), None if measured.view is None else measured.view.turned
+    fastest_hz = float(swing.frequency_hz.max())
     if turned is not None:
         across_s = float(np.nanmax(turned.delay_s) - np.nanmin(turned.delay_s))
-        angle = 360.0 * float(frequency_hz.max()) * across_s
+        angle = 360.0 * fastest_hz * across_s
         text = (
             f"its rows are exposed one after the other, those with subsets of the body over {1e3 * across_s:.3g} ms, "
-            f"in which {frequency_hz.max():.6g} Hz turns by {angle:.3g}°: every row counts when it was exposed"
+            f"in which {fastest_hz:.6g} Hz turns by {angle:.3g}°: every row counts when it was exposed"
         )
         told.append(Notice("info", text, "row_time"))
-        side = float(np.max(np.abs(measured.sight.pair.row_time))) * turned.side_px * float(frequency_hz.max())
-        if side > WIDEST_CELL:
-            text = f"the rows of the smallest cells span {side:.2g} periods of {frequency_hz.max():.6g} Hz"
+        if turned.side_px > WIDEST_CELL / swing.per_row:
+            spanned = turned.side_px * swing.per_row
+            text = f"the rows of the smallest cells span {spanned:.2g} periods of {fastest_hz:.6g} Hz"
             told.append(Notice("warning", f"{text}; what that does to its phasors is not in U", "row_time"))
     if bias > BLUR_COUNTS:
         text = (
-            f"what moves is blurred by its path in exposures of {1e3 * measured.sight.exposure.length_s:.3g} ms, which "
+            f"what moves is blurred by its path in exposures of {1e3 * swing.exposure_s:.3g} ms, which "
             f"would make sharp pictures of it find about {100.0 * bias:.2g} % too much: frames and first picture were "
             "compared as blurred alike"
         )

@@ -157,7 +157,7 @@ def measure_set_ups(
     for opened in set_ups:
         with followed_pairs(opened.images, settings, executor, kept, opened.lines) as motions:
             fitted = fitted or [with_channels(each) for each in set_ups]
-            opened.base.pulses()  # which results ask the records for
+            opened.base.pulses()  # kept by the records, which are asked for them in the end
             with told_in(opened.manifest.path, opened.where, opened.name):
                 measured.append(_measured(fitted[len(measured)], motions(progress)))
     return measured

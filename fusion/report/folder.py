@@ -190,7 +190,8 @@ def read_provenance(folder: Path, marker: str = RESULT_FILE, *, alone: bool = Fa
     path = folder / marker
     if not path.is_file() or not h5py.is_hdf5(path):
         return None
-    with suppress(InputError), opened_results(path, *(["provenance"] if alone else [])) as file:
+    only = ("provenance",) if alone else ()
+    with suppress(InputError), opened_results(path, *only) as file:
         return provenance_of(file)
     return None
 

@@ -378,7 +378,7 @@ def cameras_about(scene: BodyScene, rest_m: FloatArray) -> tuple[PlacedCamera, .
 
 def body_views(scene: BodyScene, splines: Splines, most_px: float = np.inf) -> tuple[BodyView, ...]:
     """The body at rest in each camera, all pixels equally trusted, in cells as large as subsets or as they may be."""
-    side_px, shapes = max(LEAST_CELL_PX, int(min(2 * scene.settings.radius_px + 1, most_px))), scene.shapes
+    side_px, shapes = int(min(2 * scene.settings.radius_px + 1, max(LEAST_CELL_PX, most_px))), scene.shapes
     return tuple(
         view_body(one.camera, (spline, area, float(images.full_scale)), one.points_m, side_px, UNIFORM, shapes)
         for one, spline, area, images in zip(scene.seen, splines, scene.grid.areas, scene.images, strict=True)

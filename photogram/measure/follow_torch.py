@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from photogram.arrays import FloatArray
 from photogram.direct.fit import DirectFit
 from photogram.direct.fit_torch import fit_frames, load_solvers, torch_view
-from photogram.geometry import vector_from_rotation
 from photogram.images.sequence import GreyImage
 from photogram.measure.follow import FORETELLING, Course, FollowedFrame, elsewhere, foretold_motion, too_loud
 from photogram.subsets.find import MORE_LOST, grown
@@ -171,14 +170,13 @@ def foretold_poses(course: Course, most: int) -> FloatArray:
     The body stays where it was, or moves by up to `LINES` sines about a drifting mean, taken from the strongest on:
     whatever would have foretold the last quarter of the frames best. No more frames are foretold than there were. Where
     that last quarter would have been missed by half a pixel, they are looked for from the mean place, if none was far
-    from it; else only the next one is foretold, by `foretold_motion`. After fewer than `FORETELLING` frames it are
-    `FIRST_FRAMES` from the mean place, the first ones from half way between rest and the lead.
+    from it; else only the next one is foretold, by `foretold_motion`. After fewer than `FORETELLING` frames
+    `FIRST_FRAMES` are looked for from the mean place, the first ones from half way between rest and the lead.
     """
     fits = fits_before(course)
     if not fits:
         return np.empty((0, 6))
-    turned = vector_from_rotation(np.array([fit.moved.rotation for fit in fits]))
-    poses = np.hstack([np.array([fit.moved.translation_m for fit in fits]), turned])
+    poses = np.array([fit.moved.pose for fit in fits])
     if len(fits) < FORETELLING:
         middle = np.mean(poses if course.fits else [np.zeros(6), *poses], axis=0)
         return np.tile(middle, (min(most, FIRST_FRAMES), 1))
