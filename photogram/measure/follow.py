@@ -254,13 +254,14 @@ class Course:
         terms, count = self.scene.body.terms, len(self.fits)
         if terms is None or count < FEWEST_CONTINUED:
             return np.empty((0, 6))
-        used = terms[numbers.start - count : numbers.stop, : (count // 2 - 1) | 1].T
-        weight = np.linalg.lstsq(used[:, :count], used, rcond=None)[0].T
+        used = terms[numbers.start - count : numbers.stop, : (count // 2 - 1) | 1]
+        known, coming = used[:count], used[count:]
+        inverse = np.linalg.pinv(known, rcond=np.finfo(np.float64).eps * count)
         poses = np.array([fit.moved.pose for fit in self.fits])
-        along = weight @ poses
-        left = (poses - along[:count])[-FORETELLING:] / np.sqrt(np.diagonal(self.fits[-1].covariance))
-        off = np.sqrt(np.mean(np.sum(left**2, axis=1)) * (1.0 + np.sum(weight[count:] ** 2, axis=1)))
-        return np.asarray(along[count:][np.logical_and.accumulate(off < LARGEST_LEFT)])
+        parts, weight = inverse @ poses, coming @ inverse
+        left = (poses - known @ parts)[-FORETELLING:] / np.sqrt(np.diagonal(self.fits[-1].covariance))
+        off = np.sqrt(np.mean(np.sum(left**2, axis=1)) * (1.0 + np.sum(weight**2, axis=1)))
+        return np.asarray((coming @ parts)[np.logical_and.accumulate(off < LARGEST_LEFT)])
 
     def starts(self, fit: DirectFit | None) -> list[FloatArray | None]:
         """Where each camera's subsets are to be looked for: where a fit takes those that were found last, else where
