@@ -40,7 +40,11 @@ def derivatives(of: Callable[[FloatArray], FloatArray], step: FloatArray) -> Flo
 
     Those by numbers whose step is zero, because they are known exactly, are zero.
     """
-    return np.stack([(of(delta) - of(-delta)) / (2.0 * delta.sum() or 1.0) for delta in np.diag(step)], axis=-1)
+    moved = np.flatnonzero(step)
+    rates = [(of(delta) - of(-delta)) / (2.0 * delta.sum()) for delta in np.diag(step)[moved]]
+    slope = np.zeros((*np.shape(rates[0] if rates else of(step)), len(step)))
+    slope[..., moved] = np.stack(rates, axis=-1) if rates else 0.0
+    return slope
 
 
 class Arrays:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -164,7 +165,7 @@ class Camera(Arrays, shapes="matrix 3 3; distortion 8; size_px 2"):
         (fx, fy, cx, cy), skew_px = full[:4], full[12]
         return Camera(np.array([[fx, skew_px, cx], [0, fy, cy], [0, 0, 1.0]]), full[4:12], size_px)
 
-    @property
+    @cached_property
     def parameters(self) -> FloatArray:
         """The vector (13,) of `CAMERA_PARAMETERS`."""
         k = self.matrix

@@ -175,7 +175,7 @@ def _good(mean: FloatArray, position: FloatArray) -> BoolArray:
     basis[known] = _basis(position[known])
     good = known
     for _ in range(3):
-        fit = basis @ np.linalg.pinv(basis[good]) @ mean[good]
+        fit = basis @ (np.linalg.pinv(basis[good]) @ mean[good])
         away = np.abs(mean - fit)
         good = known & (away <= OUTLIER * 1.4826 * np.median(away[good]) + 1e-12)
     return good

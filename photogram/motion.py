@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, RunningMean, check_shape, derivatives
-from photogram.camera import Camera, Points
+from photogram.camera import Camera, Points, distort
 from photogram.geometry import (
     RigidTransform,
     displacement_jacobian,
@@ -481,17 +481,43 @@ def body_patches(
 
 def patch_warps(camera: PlacedCamera, patches: Patches, moved: RigidTransform) -> FloatArray:
     """Return the affine warps (C, 6) [u u_x u_y v v_x v_y] of the patches when the body moves by `moved`, in px."""
-    return warps_to(camera, patches, moved.apply(patches.points_m))
+    return _seen_warps(camera, patches, patches.points_m, camera.camera_from_body @ moved)
 
 
 def warps_to(camera: PlacedCamera, patches: Patches, points_m: FloatArray) -> FloatArray:
     """Return the affine warps (C, 6) of the patches when their points come to places (C, 5, 3)."""
-    shift = camera.project(points_m) - patches.rest_px
-    warp = np.empty((len(shift), 6))
-    warp[:, [0, 3]] = shift[:, 0]
-    warp[:, [1, 4]] = (shift[:, 1] - shift[:, 2]) / (2 * patches.arm_px)
-    warp[:, [2, 5]] = (shift[:, 3] - shift[:, 4]) / (2 * patches.arm_px)
+    return _seen_warps(camera, patches, points_m, camera.camera_from_body)
+
+
+def _seen_warps(
+    camera: PlacedCamera, patches: Patches, points_m: FloatArray, from_points: RigidTransform
+) -> FloatArray:
+    """Return the affine warps (C, 6) of patches whose points (C, 5, 3) a motion takes into the camera's frame."""
+    place, warp = (from_points.rotation, from_points.translation_m), np.empty((len(points_m), 6))
+    _warps(np.ascontiguousarray(points_m), place, camera.camera.parameters, (patches.rest_px, patches.arm_px), warp)
     return warp
+
+
+@njit()
+def _warps(points, place, camera, rest, warps):  # type: ignore[no-untyped-def]
+    """Shifts of the patches' centres, and differences of their arms, into `warps`; NaN behind the camera."""
+    (rotation, translation), (rest_px, arm_px), shift = place, rest, np.empty((5, 2))
+    for c in range(points.shape[0]):
+        for k in range(5):
+            x, y, z = translation[0], translation[1], translation[2]
+            for i in range(3):
+                x += rotation[0, i] * points[c, k, i]
+                y += rotation[1, i] * points[c, k, i]
+                z += rotation[2, i] * points[c, k, i]
+            shift[k] = np.nan
+            if z > 0.0:
+                xd, yd, _, _, _ = distort(x / z, y / z, camera)
+                shift[k, 0] = camera[0] * xd + camera[12] * yd + camera[2] - rest_px[c, k, 0]
+                shift[k, 1] = camera[1] * yd + camera[3] - rest_px[c, k, 1]
+        for i in range(2):
+            warps[c, 3 * i] = shift[0, i]
+            warps[c, 3 * i + 1] = (shift[1, i] - shift[2, i]) / (2 * arm_px)
+            warps[c, 3 * i + 2] = (shift[3, i] - shift[4, i]) / (2 * arm_px)
 
 
 def patch_rates(camera: PlacedCamera, patches: Patches) -> FloatArray:

@@ -38,9 +38,9 @@ def follow(scene: BodyScene, frames: range, device: str) -> FollowedBlock:  # a 
 class Followed:
     """The blocks of a pair's frames that were followed, read one at a time, in their order, as often as asked for.
 
-    They lie where they are kept. What is kept nowhere is in memory up to `HELD` bytes, beyond that in a temporary file
-    on the disk of the results, in the system's folder for such files where there are none; the file has no name where
-    the system permits it, and is gone with this object or its process. What was kept and is no longer there is followed
+    They are in memory up to `HELD` bytes, and lie where they are kept. What is neither is in a temporary file on the
+    disk of the results, in the system's folder for such files where there are none; the file has no name where the
+    system permits it, and is gone with this object or its process. What was kept and is no longer there is followed
     again. A pickle holds all blocks, of whatever size, and is opened in memory and the system's folder.
     """
 
@@ -53,7 +53,9 @@ class Followed:
 
     def _hold(self, folder: str | None) -> None:
         self._places: dict[range, tuple[int, int]] = {}
-        self._held = SpooledTemporaryFile(max_size=HELD, dir=folder)  # noqa: SIM115  (closed with this object)
+        self._ready: dict[range, FollowedBlock] = {}
+        self._room = HELD
+        self._held = SpooledTemporaryFile(max_size=1, dir=folder)  # noqa: SIM115  (made when needed, closed with this)
         weakref.finalize(self, self._held.close)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -66,7 +68,8 @@ class Followed:
         self.__dict__.update(state, _kept=None)
         self._hold(None)
         for frames, block in content.items():
-            self._put(frames, block)
+            if self._opened(frames, block) is None or frames not in self._ready:
+                self._put(frames, block)
 
     def missing(self) -> list[range]:
         """Return the blocks that have to be followed."""
@@ -75,8 +78,14 @@ class Followed:
     def add(self, frames: range, block: FollowedBlock) -> None:
         """Put a block where it is found again."""
         content = packed(block)
-        if self._kept is None or not self._kept.put(self._name(frames), content):
+        self._remember(frames, block, len(content))
+        kept = self._kept is not None and self._kept.put(self._name(frames), content)
+        if not kept and frames not in self._ready:
             self._put(frames, content)
+
+    def _remember(self, frames: range, block: FollowedBlock, size: int) -> None:
+        if size <= self._room:
+            self._ready[frames], self._room = block, self._room - size
 
     def _put(self, frames: range, content: bytes) -> None:
         start = self._held.seek(0, io.SEEK_END)
@@ -103,13 +112,21 @@ class Followed:
 
     def _found(self, frames: range) -> FollowedBlock | None:
         content = None
+        if frames in self._ready:
+            return self._ready[frames]
         if frames in self._places:
             start, length = self._places[frames]
             self._held.seek(start)
             content = self._held.read(length)
         elif self._kept is not None:
             content = self._kept.get(self._name(frames))
-        return None if content is None else unpacked(content, len(frames))
+        return None if content is None else self._opened(frames, content)
+
+    def _opened(self, frames: range, content: bytes) -> FollowedBlock | None:
+        block = unpacked(content, len(frames))
+        if block is not None:
+            self._remember(frames, block, len(content))
+        return block
 
 
 def packed(block: FollowedBlock) -> bytes:

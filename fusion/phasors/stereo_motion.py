@@ -64,7 +64,7 @@ T = TypeVar("T")
 MAX_SATURATED = 0.02  # fraction of pixels at full scale above which a camera is refused
 SAME_EXPOSURE = 0.02  # relative difference of exposures that are told apart
 SAME_RATE = 0.01  # of frames on the camera's clock and of edges on that of a DAQ
-FEWEST_SOUGHT, SPARED, TIMES_UNKNOWNS = 48, 4, 2  # frames with subsets, at least: so many, a share, and by the lines
+FEWEST_SOUGHT, SPARED, TIMES_UNKNOWNS = 24, 8, 2  # frames with subsets, at least: so many, a share, and by the lines
 FEWEST_PLACES = 3  # on a body that tell where it is
 ALONE = (
     "one camera before a stated surface: how the body deforms, whether it lies on that surface, and whether the camera "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -218,6 +219,7 @@ def _interpolated_noise(cells: Cells, warp: FloatArray, degree: int) -> FloatArr
     return mean_noise_gain(cells.centre_px, warp, nine_points(cells.side_px), degree)
 
 
+@cache
 def nine_points(side_px: int) -> FloatArray:
     """Return offsets (9, 2) from a cell's centre at which the noise that interpolation leaves is looked at."""
     third = side_px / 3.0

@@ -25,7 +25,7 @@ from photogram.direct.shapes import Shapes, shape_rates
 from photogram.geometry import RigidTransform, rotation_vector_rate, vector_from_rotation
 from photogram.images.noise import QUANTISATION, NoiseModel, fit_noise_model
 from photogram.kernels import njit
-from photogram.motion import MEDIAN_CHI2_OF_TWO, Patches, PlacedCamera, body_patches, patch_rates, warps_to
+from photogram.motion import MEDIAN_CHI2_OF_TWO, Patches, PlacedCamera, body_patches, patch_rates, patch_warps, warps_to
 
 REACH_CELLS = 4.0  # how far from the nearest known point a cell's surface may lie
 EVALUATIONS = 12
@@ -70,10 +70,10 @@ class BodyView(Arrays, shapes="rates C 6 p; information C p p; information_noise
 
     def warps(self, moved: RigidTransform) -> FloatArray:
         """Return the affine warps (C, 6) of the cells when the body has moved by `moved`."""
-        points = moved.apply(self.patches.points_m)
-        if self.carried is not None:
-            points = np.einsum("ckij,ckj->cki", self.carried[0], points) + self.carried[1]
-        return warps_to(self.camera, self.patches, points)
+        if self.carried is None:
+            return patch_warps(self.camera, self.patches, moved)
+        turned = np.einsum("ckij,ckj->cki", self.carried[0], moved.apply(self.patches.points_m))
+        return warps_to(self.camera, self.patches, turned + self.carried[1])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -236,11 +236,14 @@ def _step(views: Sequence[BodyView], targets: Sequence[Spline], moved: RigidTran
     """
     both = zip(views, targets, strict=True)
     compared = [compare_cells(view.cells, target, view.warps(moved)) for view, target in both]
-    pose, size = np.zeros(6), views[0].rates.shape[2]
+    pose, size, judged = np.zeros(6), views[0].rates.shape[2], list[BoolArray]()
     for _ in range(2):
+        before, judged = judged, [_rigid_cells(*both, pose) for both in zip(views, compared, strict=True)]
+        if before and all(map(np.array_equal, judged, before)):
+            break
         parts, slope, sums = np.zeros((2, size**2)), np.zeros(size), np.zeros(4)
-        for view, told in zip(views, compared, strict=True):
-            _add_cells(_rigid_cells(view, told, pose), told.all, view.answers, (parts, slope, sums))
+        for view, told, used in zip(views, compared, judged, strict=True):
+            _add_cells(used, told.all, view.answers, (parts, slope, sums))
         whole, whole_noise = parts.reshape(2, size, size)
         information, noise_part = whole[:6, :6], whole_noise[:6, :6]
         misfit, noise, least, cells = sums.tolist()

@@ -23,6 +23,7 @@ from photogram.measure.follow import (
     KnownBody,
     Progress,
     carried_px,
+    central,
     follow_block,
     in_turn,
     prepare_body,
@@ -36,7 +37,6 @@ from photogram.subsets.track import (
     StereoTracks,
     Told,
     Tracks,
-    middle,
     tracks_of,
     without_aside,
 )
@@ -338,6 +338,7 @@ def _tracked(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> tuple[Tracked
     levels, frames, fits = list[float](), list[int](), list[tuple[FloatArray, ...]]()
     shapes = scene.views[0].rates.shape[2] - 6
     nothing = tuple(np.full(shape, np.nan) for shape in (6, (6, 6), shapes, (shapes, shapes)))
+    centres = tuple(map(central, scene.seen))
     for block in in_turn(scene, blocks):
         for sought, group in groupby(block, lambda one: one[0] is not None):
             run = list(group)
@@ -351,7 +352,7 @@ def _tracked(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> tuple[Tracked
                     fits.append((fit.moved.pose, fit.covariance, fit.amplitude, fit.amplitude_covariance))
                 levels += [] if fit is None else [fit.noise]
                 if fit is not None and not sought:
-                    course.carry(tuple(middle(carried_px(seen, fit.moved)) for seen in scene.seen))
+                    course.carry(tuple(carried_px(centre, fit.moved)[0] for centre in centres))
     if levels:
         fits[0] = (nothing[0], rest_covariance(scene.views, float(np.median(levels))), *nothing[2:])
     grey = tuple(np.sqrt(side.mean) for side in noise)

@@ -38,7 +38,7 @@ Noise = tuple[NoiseModel, ...]
 Found = tuple[Registration, ...]
 """Of each camera: the left and the right one of a pair, or the only one."""
 UNIFORM = NoiseModel(1.0, 0.0)
-BLOCK_FRAMES = 32
+BLOCK_FRAMES = 64
 """A constant, so that results do not depend on who computes them; few enough to share, many enough to start seldom."""
 GPU_BLOCK_FRAMES = 1024
 """On a GPU, which follows frames in batches: more than most series have, few enough to hold."""
@@ -297,6 +297,13 @@ def sine_terms(time_s: FloatArray, frequency_hz: FloatArray) -> FloatArray:
 def carried_px(seen: SeenPoints, moved: RigidTransform) -> FloatArray:
     """By how much a body's motion moves its points (N, 2) in a camera."""
     return np.asarray(seen.camera.project(moved.apply(seen.points_m)) - seen.rest_px)
+
+
+def central(seen: SeenPoints) -> SeenPoints:
+    """The known one of a body's points that a camera shows nearest to their middle, at rest."""
+    off_px = np.linalg.norm(seen.rest_px - np.nanmedian(seen.rest_px, axis=0), axis=1)
+    only = slice(nearest := int(np.nanargmin(off_px)), nearest + 1)
+    return replace(seen, points_m=seen.points_m[only], rates=seen.rates[only])
 
 
 def foretold_motion(fits: Sequence[DirectFit]) -> RigidTransform:
