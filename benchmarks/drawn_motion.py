@@ -78,7 +78,7 @@ def _noise_of(images: OpenImages) -> PairNoise:
     clean = without_noise(information, noise_part)
     mixed = clean[6:, :6]
     shapes = np.linalg.inv(clean[6:, 6:] - mixed @ np.linalg.solve(clean[:6, :6], mixed.T))
-    motion = pose_covariance(information[:6, :6], noise_part[:6, :6], np.eye(3))
+    motion = pose_covariance(information[:6, :6], noise_part[:6, :6], np.eye(3), np.zeros(3))
     return PairNoise(motion, shapes, rigid_share(scene.views), scene.noise, next(iter(body.tracked)))
 
 

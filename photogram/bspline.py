@@ -85,13 +85,7 @@ def spline_of_image(image: NDArray[np.generic], degree: int = 5) -> Spline:
     gain = ((1.0 - first) * (1.0 - second) * (1.0 - third)) ** 4
     kept = image.dtype in (np.uint8, np.uint16) and image.flags.c_contiguous and image.flags.writeable
     inside = image if kept else np.array(image, np.float64)  # a kernel is compiled for each kind of array
-    coefficients = _prefilter(inside, (first, second, third), gain, PADDING_PX)
-    # Fill the frame of PADDING_PX around an image with its mirror image
-    for lines in (coefficients, coefficients.T):
-        for k in range(1, PADDING_PX + 1):
-            lines[PADDING_PX - k] = lines[PADDING_PX + k]
-            lines[-1 - PADDING_PX + k] = lines[-1 - PADDING_PX - k]
-    return Spline(coefficients, degree)
+    return Spline(_prefilter(inside, (first, second, third), gain, PADDING_PX), degree)
 
 
 def evaluate(spline: Spline, points_px: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -196,7 +190,7 @@ def _cardinal(x: FloatArray, degree: int) -> tuple[FloatArray, FloatArray]:
 
 @njit()
 def _prefilter(image, poles, gain, padding):  # type: ignore[no-untyped-def]
-    """Spline coefficients of an image inside a frame of `padding` pixels that are still open, for a gain of all poles.
+    """Spline coefficients of an image inside a frame of `padding` pixels, its mirror image, for a gain of all poles.
 
     Several rows, brought side by side, or columns make each step of the recursion at once.
     """
@@ -217,6 +211,13 @@ def _prefilter(image, poles, gain, padding):  # type: ignore[no-untyped-def]
         _mirror(columns, height)
         _recurse(columns, poles)
         block[:] = columns[REACH : REACH + height, : block.shape[1]]
+    for k in range(1, padding + 1):
+        out[padding - k, padding:-padding] = out[padding + k, padding:-padding]
+        out[-1 - padding + k, padding:-padding] = out[-1 - padding - k, padding:-padding]
+    for row in range(out.shape[0]):
+        for k in range(1, padding + 1):
+            out[row, padding - k] = out[row, padding + k]
+            out[row, width + padding - 1 + k] = out[row, width + padding - 1 - k]
     return out
 
 

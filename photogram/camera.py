@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -86,15 +85,20 @@ def undistort(u: float, v: float, camera: FloatArray) -> tuple[float, float]:
 
 
 @njit()
+def project_one(x: float, y: float, z: float, camera: FloatArray) -> tuple[float, float]:
+    """Return the pixel of a point in the camera frame; NaN behind the camera."""
+    if not z > 0.0:
+        return math.nan, math.nan
+    xd, yd, _, _, _ = distort(x / z, y / z, camera)
+    return camera[0] * xd + camera[12] * yd + camera[2], camera[1] * yd + camera[3]
+
+
+@njit()
 def project_all(points: FloatArray, camera: FloatArray) -> FloatArray:
     """Return the pixels (N, 2) of points (N, 3) in the camera frame; NaN behind the camera."""
-    pixels = np.full((points.shape[0], 2), np.nan)
+    pixels = np.empty((points.shape[0], 2))
     for i in range(points.shape[0]):
-        depth = points[i, 2]
-        if depth > 0.0:
-            xd, yd, _, _, _ = distort(points[i, 0] / depth, points[i, 1] / depth, camera)
-            pixels[i, 0] = camera[0] * xd + camera[12] * yd + camera[2]
-            pixels[i, 1] = camera[1] * yd + camera[3]
+        pixels[i, 0], pixels[i, 1] = project_one(points[i, 0], points[i, 1], points[i, 2], camera)
     return pixels
 
 
@@ -165,7 +169,7 @@ class Camera(Arrays, shapes="matrix 3 3; distortion 8; size_px 2"):
         (fx, fy, cx, cy), skew_px = full[:4], full[12]
         return Camera(np.array([[fx, skew_px, cx], [0, fy, cy], [0, 0, 1.0]]), full[4:12], size_px)
 
-    @cached_property
+    @property
     def parameters(self) -> FloatArray:
         """The vector (13,) of `CAMERA_PARAMETERS`."""
         k = self.matrix

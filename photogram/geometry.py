@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations_with_replacement
+from operator import mul
 
 import numpy as np
 
@@ -30,10 +32,13 @@ class RigidTransform(Arrays, shapes="rotation 3 3; translation_m 3"):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        departure = float(np.abs(self.rotation.T @ self.rotation - np.eye(3)).max())
-        if not departure <= _ORTHONORMAL:
+        rows = self.rotation.tolist()  # numbers: for so few of them arrays take longer
+        pairs = combinations_with_replacement(rows, 2)
+        if not all(abs(sum(map(mul, one, other)) - (one is other)) <= _ORTHONORMAL for one, other in pairs):
+            departure = float(np.abs(self.rotation.T @ self.rotation - np.eye(3)).max())
             raise ValueError(f"rotation: expected an orthonormal matrix, found one {departure:.1e} away from it")
-        if np.linalg.det(self.rotation) < 0:
+        (a, b, c), (d, e, f), across = rows
+        if sum(map(mul, (b * f - c * e, c * d - a * f, a * e - b * d), across)) < 0.0:
             raise ValueError("rotation: expected determinant +1, found -1 (a reflection)")
 
     @staticmethod

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, RunningMean, check_shape, derivatives
-from photogram.camera import Camera, Points, distort
+from photogram.camera import Camera, Points, project_one
 from photogram.geometry import (
     RigidTransform,
     displacement_jacobian,
@@ -420,6 +420,7 @@ NEIGHBOURS = 24
 OUTLIER = 4.0  # robust standard deviations from the local plane
 RATE_STEP = 1e-6  # m and rad, of the derivative by the six components
 NEAR_PX = 0.02  # by which the last step of a motion that is only a start may move a point
+AT_REST = RigidTransform.identity()
 
 
 @dataclass(frozen=True, eq=False)
@@ -481,20 +482,14 @@ def body_patches(
 
 def patch_warps(camera: PlacedCamera, patches: Patches, moved: RigidTransform) -> FloatArray:
     """Return the affine warps (C, 6) [u u_x u_y v v_x v_y] of the patches when the body moves by `moved`, in px."""
-    return _seen_warps(camera, patches, patches.points_m, camera.camera_from_body @ moved)
+    return warps_to(camera, patches, patches.points_m, moved)
 
 
-def warps_to(camera: PlacedCamera, patches: Patches, points_m: FloatArray) -> FloatArray:
-    """Return the affine warps (C, 6) of the patches when their points come to places (C, 5, 3)."""
-    return _seen_warps(camera, patches, points_m, camera.camera_from_body)
-
-
-def _seen_warps(
-    camera: PlacedCamera, patches: Patches, points_m: FloatArray, from_points: RigidTransform
-) -> FloatArray:
-    """Return the affine warps (C, 6) of patches whose points (C, 5, 3) a motion takes into the camera's frame."""
-    place, warp = (from_points.rotation, from_points.translation_m), np.empty((len(points_m), 6))
-    _warps(np.ascontiguousarray(points_m), place, camera.camera.parameters, (patches.rest_px, patches.arm_px), warp)
+def warps_to(camera: PlacedCamera, patches: Patches, points_m: FloatArray, by: RigidTransform = AT_REST) -> FloatArray:
+    """Return the affine warps (C, 6) of the patches when their points, at places (C, 5, 3), move `by` a motion."""
+    place, rest, warp = camera.camera_from_body, (patches.rest_px, patches.arm_px), np.empty((len(points_m), 6))
+    into = place.rotation @ by.rotation, place.apply(by.translation_m)
+    _warps(np.ascontiguousarray(points_m), into, camera.camera.parameters, rest, warp)
     return warp
 
 
@@ -509,11 +504,8 @@ def _warps(points, place, camera, rest, warps):  # type: ignore[no-untyped-def]
                 x += rotation[0, i] * points[c, k, i]
                 y += rotation[1, i] * points[c, k, i]
                 z += rotation[2, i] * points[c, k, i]
-            shift[k] = np.nan
-            if z > 0.0:
-                xd, yd, _, _, _ = distort(x / z, y / z, camera)
-                shift[k, 0] = camera[0] * xd + camera[12] * yd + camera[2] - rest_px[c, k, 0]
-                shift[k, 1] = camera[1] * yd + camera[3] - rest_px[c, k, 1]
+            u, v = project_one(x, y, z, camera)
+            shift[k, 0], shift[k, 1] = u - rest_px[c, k, 0], v - rest_px[c, k, 1]
         for i in range(2):
             warps[c, 3 * i] = shift[0, i]
             warps[c, 3 * i + 1] = (shift[1, i] - shift[2, i]) / (2 * arm_px)

@@ -22,7 +22,7 @@ from photogram.direct.cells import (
     reweighted,
 )
 from photogram.direct.shapes import Shapes, shape_rates
-from photogram.geometry import RigidTransform, rotation_vector_rate, vector_from_rotation
+from photogram.geometry import RigidTransform, rotation_vector_rate
 from photogram.images.noise import QUANTISATION, NoiseModel, fit_noise_model
 from photogram.kernels import njit
 from photogram.motion import MEDIAN_CHI2_OF_TWO, Patches, PlacedCamera, body_patches, patch_rates, patch_warps, warps_to
@@ -164,7 +164,7 @@ def fit_direct(views: Sequence[BodyView], targets: Sequence[Spline], start: Rigi
         moved = moved @ RigidTransform.from_pose(step.pose).inverse()
         if step.size < LARGEST_STEP and step.left * step.size < LEFT_OVER:
             information = step.information[:6, :6], step.scale * step.noise_part[:6, :6]
-            covariance = step.scale * pose_covariance(*information, moved.rotation)
+            covariance = step.scale * pose_covariance(*information, moved.rotation, moved.pose[3:])
             shapes = beside(step.pose, step.slope, (step.information, step.noise_part), step.scale)
             return DirectFit(moved, covariance, step.scale, step.cells, *shapes)
     return None
@@ -319,7 +319,7 @@ def row_information(view: BodyView) -> FloatArray:
 def rest_covariance(views: Sequence[BodyView], noise: float) -> FloatArray:
     """Return the covariance (6, 6) of a frame like the reference with `noise` times the models' noise variance."""
     information, noise_part = (part[:6, :6] for part in rest_information(views))
-    return noise * pose_covariance(information, noise * noise_part, np.eye(3))
+    return noise * pose_covariance(information, noise * noise_part, np.eye(3), np.zeros(3))
 
 
 def rest_information(views: Sequence[BodyView]) -> tuple[FloatArray, FloatArray]:
@@ -444,13 +444,15 @@ def without_noise(information: FloatArray, noise_part: FloatArray) -> FloatArray
     return np.where(kept[..., None, None], clean, information)
 
 
-def pose_covariance(information: FloatArray, noise_part: FloatArray, rotation: FloatArray) -> FloatArray:
+def pose_covariance(
+    information: FloatArray, noise_part: FloatArray, rotation: FloatArray, vector_rad: FloatArray
+) -> FloatArray:
     """Return H′⁻¹·H·H′⁻¹ of right-multiplied δ as that (..., 6, 6) of translation and rotation vector.
 
-    information, noise_part (..., 6, 6); rotation (..., 3, 3) of the motion.
+    information, noise_part (..., 6, 6); rotation (..., 3, 3) of the motion and its vector (..., 3).
     """
     inverse = np.linalg.inv(without_noise(information, noise_part))
     turn = np.zeros((*rotation.shape[:-2], 6, 6))
     turn[..., :3, :3] = rotation
-    turn[..., 3:, 3:] = rotation_vector_rate(vector_from_rotation(rotation)) @ rotation
+    turn[..., 3:, 3:] = rotation_vector_rate(vector_rad) @ rotation
     return np.asarray(turn @ inverse @ information @ inverse @ turn.mT)

@@ -33,7 +33,7 @@ from photogram.direct.fit import (
     beside,
     pose_covariance,
 )
-from photogram.geometry import RigidTransform, rotation_from_vector
+from photogram.geometry import RigidTransform, rotation_from_vector, vector_from_rotation
 from photogram.images.noise import QUANTISATION
 from photogram.motion import MEDIAN_CHI2_OF_TWO
 from photogram.subsets.icgn_torch import Squares, TorchSplines, square_sums, torch_type
@@ -192,7 +192,8 @@ def fit_frames(
     known = np.flatnonzero(np.isfinite(levels))
     whole, level = both[:, known], levels[known]
     each, size = level[:, None, None], slice(6)
-    covariances = each * pose_covariance(whole[0, :, size, size], each * whole[1, :, size, size], turns[known])
+    rotations = turns[known], vector_from_rotation(turns[known])
+    covariances = each * pose_covariance(whole[0, :, size, size], each * whole[1, :, size, size], *rotations)
     amplitudes, of_shapes = beside(asked[1, known, :6], asked[0, known], (whole[0], whole[1]), level)
     for k, f in enumerate(known):
         moved = RigidTransform(turns[f], shifts[f])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
+from statistics import median
 
 import numpy as np
 
@@ -315,7 +316,7 @@ def foretold_motion(fits: Sequence[DirectFit]) -> RigidTransform:
 
 def too_loud(fit: DirectFit, before: Sequence[DirectFit]) -> bool:
     """Whether a fit leaves far more noise than those before it, as in a place that is not the body's."""
-    return bool(fit.noise > LOUDER * np.median([one.noise for one in before[-HISTORY:]]))
+    return fit.noise > LOUDER * median(one.noise for one in before[-HISTORY:])
 
 
 def elsewhere(warp: FloatArray, start: FloatArray | None) -> BoolArray:
