@@ -91,25 +91,21 @@ def lay_cells(area: BoolArray, side_px: int) -> tuple[FloatArray, IntArray, IntA
     check_shape("area", area, (None, None))
     if side_px < 3:
         raise ValueError(f"side_px: expected at least 3, found {side_px}")
-    rows, columns = np.flatnonzero(area.any(axis=1)), np.flatnonzero(area.any(axis=0))
-    centres, runs, first, place = [], [], [0], 0
-    for top in range(rows[0], rows[-1] + 1, side_px) if len(rows) else ():
-        for left in range(columns[0], columns[-1] + 1, side_px):
-            tile = area[top : top + side_px, left : left + side_px]
-            if np.count_nonzero(tile) < LEAST_FILLED * side_px**2:
-                continue
-            edges = np.diff(tile.astype(np.int8), axis=1, prepend=0, append=0)
-            (rows_in_tile, starts), stops = np.nonzero(edges == 1), np.nonzero(edges == -1)[1]
-            for row, start, length in zip(rows_in_tile, starts, stops - starts, strict=True):
-                runs.append((top + row, left + start, length, place))
-                place += length
-            centres.append((left + (side_px - 1) / 2, top + (side_px - 1) / 2))
-            first.append(len(runs))
-    return (
-        np.array(centres, dtype=np.float64).reshape(-1, 2),
-        np.array(runs, dtype=np.int64).reshape(-1, 4),
-        np.array(first, dtype=np.int64),
-    )
+    if not area.any():
+        return np.empty((0, 2)), np.empty((0, 4), np.int64), np.zeros(1, np.int64)
+    top, left = (int(np.argmax(area.any(axis=axis))) for axis in (1, 0))
+    box = np.pad(area[top:, left:], ((0, 0), (1, 1)))
+    inside, across = box[:, 1:-1], (np.arange(box.shape[1] - 2) % side_px)
+    row, start = np.nonzero(inside & (~box[:, :-2] | (across == 0)))
+    stop = np.nonzero(inside & (~box[:, 2:] | (across == side_px - 1)))[1]
+    tile, length = row // side_px * box.shape[1] + start // side_px, stop - start + 1
+    filled = np.bincount(tile, length) >= LEAST_FILLED * side_px**2
+    order = np.argsort(tile, kind="stable")
+    order = order[filled[tile[order]]]
+    length, (cells, first) = length[order], np.unique(tile[order], return_index=True)
+    corner = np.column_stack([left + side_px * (cells % box.shape[1]), top + side_px * (cells // box.shape[1])])
+    runs = np.column_stack([top + row[order], left + start[order], length, np.cumsum(length) - length])
+    return corner + (side_px - 1) / 2, runs, np.append(first, len(runs))
 
 
 def pixel_places(runs: IntArray) -> FloatArray:
