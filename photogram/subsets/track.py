@@ -467,8 +467,10 @@ def _refuse_jumps(image: Image, first_px: FloatArray, moved: FloatArray, setting
     of the pattern then lies nearer, and the pictures cannot tell which of them is the body.
     """
     seen = np.isfinite(moved).all(axis=1)
-    extent = np.hypot(*np.ptp(np.vstack([np.zeros(2), moved[seen]]), axis=0))
-    if (1.0 + LARGEST_COEFFICIENT) * extent <= settings.radius_px:  # further off no rule foretells a place
+    path = np.vstack([np.zeros(2), moved[seen]])
+    extent, step = np.hypot(*np.ptp(path, axis=0)), np.hypot(*np.diff(path, axis=0).T).max(initial=0.0)
+    # Further off no rule foretells a place: that of a sine begins three steps before it.
+    if min((1.0 + LARGEST_COEFFICIENT) * extent, (3.0 + LARGEST_COEFFICIENT) * step) <= settings.radius_px:
         return
     warps = np.zeros((len(moved), 1, 6))
     last = np.maximum.accumulate(np.where(seen, np.arange(len(moved)), -1))
