@@ -43,7 +43,7 @@ from fusion.report.files import claimed, is_own, write_files, write_together
 from fusion.report.h5 import h5_content, opened_results, write_value
 from fusion.report.kept import CompiledTemplates, kept
 from fusion.report.still import still_svg
-from fusion.report.stored import put_texts
+from fusion.report.stored import TEXT
 from fusion.report.table import Headline, Table, csv_rows, plain_text
 from fusion.report.terminal import AS_JSON, tell, working
 
@@ -53,6 +53,7 @@ from fusion.report.terminal import AS_JSON, tell, working
 RESULT_FILE, RESULT_FORMAT = "result.h5", 2
 SENSITIVITY_FILE, CURVE_FILE = "sensitivity.csv", "curve.csv"
 TEMPLATES = Path(__file__).with_name("templates")
+GZIP = 31  # of zlib's and its like's: with the head and the end of a file of gzip
 Setting = str | float | int
 
 
@@ -214,7 +215,7 @@ def write_provenance(file: h5py.File, origin: Origin, files: Sequence[str]) -> N
     group = file.create_group("provenance")
     hashes = origin.input_hashes
     for name, texts in (("input_file", list(hashes)), ("input_sha256", list(hashes.values())), ("files", files)):
-        put_texts(group, name, texts)
+        group[name] = np.array(texts, dtype=TEXT)
     group.create_group("settings").attrs.update(origin.settings)
     group.create_group("versions").attrs.update(origin.versions)
 
@@ -246,20 +247,18 @@ def render_page(template: str, context: Mapping[str, Any]) -> str:
     environment.globals |= {
         "shown": shown,
         "figures_library": library,
-        "figures_data": lambda: packed(_json([figure.data() for figure in shown])),
+        "figures_data": lambda: packed(f"[{','.join(figure.json() for figure in shown)}]".encode()),
         "figures_program": lambda: Markup((TEMPLATES / "figures.js").read_text(encoding="utf-8")),
     }
     return environment.get_template(template).render(context) + "\n"
 
 
-def _json(data: object) -> bytes:
-    """Return JSON without blanks."""
-    return json.dumps(data, separators=(",", ":"), allow_nan=False).encode()
+def packed(data: bytes, *, quickly: bool = True) -> Markup:
+    """Compress what a page unpacks itself, in characters that HTML leaves alone; not `quickly`: to the last byte."""
+    from photogram.images.files import deflate
 
-
-def packed(data: bytes, level: int = 6) -> Markup:
-    """Compress what a page unpacks itself, in characters that HTML leaves alone."""
-    return Markup(base64.b64encode(gzip.compress(data, level, mtime=0)).decode("ascii"))
+    content = deflate.compress(data, 3, wbits=GZIP) if quickly else gzip.compress(data, 9, mtime=0)
+    return Markup(base64.b64encode(content).decode("ascii"))
 
 
 @cache
@@ -273,7 +272,7 @@ def library() -> Markup:
     key = json.dumps([(str(file), file.stat().st_size, file.stat().st_mtime_ns) for file in files])
 
     def make() -> bytes:
-        return packed(b"\n".join(file.read_bytes() for file in files), 9).encode()
+        return packed(b"\n".join(file.read_bytes() for file in files), quickly=False).encode()
 
     return Markup(kept("bokeh", key, make).decode("ascii"))
 
