@@ -10,8 +10,8 @@ import logging
 import os
 import re
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
@@ -130,22 +130,59 @@ def hash_files(files: Iterable[Path], root: Path, read: Mapping[Path, Identity] 
     `read`: what files were that have been read before. A file that is no longer what it was then, or that changes
     while it is hashed, is refused.
     """
-    hashes, seen, again, base = {}, {}, set(), root.resolve()
+    return hashing(files, root, read).all()
 
-    def hashed(path: Path) -> tuple[Path, Path, Identity | None, str, Identity | None]:
+
+def hashing(files: Iterable[Path], root: Path, read: Mapping[Path, Identity] | None = None) -> Hashing:
+    """Begin what `hash_files` does, so that files may be read beside it: what they are at this moment counts.
+
+    Where one was changed so shortly before that a further change may not show, all are hashed before this returns.
+    """
+    known, before, base = read or {}, list[tuple[Path, Path, Identity | None]](), root.resolve()
+    for path in set(files):
         resolved = path.resolve()
-        before = (read or {}).get(resolved) or Identity.of(path)
-        return path, resolved, before, sha256(path), Identity.of(path)
+        before.append((path, resolved, known.get(resolved) or Identity.of(path)))
 
-    with ThreadPoolExecutor(usable_cores()) as readers:  # a hash is computed without Python's lock
-        for path, resolved, before, digest, now in readers.map(hashed, set(files)):
-            key = resolved.relative_to(base) if resolved.is_relative_to(base) else resolved
-            if before is None or now is None or now[:2] != before[:2]:
-                raise _changed(path, now)
-            hashes[key.as_posix()], seen[path] = digest, (now, digest)
-            if now != before or not now.settled:
-                again.add(path)
-    return InputFiles(dict(sorted(hashes.items())), seen, frozenset(again))
+    def hashed(entry: tuple[Path, Path, Identity | None]) -> tuple[str, Identity | None]:
+        path, _, first = entry
+        if first is not None and not path.exists():
+            raise _changed(path, None)
+        return sha256(path), Identity.of(path)
+
+    def collected(threads: int) -> InputFiles:
+        hashes, seen, again = {}, {}, set()
+        with ThreadPoolExecutor(threads) as readers:  # a hash is computed without Python's lock
+            for (path, resolved, first), (digest, now) in zip(before, readers.map(hashed, before), strict=True):
+                key = resolved.relative_to(base) if resolved.is_relative_to(base) else resolved
+                if first is None or now is None or now[:2] != first[:2]:
+                    raise _changed(path, now)
+                hashes[key.as_posix()], seen[path] = digest, (now, digest)
+                if now != first or not now.settled:
+                    again.add(path)
+        return InputFiles(dict(sorted(hashes.items())), seen, frozenset(again))
+
+    aside = ThreadPoolExecutor(1)
+    found = Hashing(aside.submit(collected, usable_cores()))
+    aside.shutdown(wait=False)
+    if not all(first is not None and first.settled for _, _, first in before):
+        found.all()
+    return found
+
+
+class Hashing(Mapping[str, str]):
+    """SHA-256 of every file by its name, computed by a thread: who looks at one waits for all."""
+
+    def __init__(self, found: Future[InputFiles]) -> None:
+        self.all = found.result
+
+    def __getitem__(self, name: str) -> str:
+        return self.all().hashes[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.all().hashes)
+
+    def __len__(self) -> int:
+        return len(self.all().hashes)
 
 
 def is_current(folder: Path, hashes: Mapping[str, str], settings: Mapping[str, Setting]) -> bool:
@@ -154,7 +191,7 @@ def is_current(folder: Path, hashes: Mapping[str, str], settings: Mapping[str, S
     if found is None or not all((folder / name).is_file() for name in found.files):
         return False
     same_program = found.versions.get(PROGRAM) == __version__
-    return same_program and found.input_hashes == dict(hashes) and found.settings == dict(settings)
+    return same_program and found.settings == dict(settings) and found.input_hashes == dict(hashes)
 
 
 def origin_key(hashes: Mapping[str, str], settings: Mapping[str, Setting], versions: Mapping[str, str]) -> str:
