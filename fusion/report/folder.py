@@ -43,7 +43,7 @@ from fusion.report.files import claimed, is_own, write_files, write_together
 from fusion.report.h5 import h5_content, opened_results, write_value
 from fusion.report.kept import CompiledTemplates, kept
 from fusion.report.still import still_svg
-from fusion.report.stored import TEXT
+from fusion.report.stored import TEXT, Group
 from fusion.report.table import Headline, Table, csv_rows, plain_text
 from fusion.report.terminal import AS_JSON, tell, working
 
@@ -247,7 +247,7 @@ def provenance_of(file: h5py.File) -> Provenance:
     return Provenance(dict(zip(names, digests, strict=True)), plain, versions, tuple(files))
 
 
-def write_provenance(file: h5py.File, origin: Origin, files: Sequence[str]) -> None:
+def write_provenance(file: Group, origin: Origin, files: Sequence[str]) -> None:
     """Put the group `provenance` into an open result file; `files`: the names of all result files."""
     group = file.create_group("provenance")
     hashes = origin.input_hashes
@@ -383,7 +383,7 @@ class Command(Generic[E]):
     stem: str
     files: tuple[str, ...]
     texts: Callable[[E], Mapping[str, str | bytes]]
-    fill: Callable[[h5py.File, E], None]
+    fill: Callable[[Group, E], None]
     context: Callable[[E], Mapping[str, Any]]
     lines: Callable[[E], Iterable[str]]
     headlines: Callable[[E], Iterable[Headline]] = _no_headlines
@@ -468,7 +468,7 @@ class Command(Generic[E]):
             texts = {**self.texts(evaluation), self.page_file: self.page(evaluation)}
             names = [*texts, self.h5_file]
 
-            def fill(file: h5py.File) -> None:
+            def fill(file: Group) -> None:
                 write_provenance(file, evaluation, names)
                 file.attrs["format"] = FORMAT
                 self.fill(file, evaluation)

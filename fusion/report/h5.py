@@ -33,8 +33,8 @@ INFLUENCE_NUMBERS = ("u", "dof")
 def h5_content(fill: Callable[[Any], None], *, in_order: bool = True) -> bytes:
     """Return the content of an HDF5 file that a function fills in memory: what the disk refuses is no matter of HDF5.
 
-    Equal input gives equal bytes. `in_order`: of results: what is filled is a `Group`, the file keeps the order in
-    which its groups were made, and says of every data set what it is; else it is h5py's file itself.
+    Equal input gives equal bytes. `in_order`: of results: a `Group` is filled, the file keeps the order in which its
+    groups were made, and says of every data set what it is; else h5py's file itself is filled.
     """
     with h5py.File("in memory", "w", driver="core", backing_store=False, track_order=in_order) as file:
         if in_order:
@@ -98,14 +98,14 @@ def _check_group(path: Path, group: h5py.Group, names: Sequence[str]) -> None:
         _check_all(path, group)
 
 
-def write_fields(group: h5py.Group, item: Any) -> None:
+def write_fields(group: Group, item: Any) -> None:
     """Write every field of a data class into a group: groups and names are those of the classes."""
     for field in fields(item):
         if field.name not in LEFT_OUT:
             write_value(group, field.name, getattr(item, field.name))
 
 
-def write_value(group: h5py.Group, name: str, value: Any) -> None:
+def write_value(group: Group, name: str, value: Any) -> None:
     """Write one value: data classes and mappings as groups, arrays and tuples as datasets, scalars as attributes."""
     if value is None:
         return
@@ -125,7 +125,7 @@ def write_value(group: h5py.Group, name: str, value: Any) -> None:
         group.attrs[name] = value.as_posix() if isinstance(value, PurePath) else value
 
 
-def _write_sequence(group: h5py.Group, name: str, items: Sequence[Any]) -> None:
+def _write_sequence(group: Group, name: str, items: Sequence[Any]) -> None:
     """Write data classes as groups or as a table, lists of texts numbered, the rest as one dataset."""
     if items and all(_is_row(item) and type(item) is type(items[0]) for item in items):
         inner = group.create_group(name, track_order=True)
@@ -161,7 +161,7 @@ def _label(item: Any, number: int) -> str:
     return "-".join(own) if own else f"{number:03d}"
 
 
-def write_uncertainty(group: h5py.Group, uncertainty: Uncertainty) -> None:
+def write_uncertainty(group: Group, uncertainty: Uncertainty) -> None:
     """Write an uncertainty into a group, so that `fusion.report.h5.read_uncertainty` returns it to the last bit.
 
     `random/LABEL`: covariance (K, 2C, 2C) and dof (K,) of each random contribution; `name`, `label`, `u`, `unit`,
@@ -187,7 +187,7 @@ def write_uncertainty(group: h5py.Group, uncertainty: Uncertainty) -> None:
     group["covariance"] = uncertainty.covariance
 
 
-def _free_name(group: h5py.Group, label: str) -> str:
+def _free_name(group: Group, label: str) -> str:
     """Name of a group that no other has: the label without the separator of paths, numbered where it is taken."""
     name = label.replace("/", "_")
     candidates = (name if number == 1 else f"{name} ({number})" for number in count(1))
