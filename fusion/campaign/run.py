@@ -95,6 +95,8 @@ def run_job(job: Job, progress: ProgressCallback = no_progress, executor: Execut
     except Exception:
         hashes.all()  # what is wrong with a file as a whole is told before what was found in it
         raise
+    finally:
+        hashes.end()
 
 
 def _evaluated(

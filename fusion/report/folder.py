@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
+from threading import Event
 from typing import Any, Generic, Protocol, TypeVar
 from urllib.parse import quote
 
@@ -130,7 +131,11 @@ def hash_files(files: Iterable[Path], root: Path, read: Mapping[Path, Identity] 
     `read`: what files were that have been read before. A file that is no longer what it was then, or that changes
     while it is hashed, is refused.
     """
-    return hashing(files, root, read).all()
+    begun = hashing(files, root, read)
+    try:
+        return begun.all()
+    finally:
+        begun.end()
 
 
 def hashing(files: Iterable[Path], root: Path, read: Mapping[Path, Identity] | None = None) -> Hashing:
@@ -143,8 +148,12 @@ def hashing(files: Iterable[Path], root: Path, read: Mapping[Path, Identity] | N
         resolved = path.resolve()
         before.append((path, resolved, known.get(resolved) or Identity.of(path)))
 
+    ended = Event()
+
     def hashed(entry: tuple[Path, Path, Identity | None]) -> tuple[str, Identity | None]:
         path, _, first = entry
+        if ended.is_set():
+            raise ComputeError("the run has ended")
         if first is not None and not path.exists():
             raise _changed(path, None)
         return sha256(path), Identity.of(path)
@@ -162,7 +171,7 @@ def hashing(files: Iterable[Path], root: Path, read: Mapping[Path, Identity] | N
         return InputFiles(dict(sorted(hashes.items())), seen, frozenset(again))
 
     aside = ThreadPoolExecutor(1)
-    found = Hashing(aside.submit(collected, usable_cores()))
+    found = Hashing(aside.submit(collected, usable_cores()), ended)
     aside.shutdown(wait=False)
     if not all(first is not None and first.settled for _, _, first in before):
         found.all()
@@ -170,10 +179,13 @@ def hashing(files: Iterable[Path], root: Path, read: Mapping[Path, Identity] | N
 
 
 class Hashing(Mapping[str, str]):
-    """SHA-256 of every file by its name, computed by a thread: who looks at one waits for all."""
+    """SHA-256 of every file by its name, computed by a thread: who looks at one waits for all.
 
-    def __init__(self, found: Future[InputFiles]) -> None:
-        self.all = found.result
+    `all`: returns them with what the files were; `end`: no further file is hashed, for nobody waits any more.
+    """
+
+    def __init__(self, found: Future[InputFiles], ended: Event) -> None:
+        self.all, self.end = found.result, ended.set
 
     def __getitem__(self, name: str) -> str:
         return self.all().hashes[name]

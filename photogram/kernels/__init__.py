@@ -24,6 +24,8 @@ from types import FunctionType
 from typing import Any
 
 UNUSED_S = 30 * 86400.0
+LEAN_VERSIONS = ((0, 68),)
+"""Of numba, in which a kept kernel was seen to need nothing but the memory of arrays; with others it is loaded as usual."""
 
 
 def njit(*, error_model: str = "python", inline: str = "never") -> Callable[[Callable[..., Any]], Any]:
@@ -79,10 +81,12 @@ def _dispatcher(function: Callable[..., Any], options: dict[str, Any]) -> Any:
     class Cache(FunctionCache):  # type: ignore[misc]
         """A cache that is read without all that numba knows of types and functions, which only a compiler needs.
 
-        To look that up takes as long as to import numba.
+        To look that up takes as long as to import numba, which offers no public way without it.
         """
 
         def load_overload(self, sig: Any, target_context: Any) -> Any:
+            if numba.version_info.short not in LEAN_VERSIONS:
+                return super().load_overload(sig, target_context)
             rtsys.initialize(target_context)  # the memory of arrays
             with self._guard_against_spurious_io_errors():
                 return self._load_overload(sig, target_context)
