@@ -110,7 +110,7 @@ def growth(folder: Path, frames: int, repeated: int) -> str:
     """Return a row: blocks of some frames followed and kept, or the frames of all blocks, repeated, evaluated."""
     (opened,) = open_set_ups(load_manifest(next(SAMPLE.glob("*/recording.toml"))))  # for its channels and lines
     images, scene = large_pair(folder, opened.images[0], frames)
-    kept, (name, own) = Kept(folder / "results", "growth"), ("followed", len(scene.blocks))
+    kept, (name, own) = Kept(folder / "results", lambda: "growth"), ("followed", len(scene.blocks))
     starts = range(scene.blocks[0].start, 1 + max(1, repeated) * own * BLOCK_FRAMES, BLOCK_FRAMES)
     scene = replace(scene, blocks=tuple(range(start, start + BLOCK_FRAMES) for start in starts))
     followed, begun = Followed(images, scene, "cpu", kept), time.process_time()

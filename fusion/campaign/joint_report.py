@@ -11,7 +11,6 @@ from tempfile import TemporaryFile
 from typing import NamedTuple
 from urllib.parse import quote
 
-import h5py
 import numpy as np
 from markupsafe import Markup
 
@@ -58,6 +57,7 @@ from fusion.report.recording import (
     merged_table,
     sensitivity_elements,
 )
+from fusion.report.stored import Group
 from fusion.report.table import (
     Column,
     Table,
@@ -155,7 +155,7 @@ JOINT_FIELDS = ("curves", "repeats", "linearity", "matrices", "cross_talks", "un
 def campaign_h5(evaluation: CampaignEvaluation, files: Sequence[str]) -> bytes:
     """Return the content of campaign.h5; `files` are the names of all joint files. Equal input gives equal bytes."""
 
-    def fill(file: h5py.File) -> None:
+    def fill(file: Group) -> None:
         file.attrs["format"] = RESULT_FORMAT
         file.attrs["campaign"] = evaluation.name
         file.attrs["phasors"] = "x(t) = Re{X exp(+j omega t)}; covariances of [all Re, all Im]; k = 1"

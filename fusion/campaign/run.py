@@ -26,9 +26,9 @@ from fusion.base import (
 )
 from fusion.campaign.executor import Workers, connected, one_blas_thread
 from fusion.recording.excitation import kinds_of
-from fusion.recording.load import RECORDING_NAME, find_recordings, for_kinds, load_manifest
+from fusion.recording.load import RECORDING_NAME, Manifest, find_recordings, for_kinds, load_manifest
 from fusion.report.files import Kept, claimed, remove_abandoned, workshop
-from fusion.report.folder import check_folder, hash_files, is_current, origin_key
+from fusion.report.folder import Hashing, check_folder, hashing, is_current, origin_key
 from fusion.report.recording import REPORT_FILE, check_campaign_folder, write_results
 from fusion.sensitivity.evaluate import evaluate_recording
 
@@ -89,21 +89,34 @@ class Outcome:
 def run_job(job: Job, progress: ProgressCallback = no_progress, executor: Executor | None = None) -> Outcome:
     """Evaluate one recording unless its results are there, and write them; an executor follows its images."""
     manifest = load_manifest(job.recording, allow_outside=job.allow_outside)
-    inputs = hash_files(manifest.files, manifest.root, manifest.read)
-    there = partial(is_current, job.folder, inputs.hashes, job.settings.as_dict())
+    hashes = hashing(manifest.files, manifest.root, manifest.read)
+    try:
+        return _evaluated(job, manifest, hashes, progress, executor)
+    except Exception:
+        hashes.all()  # what is wrong with a file as a whole is told before what was found in it
+        raise
+    finally:
+        hashes.end()
+
+
+def _evaluated(
+    job: Job, manifest: Manifest, hashes: Hashing, progress: ProgressCallback, executor: Executor | None
+) -> Outcome:
+    """Evaluate a recording whose files are being hashed, unless its results are there, and write them."""
+    there = partial(is_current, job.folder, hashes, job.settings.as_dict())
     if not job.force and there():
         log.debug("%s: results of the same input are there, nothing to compute", job.folder)
         return Outcome(job.recording, job.folder, resumed=True)
-    check_folder(job.folder, inputs.hashes, force=job.force)
+    check_folder(job.folder, hashes, force=job.force)
     with claimed(job.folder, job.patience_s), one_blas_thread():
         if job.patience_s and not job.force and there():  # whoever had it has finished it meanwhile
             return Outcome(job.recording, job.folder)
         if executor is not None:
             for _ in range(executor.size):  # workers begin while the files are opened here
                 executor.submit(0, _ready)
-        kept = Kept(job.folder, origin_key(inputs.hashes, job.settings.as_dict(), versions()))
-        evaluation = evaluate_recording(manifest, job.settings, inputs.hashes, progress, executor, kept)
-        write_results(evaluation, job.folder, inputs, force=job.force)
+        kept = Kept(job.folder, partial(origin_key, hashes, job.settings.as_dict(), versions()))
+        evaluation = evaluate_recording(manifest, job.settings, hashes, progress, executor, kept)
+        write_results(evaluation, job.folder, hashes.all(), force=job.force)
         kept.remove()
     return Outcome(job.recording, job.folder, notices=evaluation.notices)
 

@@ -8,6 +8,7 @@ What a figure shows is said here once; nothing of how either of them draws it.
 from __future__ import annotations
 
 import base64
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal
@@ -303,9 +304,9 @@ class Figure:
         """Return the figure, once its panels are drawn, with what stands beside it."""
         return replace(self, title=title, caption=caption, main=main)
 
-    def data(self) -> dict[str, Any]:
-        """Return the figure for `figures.js`: what JSON knows, without what is at its default."""
-        return {
+    def json(self) -> str:
+        """Return the figure for `figures.js`, without what is at its default."""
+        data = {
             "name": self.name,
             "title": self.title,
             "height_in": self.height_in,
@@ -325,6 +326,7 @@ class Figure:
                 for panel in self.panels
             ],
         }
+        return _text(data)
 
 
 def sheet(
@@ -356,7 +358,7 @@ def _plain(part: Any) -> dict[str, Any]:
     for entry in fields(part):
         value = getattr(part, entry.name)
         if isinstance(value, np.ndarray):
-            plain[entry.name] = encoded(value) if value.dtype == np.uint8 else numbers(value)
+            plain[entry.name] = encoded(value) if value.dtype == np.uint8 else value
         elif isinstance(value, Scale):
             plain[entry.name] = _plain(value)
         elif value is not None and value != entry.default:
@@ -364,11 +366,19 @@ def _plain(part: Any) -> dict[str, Any]:
     return plain
 
 
-def numbers(values: FloatArray) -> list[float | None]:
-    """Return few numbers to ten digits and many to seven, None for what is none."""
-    written = "%.10g" if len(values) <= FEW else "%.7g"
-    known = np.isfinite(values).tolist()
-    return [float(written % value) if sure else None for value, sure in zip(values.tolist(), known, strict=True)]
+_ENCODER = json.JSONEncoder(separators=(",", ":"), allow_nan=False)
+
+
+def _text(data: Any) -> str:
+    """Return JSON without blanks; of arrays few numbers to ten digits and many to seven, null for what is none."""
+    if isinstance(data, dict):
+        return f"{{{','.join(f'{_ENCODER.encode(name)}:{_text(value)}' for name, value in data.items())}}}"
+    if isinstance(data, list):
+        return f"[{','.join(map(_text, data))}]"
+    if not isinstance(data, np.ndarray):
+        return _ENCODER.encode(data)
+    written = ",".join(["%.10g" if len(data) <= FEW else "%.7g"] * len(data))
+    return f"[{written % tuple(np.where(np.isfinite(data), data, np.nan).tolist())}]".replace("nan", "null")
 
 
 def encoded(grey: NDArray[np.uint8]) -> str:
@@ -413,10 +423,12 @@ def extremes(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def thin_out(x: FloatArray, y: FloatArray, edges: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Largest `y` of each interval between `edges`, with its own `x`: peaks survive, the file stays small."""
-    order = np.searchsorted(edges, x, side="right")
-    starts = np.flatnonzero(np.diff(order, prepend=-1))
-    best = [start + int(np.argmax(y[start:stop])) for start, stop in zip(starts, [*starts[1:], len(x)], strict=True)]
+    """Largest `y` of each interval between `edges`, with its own `x`: peaks survive, the file stays small; x rises."""
+    starts = np.unique([0, *np.searchsorted(x, edges)])
+    starts = starts[starts < len(x)]
+    largest = np.repeat(np.maximum.reduceat(y, starts), np.diff(starts, append=len(x)))
+    peaks = np.flatnonzero(~(y < largest))
+    best = peaks[np.searchsorted(peaks, starts)]  # the first of each interval
     return x[best], y[best]
 
 

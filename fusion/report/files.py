@@ -17,7 +17,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import partial
+from functools import cached_property, partial
 from itertools import count
 from pathlib import Path
 
@@ -269,19 +269,24 @@ class Kept:
 
     They are there until the results are written.
 
-    `key`: of everything that decides what they hold; files of another key are nobody's.
+    `key`: makes that of everything that decides what they hold; files of another key are nobody's.
     """
 
-    def __init__(self, place: Path, key: str) -> None:
+    def __init__(self, place: Path, key: Callable[[], str]) -> None:
         place = place.resolve()
         self.disk = workshop(place)
         self._folder = self.disk / f".{place.name}{SO_FAR}"
-        self._key = key
+        self._make_key = key
+
+    @cached_property
+    def _key(self) -> str:
+        return self._make_key()
 
     def get(self, name: str) -> bytes | None:
         """Return what was kept under a name, None where nothing was."""
+        file = self._folder / f"{name}.{self._key}"
         with contextlib.suppress(OSError):
-            return (self._folder / f"{name}.{self._key}").read_bytes()
+            return file.read_bytes()
         return None
 
     def put(self, name: str, content: bytes) -> bool:

@@ -10,13 +10,14 @@ import logging
 import os
 import re
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
+from threading import Event
 from typing import Any, Generic, Protocol, TypeVar
 from urllib.parse import quote
 
@@ -43,7 +44,7 @@ from fusion.report.files import claimed, is_own, write_files, write_together
 from fusion.report.h5 import h5_content, opened_results, write_value
 from fusion.report.kept import CompiledTemplates, kept
 from fusion.report.still import still_svg
-from fusion.report.stored import put_texts
+from fusion.report.stored import TEXT, Group
 from fusion.report.table import Headline, Table, csv_rows, plain_text
 from fusion.report.terminal import AS_JSON, tell, working
 
@@ -53,6 +54,7 @@ from fusion.report.terminal import AS_JSON, tell, working
 RESULT_FILE, RESULT_FORMAT = "result.h5", 2
 SENSITIVITY_FILE, CURVE_FILE = "sensitivity.csv", "curve.csv"
 TEMPLATES = Path(__file__).with_name("templates")
+GZIP = 31  # of zlib's and its like's: with the head and the end of a file of gzip
 Setting = str | float | int
 
 
@@ -129,22 +131,70 @@ def hash_files(files: Iterable[Path], root: Path, read: Mapping[Path, Identity] 
     `read`: what files were that have been read before. A file that is no longer what it was then, or that changes
     while it is hashed, is refused.
     """
-    hashes, seen, again, base = {}, {}, set(), root.resolve()
+    begun = hashing(files, root, read)
+    try:
+        return begun.all()
+    finally:
+        begun.end()
 
-    def hashed(path: Path) -> tuple[Path, Path, Identity | None, str, Identity | None]:
+
+def hashing(files: Iterable[Path], root: Path, read: Mapping[Path, Identity] | None = None) -> Hashing:
+    """Begin what `hash_files` does, so that files may be read beside it: what they are at this moment counts.
+
+    Where one was changed so shortly before that a further change may not show, all are hashed before this returns.
+    """
+    known, before, base = read or {}, list[tuple[Path, Path, Identity | None]](), root.resolve()
+    for path in set(files):
         resolved = path.resolve()
-        before = (read or {}).get(resolved) or Identity.of(path)
-        return path, resolved, before, sha256(path), Identity.of(path)
+        before.append((path, resolved, known.get(resolved) or Identity.of(path)))
 
-    with ThreadPoolExecutor(usable_cores()) as readers:  # a hash is computed without Python's lock
-        for path, resolved, before, digest, now in readers.map(hashed, set(files)):
-            key = resolved.relative_to(base) if resolved.is_relative_to(base) else resolved
-            if before is None or now is None or now[:2] != before[:2]:
-                raise _changed(path, now)
-            hashes[key.as_posix()], seen[path] = digest, (now, digest)
-            if now != before or not now.settled:
-                again.add(path)
-    return InputFiles(dict(sorted(hashes.items())), seen, frozenset(again))
+    ended = Event()
+
+    def hashed(entry: tuple[Path, Path, Identity | None]) -> tuple[str, Identity | None]:
+        path, _, first = entry
+        if ended.is_set():
+            raise ComputeError("the run has ended")
+        if first is not None and not path.exists():
+            raise _changed(path, None)
+        return sha256(path), Identity.of(path)
+
+    def collected(threads: int) -> InputFiles:
+        hashes, seen, again = {}, {}, set()
+        with ThreadPoolExecutor(threads) as readers:  # a hash is computed without Python's lock
+            for (path, resolved, first), (digest, now) in zip(before, readers.map(hashed, before), strict=True):
+                key = resolved.relative_to(base) if resolved.is_relative_to(base) else resolved
+                if first is None or now is None or now[:2] != first[:2]:
+                    raise _changed(path, now)
+                hashes[key.as_posix()], seen[path] = digest, (now, digest)
+                if now != first or not now.settled:
+                    again.add(path)
+        return InputFiles(dict(sorted(hashes.items())), seen, frozenset(again))
+
+    aside = ThreadPoolExecutor(1)
+    found = Hashing(aside.submit(collected, usable_cores()), ended)
+    aside.shutdown(wait=False)
+    if not all(first is not None and first.settled for _, _, first in before):
+        found.all()
+    return found
+
+
+class Hashing(Mapping[str, str]):
+    """SHA-256 of every file by its name, computed by a thread: who looks at one waits for all.
+
+    `all`: returns them with what the files were; `end`: no further file is hashed, for nobody waits any more.
+    """
+
+    def __init__(self, found: Future[InputFiles], ended: Event) -> None:
+        self.all, self.end = found.result, ended.set
+
+    def __getitem__(self, name: str) -> str:
+        return self.all().hashes[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.all().hashes)
+
+    def __len__(self) -> int:
+        return len(self.all().hashes)
 
 
 def is_current(folder: Path, hashes: Mapping[str, str], settings: Mapping[str, Setting]) -> bool:
@@ -153,7 +203,7 @@ def is_current(folder: Path, hashes: Mapping[str, str], settings: Mapping[str, S
     if found is None or not all((folder / name).is_file() for name in found.files):
         return False
     same_program = found.versions.get(PROGRAM) == __version__
-    return same_program and found.input_hashes == dict(hashes) and found.settings == dict(settings)
+    return same_program and found.settings == dict(settings) and found.input_hashes == dict(hashes)
 
 
 def origin_key(hashes: Mapping[str, str], settings: Mapping[str, Setting], versions: Mapping[str, str]) -> str:
@@ -209,12 +259,12 @@ def provenance_of(file: h5py.File) -> Provenance:
     return Provenance(dict(zip(names, digests, strict=True)), plain, versions, tuple(files))
 
 
-def write_provenance(file: h5py.File, origin: Origin, files: Sequence[str]) -> None:
+def write_provenance(file: Group, origin: Origin, files: Sequence[str]) -> None:
     """Put the group `provenance` into an open result file; `files`: the names of all result files."""
     group = file.create_group("provenance")
     hashes = origin.input_hashes
     for name, texts in (("input_file", list(hashes)), ("input_sha256", list(hashes.values())), ("files", files)):
-        put_texts(group, name, texts)
+        group[name] = np.array(texts, dtype=TEXT)
     group.create_group("settings").attrs.update(origin.settings)
     group.create_group("versions").attrs.update(origin.versions)
 
@@ -246,20 +296,18 @@ def render_page(template: str, context: Mapping[str, Any]) -> str:
     environment.globals |= {
         "shown": shown,
         "figures_library": library,
-        "figures_data": lambda: packed(_json([figure.data() for figure in shown])),
+        "figures_data": lambda: packed(f"[{','.join(figure.json() for figure in shown)}]".encode()),
         "figures_program": lambda: Markup((TEMPLATES / "figures.js").read_text(encoding="utf-8")),
     }
     return environment.get_template(template).render(context) + "\n"
 
 
-def _json(data: object) -> bytes:
-    """Return JSON without blanks."""
-    return json.dumps(data, separators=(",", ":"), allow_nan=False).encode()
+def packed(data: bytes, *, quickly: bool = True) -> Markup:
+    """Compress what a page unpacks itself, in characters that HTML leaves alone; not `quickly`: to the last byte."""
+    from photogram.images.files import deflate
 
-
-def packed(data: bytes, level: int = 6) -> Markup:
-    """Compress what a page unpacks itself, in characters that HTML leaves alone."""
-    return Markup(base64.b64encode(gzip.compress(data, level, mtime=0)).decode("ascii"))
+    content = deflate.compress(data, 3, wbits=GZIP) if quickly else gzip.compress(data, 9, mtime=0)
+    return Markup(base64.b64encode(content).decode("ascii"))
 
 
 @cache
@@ -273,7 +321,7 @@ def library() -> Markup:
     key = json.dumps([(str(file), file.stat().st_size, file.stat().st_mtime_ns) for file in files])
 
     def make() -> bytes:
-        return packed(b"\n".join(file.read_bytes() for file in files), 9).encode()
+        return packed(b"\n".join(file.read_bytes() for file in files), quickly=False).encode()
 
     return Markup(kept("bokeh", key, make).decode("ascii"))
 
@@ -347,7 +395,7 @@ class Command(Generic[E]):
     stem: str
     files: tuple[str, ...]
     texts: Callable[[E], Mapping[str, str | bytes]]
-    fill: Callable[[h5py.File, E], None]
+    fill: Callable[[Group, E], None]
     context: Callable[[E], Mapping[str, Any]]
     lines: Callable[[E], Iterable[str]]
     headlines: Callable[[E], Iterable[Headline]] = _no_headlines
@@ -432,7 +480,7 @@ class Command(Generic[E]):
             texts = {**self.texts(evaluation), self.page_file: self.page(evaluation)}
             names = [*texts, self.h5_file]
 
-            def fill(file: h5py.File) -> None:
+            def fill(file: Group) -> None:
                 write_provenance(file, evaluation, names)
                 file.attrs["format"] = FORMAT
                 self.fill(file, evaluation)

@@ -17,12 +17,11 @@ from h5py import h5d, h5o
 from fusion.base import InputError
 from fusion.estimation.uncertainty import Contribution, Distribution, Influence, Kind, Scope, Uncertainty
 from fusion.report.quantities import describe
-from fusion.report.stored import put_array, put_text, put_texts
+from fusion.report.stored import TEXT, Group, write_tree
 from fusion.sensitivity.evidence import Evidence
 from shaker.arrays import Notice
 from shaker.io.channel import check_inside, check_links, full_name, opened_hdf5
 
-COMPRESS_ABOVE = 512
 LEFT_OUT = {"manifest", "reference_image", "surface", "settings", "versions", "input_hashes"}
 """Fields that are in the inputs, or stand in the group `provenance`."""
 EVIDENCE = "evidence"
@@ -31,16 +30,20 @@ INFLUENCE_TEXTS = ("name", "label", "unit", "scope", "type", "distribution")
 INFLUENCE_NUMBERS = ("u", "dof")
 
 
-def h5_content(fill: Callable[[h5py.File], None], *, in_order: bool = True) -> bytes:
+def h5_content(fill: Callable[[Any], None], *, in_order: bool = True) -> bytes:
     """Return the content of an HDF5 file that a function fills in memory: what the disk refuses is no matter of HDF5.
 
-    Equal input gives equal bytes. `in_order`: of results: the file keeps the order in which its groups were made, and
-    says of every data set what it is.
+    Equal input gives equal bytes. `in_order`: of results: a `Group` is filled, the file keeps the order in which its
+    groups were made, and says of every data set what it is; else h5py's file itself is filled.
     """
     with h5py.File("in memory", "w", driver="core", backing_store=False, track_order=in_order) as file:
-        fill(file)
         if in_order:
-            describe(file)
+            top = Group()
+            fill(top)
+            describe(top)
+            write_tree(file.id, top)
+        else:
+            fill(file)
         file.flush()
         return bytes(file.id.get_file_image())
 
@@ -95,14 +98,14 @@ def _check_group(path: Path, group: h5py.Group, names: Sequence[str]) -> None:
         _check_all(path, group)
 
 
-def write_fields(group: h5py.Group, item: Any) -> None:
+def write_fields(group: Group, item: Any) -> None:
     """Write every field of a data class into a group: groups and names are those of the classes."""
     for field in fields(item):
         if field.name not in LEFT_OUT:
             write_value(group, field.name, getattr(item, field.name))
 
 
-def write_value(group: h5py.Group, name: str, value: Any) -> None:
+def write_value(group: Group, name: str, value: Any) -> None:
     """Write one value: data classes and mappings as groups, arrays and tuples as datasets, scalars as attributes."""
     if value is None:
         return
@@ -115,18 +118,14 @@ def write_value(group: h5py.Group, name: str, value: Any) -> None:
         for key, entry in value.items():
             write_value(inner, str(key), entry)
     elif isinstance(value, np.ndarray):
-        _write_array(group, name, value)
+        group[name] = value
     elif isinstance(value, tuple | list):
         _write_sequence(group, name, value)
     else:
-        value = value.as_posix() if isinstance(value, PurePath) else value
-        if isinstance(value, str) and name not in group.attrs:
-            put_text(group.id, name, value)
-        else:
-            group.attrs[name] = value
+        group.attrs[name] = value.as_posix() if isinstance(value, PurePath) else value
 
 
-def _write_sequence(group: h5py.Group, name: str, items: Sequence[Any]) -> None:
+def _write_sequence(group: Group, name: str, items: Sequence[Any]) -> None:
     """Write data classes as groups or as a table, lists of texts numbered, the rest as one dataset."""
     if items and all(_is_row(item) and type(item) is type(items[0]) for item in items):
         inner = group.create_group(name, track_order=True)
@@ -141,9 +140,9 @@ def _write_sequence(group: h5py.Group, name: str, items: Sequence[Any]) -> None:
         for number, item in enumerate(items):
             _write_sequence(inner, f"{number:03d}", item)
     elif all(isinstance(item, str) for item in items):
-        put_texts(group, name, items)
+        group[name] = np.array(items, dtype=TEXT)
     else:
-        _write_array(group, name, np.asarray(items))
+        group[name] = np.asarray(items)
 
 
 def _is_row(item: Any) -> bool:
@@ -162,7 +161,7 @@ def _label(item: Any, number: int) -> str:
     return "-".join(own) if own else f"{number:03d}"
 
 
-def write_uncertainty(group: h5py.Group, uncertainty: Uncertainty) -> None:
+def write_uncertainty(group: Group, uncertainty: Uncertainty) -> None:
     """Write an uncertainty into a group, so that `fusion.report.h5.read_uncertainty` returns it to the last bit.
 
     `random/LABEL`: covariance (K, 2C, 2C) and dof (K,) of each random contribution; `name`, `label`, `u`, `unit`,
@@ -174,34 +173,25 @@ def write_uncertainty(group: h5py.Group, uncertainty: Uncertainty) -> None:
         own = random.create_group(_free_name(random, part.label))
         own.attrs["label"] = part.label
         own.attrs["type"] = part.type
-        _write_array(own, "covariance", part.covariance)
+        own["covariance"] = part.covariance
         if part.dof is not None:
-            put_array(own, "dof", part.dof)
+            own["dof"] = part.dof
     for field in INFLUENCE_TEXTS:
-        texts = [getattr(influence, field) for influence in uncertainty.influences]
-        put_texts(group, field, texts)
+        group[field] = np.array([getattr(influence, field) for influence in uncertainty.influences], dtype=TEXT)
     for field in INFLUENCE_NUMBERS:
         numbers = [getattr(influence, field) for influence in uncertainty.influences]
-        put_array(group, field, np.array(numbers, dtype=np.float64))
+        group[field] = np.array(numbers, dtype=np.float64)
     shape = (0, *uncertainty.random[0].covariance.shape[:2])
     effects = [influence.effect for influence in uncertainty.influences]
-    _write_array(group, "effect", np.stack(effects) if effects else np.zeros(shape))
-    _write_array(group, "covariance", uncertainty.covariance)
+    group["effect"] = np.stack(effects) if effects else np.zeros(shape)
+    group["covariance"] = uncertainty.covariance
 
 
-def _free_name(group: h5py.Group, label: str) -> str:
+def _free_name(group: Group, label: str) -> str:
     """Name of a group that no other has: the label without the separator of paths, numbered where it is taken."""
     name = label.replace("/", "_")
     candidates = (name if number == 1 else f"{name} ({number})" for number in count(1))
     return next(candidate for candidate in candidates if candidate not in group)
-
-
-def _write_array(group: h5py.Group, name: str, array: np.typing.NDArray[Any]) -> None:
-    """Write an array, compressed where that is worth it."""
-    if array.size > COMPRESS_ABOVE:
-        group.create_dataset(name, data=array, compression="gzip", compression_opts=1, shuffle=True)
-    else:
-        put_array(group, name, array)
 
 
 def read_uncertainty(group: h5py.Group) -> Uncertainty:

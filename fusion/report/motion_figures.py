@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import cv2
@@ -55,7 +56,7 @@ class _View:
     normal: int
     across: tuple[int, int]
 
-    @property
+    @cached_property
     def side_mm(self) -> float:
         """Distance of neighbouring points."""
         return neighbour_distance(self.plan_mm, 1e-6)
@@ -368,7 +369,8 @@ def _draw_image(panel: Panel, image: NDArray[Any]) -> None:
 def neighbour_distance(points: FloatArray, least: float) -> float:
     """Median distance of neighbours on a grid of points (N, 2); what is closer than `least` is the same point."""
     sample = points[:: max(1, len(points) // 200)]
-    distance = np.abs(sample[:, None, :] - points[None, :, :]).max(axis=2)
+    across, down = (np.abs(np.subtract.outer(mine, every)) for mine, every in zip(sample.T, points.T, strict=True))
+    distance = np.maximum(across, down)
     distance[distance < least] = np.inf
     return float(np.median(distance.min(axis=1)))
 

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator
-from functools import cached_property
+from collections.abc import Callable, Iterable
+from functools import cache
 from typing import Any, NamedTuple
 
-import h5py
 import numpy as np
-from h5py import h5d, h5ds, h5o, h5t
 
-from fusion.report.stored import put_array, put_axis, put_text, put_texts
+from fusion.report.stored import Data, Group
 from fusion.report.table import sensitivity_unit
 from shaker.labels import AXES, LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS, component_units
 
@@ -218,6 +216,7 @@ TOLD = {
 _TAILS: dict[str, list[list[str]]] = {}
 for _name in TOLD:
     _TAILS.setdefault(_name.rpartition("/")[2], []).append(_name.split("/"))
+_LONGEST = max(name.count("/") + 1 for name in TOLD)
 SUFFIXES = {
     "_rad_per_s": "rad/s", "_per_s": "1/s", "_hz": "Hz", "_rad": "rad", "_s": "s", "_m": "m", "_m2": "m^2",
     "_px": "px", "_kg": "kg", "_n": "N", "_relative": "1", "_db": "dB",
@@ -247,15 +246,14 @@ OVER = ("frequency_hz", "time_s")
 """Axes of these, where they stand beside a data set as long."""
 
 
-def describe(file: h5py.File) -> None:
+def describe(top: Group) -> None:
     """Give every data set `units` and `long_name` as far as they are known, and its axes names as dimension scales.
 
     `units` is ASCII: one unit, `[a, b]` where they differ along the last axis (for Re and again for Im where that is
     twice as long), `[a, b]^2` for products of the units of row and column, `[unit]` where `unit` beside it has them.
     Files of other commands say so of their phasors, and of what names say by themselves.
     """
-    top = _Opened(file, None)
-    whole = "mounting" in file.attrs or "curves" in file
+    whole = "mounting" in top.attrs or "curves" in top
     for path, group, data in sorted(top.datasets(), key=lambda one: (one[0].count("/"), len(one[2].shape), one[0])):
         own, shape = path.rpartition("/")[2], data.shape
         known = whole or set(group.inside) >= PHASORS
@@ -263,8 +261,8 @@ def describe(file: h5py.File) -> None:
         if data.numbers:
             unit = _unit(group, own, shape, told)
             if unit:
-                put_text(data.id, "units", unit)
-        put_text(data.id, "long_name", told.text or _words(path))
+                data.attrs["units"] = unit
+        data.attrs["long_name"] = told.text or _words(path)
         names = told.axes.split() if known else [name for name in OVER if _along(group, own, shape, name)]
         if not known and not names:
             continue
@@ -274,92 +272,24 @@ def describe(file: h5py.File) -> None:
         for axis, name in enumerate(names):
             scale = _scale(group, name, shape[axis])
             if scale is not data:
-                h5ds.attach_scale(data.id, scale.id, axis)
+                data.attach(axis, scale)
 
 
-class _Data:
-    """A data set that was opened once, and what was asked of it: each answer takes HDF5 as long as the first."""
-
-    def __init__(self, identifier: Any) -> None:
-        self.id = identifier
-        self.scale = False
-
-    @cached_property
-    def shape(self) -> tuple[int, ...]:
-        """Lengths of its axes."""
-        return tuple(self.id.shape)
-
-    @cached_property
-    def numbers(self) -> bool:
-        """Whether it holds numbers, or truths."""
-        return bool(self.id.get_type().get_class() != h5t.STRING)
-
-    @cached_property
-    def values(self) -> Any:
-        """All that it holds: an array of numbers, or a list of texts."""
-        data = h5py.Dataset(self.id)
-        return data[()] if self.numbers else data.asstr()[()].tolist()
-
-    def make_scale(self, name: str) -> None:
-        """Make it the scale of axes."""
-        h5ds.set_scale(self.id, name.encode())
-        self.scale = True
-
-
-class _Opened:
-    """A group with all that stands below it, each opened once: that takes HDF5 as long as everything asked of it."""
-
-    def __init__(self, group: h5py.Group, parent: _Opened | None, name: str = "/") -> None:
-        self.group, self.name = group, name
-        self.parent = parent if parent is not None else self
-        self.top: _Opened = parent.top if parent is not None else self
-        self.inside: dict[str, _Data | _Opened] = {}
-        for inner in group:
-            item = h5o.open(group.id, inner.encode())
-            if isinstance(item, h5d.DatasetID):
-                self.inside[inner] = _Data(item)
-            else:
-                self.inside[inner] = _Opened(h5py.Group(item), self, f"{name.rstrip('/')}/{inner}")
-
-    @cached_property
-    def attrs(self) -> dict[str, Any]:
-        """Its attributes."""
-        return dict(self.group.attrs)
-
-    def get(self, path: str) -> Any:
-        """Return what stands at a path below this group, None where nothing does."""
-        found: Any = self
-        for name in path.split("/"):
-            found = found.inside.get(name) if isinstance(found, _Opened) else None
-        return found
-
-    def __contains__(self, path: str) -> bool:
-        return self.get(path) is not None
-
-    def __getitem__(self, path: str) -> Any:
-        found = self.get(path)
-        if found is None:
-            raise KeyError(path)
-        return found
-
-    def datasets(self) -> Iterator[tuple[str, _Opened, _Data]]:
-        """Yield every data set with its path and its group."""
-        for name, item in self.inside.items():
-            if isinstance(item, _Opened):
-                yield from item.datasets()
-            else:
-                yield f"{self.name.rstrip('/')}/{name}", self, item
-
-
-def _along(group: _Opened, own: str, shape: tuple[int, ...], name: str) -> bool:
+def _along(group: Group, own: str, shape: tuple[int, ...], name: str) -> bool:
     """Whether the first axis of a data set is what a data set of this name beside it says."""
     beside = group.get(name)
-    return isinstance(beside, _Data) and own != name and len(shape) > 0 and beside.shape == shape[:1]
+    return isinstance(beside, Data) and own != name and len(shape) > 0 and beside.shape == shape[:1]
 
 
 def _told(path: str) -> Told:
     """Return what the table has of a path: of the longest tail that fits, one without `*` before one with it."""
-    parts = [re.sub(r"^\w+_uncertainty$", "uncertainty", part) for part in path.strip("/").split("/")]
+    return _told_of(tuple(path.strip("/").split("/")[-_LONGEST:]))
+
+
+@cache
+def _told_of(names: tuple[str, ...]) -> Told:
+    """Return what the table has of the last names of a path."""
+    parts = [re.sub(r"^\w+_uncertainty$", "uncertainty", part) for part in names]
     fitting = [
         tail
         for tail in _TAILS.get(parts[-1], []) + _TAILS["*"]
@@ -380,7 +310,7 @@ def _words(path: str) -> str:
 # Units: those of the values of a group, from what it says of itself.
 
 
-def _unit(group: _Opened, name: str, shape: tuple[int, ...], told: Told) -> str:
+def _unit(group: Group, name: str, shape: tuple[int, ...], told: Told) -> str:
     """Return the unit of a data set, empty where nothing tells it."""
     rules: dict[str, Callable[[], str]] = {
         "": lambda: next((unit for suffix, unit in SUFFIXES.items() if name.endswith(suffix)), ""),
@@ -409,13 +339,13 @@ def _squared(listed: str) -> str:
     return listed if listed in ("", "1") else f"{listed}^2" if listed[0] == "[" else f"({listed})^2"
 
 
-def _is_matrix(group: _Opened) -> bool:
+def _is_matrix(group: Group) -> bool:
     """Whether the values of a group stand over channels and load components."""
     top = group.name.split("/")
     return "uncertainty" not in top and (top[1:2] == ["matrices"] or top[1:] in (["sensitivity"], ["element"]))
 
 
-def _sensitivity_units(group: _Opened) -> list[str]:
+def _sensitivity_units(group: Group) -> list[str]:
     """Return the units of sensitivities to the six load components."""
     return [sensitivity_unit(_output_unit(group), component) for component in LOAD_COMPONENTS]
 
@@ -426,18 +356,18 @@ def _listed(units: Iterable[str], several: str = "") -> str:
     return units[0] if len(set(units)) == 1 else (several or f"[{', '.join(units)}]") if units else ""
 
 
-def _output_unit(group: _Opened) -> str:
+def _output_unit(group: Group) -> str:
     """Return the unit of the outputs that sensitivities of a group are of."""
     return str(group.attrs.get("unit", group.top["sensor"].attrs["unit"] if "sensor" in group.top else ""))
 
 
-def _owner(group: _Opened) -> tuple[_Opened, str]:
+def _owner(group: Group) -> tuple[Group, str]:
     """Return the group whose values an uncertainty is of, and which of its values (`plane`, `residual`)."""
     found = re.match(r"(.*)/(?:(\w+)_)?uncertainty(/.*)?$", group.name)
     return (group.top[found[1].strip("/")], found[2] or "") if found else (group, "")
 
 
-def _units_of_values(group: _Opened) -> list[str]:
+def _units_of_values(group: Group) -> list[str]:
     """Return the unit of each value of a group, or of what an uncertainty or a group of details belongs to."""
     owner, which = _owner(group)
     top = owner.name.split("/")[1:]
@@ -471,14 +401,13 @@ def _units_of_values(group: _Opened) -> list[str]:
 # Axes: coordinates of the group or of those above it, labels, or a length alone.
 
 
-def _scale(own: _Opened, name: str, length: int) -> _Data:
+def _scale(own: Group, name: str, length: int) -> Data:
     """Return the dimension scale of an axis: of the data set's group, or of one above it, made where there is none."""
     group = own
     while True:
         near = group.get(name)
-        if isinstance(near, _Data) and near.shape == (length,):
-            if not near.scale:
-                near.make_scale(name)
+        if isinstance(near, Data) and near.shape == (length,):
+            near.scale = near.scale or name
             return near
         if group is group.top:
             break
@@ -486,20 +415,21 @@ def _scale(own: _Opened, name: str, length: int) -> _Data:
     free = next(text for text in (name, *(f"{name}_{number}" for number in range(2, 99))) if text not in own)
     values = _coordinate(own, name, length)
     if values is None:
-        scale = own.inside[free] = _Data(put_axis(own.group, free, length))
-        scale.make_scale(f"This is a netCDF dimension but not a netCDF variable. {length:9d}")
-        return scale
-    text = not isinstance(values, np.ndarray)
-    scale = own.inside[free] = _Data((put_texts if text else put_array)(own.group, free, values))
-    scale.make_scale(free)
-    words = "real parts, then imaginary parts" if name in ("row", "column") else _words(f"/{name}")
-    put_text(scale.id, "long_name", words)
-    if not text:
-        put_text(scale.id, "units", "Hz")
+        scale = Data(np.zeros(length, ">f4"), stored=False)
+        scale.scale = f"This is a netCDF dimension but not a netCDF variable. {length:9d}"
+    else:
+        scale = Data(values)
+        scale.scale = free
+        scale.attrs["long_name"] = (
+            "real parts, then imaginary parts" if name in ("row", "column") else _words(f"/{name}")
+        )
+        if scale.numbers:
+            scale.attrs["units"] = "Hz"
+    own.inside[free] = scale
     return scale
 
 
-def _coordinate(group: _Opened, name: str, length: int) -> Any:
+def _coordinate(group: Group, name: str, length: int) -> Any:
     """Return what an axis says at each place, None where nothing does."""
     owner, which = _owner(group)
     labels = _labels(owner, which) if name in ("row", "column", "element") else []
@@ -522,7 +452,7 @@ def _coordinate(group: _Opened, name: str, length: int) -> Any:
     return values if len(values) == length > 0 else None
 
 
-def _labels(owner: _Opened, which: str) -> list[str]:
+def _labels(owner: Group, which: str) -> list[str]:
     """Return the label of each value of a group."""
     if which == "plane":
         return ["mean", "rotation 1", "rotation 2"]

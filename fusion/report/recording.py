@@ -8,7 +8,6 @@ from dataclasses import fields
 from pathlib import Path
 from typing import NamedTuple
 
-import h5py
 import numpy as np
 
 from fusion.base import InputError
@@ -38,6 +37,7 @@ from fusion.report.points import save_points
 from fusion.report.result_figures import acceleration_pictures, draw_budget, sensitivity_pictures
 from fusion.report.scene import evaluation_scene, scene_page
 from fusion.report.signal_figures import channel_pictures, point_pictures, trigger_pictures
+from fusion.report.stored import Group
 from fusion.report.table import Column, csv_text, measured, polar_columns, sensitivity_unit, word
 from fusion.sensitivity.analyse import NOT_SHOWN, Evaluation
 from fusion.sensitivity.body import moving_parts
@@ -318,7 +318,7 @@ def write_h5(path: Path, evaluation: Evaluation, files: Sequence[str]) -> None:
     """Write the evaluation and its provenance to a new HDF5 file; `files` are the names of all result files."""
     manifest = evaluation.manifest
 
-    def fill(file: h5py.File) -> None:
+    def fill(file: Group) -> None:
         file.attrs["format"] = RESULT_FORMAT
         file.attrs["recording"] = manifest.name
         file.attrs["rig"] = manifest.rig.name

@@ -104,8 +104,9 @@ def _draw_spectrum(panel: Panel, channel: ChannelResult, lines: FloatArray) -> N
     panel.line(thin_frequency, thin_amplitude, "amplitude spectrum", colour=BLUE, width=0.8)
     marked = lines[(lines >= frequency[0]) & (lines <= frequency[-1])]
     width = 2.0 * (frequency[1] - frequency[0]) if len(frequency) > 1 else np.inf
-    near = [np.abs(frequency - line) <= width for line in marked]
-    tops = [float(amplitude[own].max()) if own.any() else float(np.median(amplitude)) for own in near]
+    around = [slice(*np.searchsorted(frequency, (line - 2.0 * width, line + 2.0 * width))) for line in marked]
+    near = [amplitude[part][np.abs(frequency[part] - line) <= width] for part, line in zip(around, marked, strict=True)]
+    tops = [float(own.max() if len(own) else np.median(amplitude)) for own in near]
     if len(marked):
         names = tuple(f"{line:.4f} Hz" for line in marked)
         panel.points(marked, 2.2 * np.array(tops), "lines", marker="inverted_triangle", colour=RED, names=names)

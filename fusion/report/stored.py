@@ -1,23 +1,208 @@
-"""Data sets and attributes of HDF5 files: results have thousands, so each is made with the few calls that it needs.
+"""Groups, data sets and attributes of an HDF5 file: held here until all is known of them, then written in one pass.
 
-What readers find is what h5py's `create_dataset` and `attrs` would have made, to the byte.
+Results have thousands, and to ask HDF5 about one takes as long as to write it. What readers find is what h5py's
+`create_dataset`, `attrs` and `make_scale` would have made.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import cache
+from collections.abc import Iterator
+from functools import cache, lru_cache
 from typing import Any
 
 import h5py
 import numpy as np
-from h5py import h5a, h5d, h5p, h5s, h5t
-from numpy.typing import NDArray
+from h5py import h5a, h5d, h5g, h5p, h5r, h5s, h5t
+from numpy.typing import ArrayLike, NDArray
+
+DEFLATE_ABOVE, WORTH_IT = 512, 0.75
+"""Numbers from which on an array is deflated, where that leaves no more than this share of the bytes of a sample."""
+SAMPLE_BYTES, CHUNK_BYTES = 1 << 15, 1 << 20
+"""The latter: what HDF5 holds of a data set while it is read."""
+TEXT = h5py.string_dtype()
+LISTS = h5py.vlen_dtype(h5py.ref_dtype)
+REFERENCE = np.dtype([("dataset", h5py.ref_dtype), ("dimension", np.uint32)], align=True)
+"""By what axes name their scales, and scales the axes that they belong to (HDF5 dimension scale specification)."""
+
+
+class Data:
+    """A data set: numbers, or texts as objects, of any shape; `stored` without: nothing but the length of an axis.
+
+    `scales`: of each axis that has one, the data set that says what stands along it. `scale`: the name that it has as
+    such a data set itself, empty where it is none; `axes`: of which data sets it is one, and along which axis.
+    """
+
+    def __init__(self, values: ArrayLike, *, stored: bool = True) -> None:
+        values = np.asarray(values)
+        self.values = values.astype(TEXT) if values.dtype.kind in "UO" else values
+        self.stored = stored
+        self.attrs: dict[str, Any] = {}
+        self.scales: dict[int, Data] = {}
+        self.scale, self.axes = "", list[tuple[Data, int]]()
+        self.id: Any = None
+
+    def attach(self, axis: int, scale: Data) -> None:
+        """Have another data set say what stands along an axis."""
+        self.scales[axis] = scale
+        scale.axes.append((self, axis))
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Lengths of its axes."""
+        return self.values.shape
+
+    @property
+    def numbers(self) -> bool:
+        """Whether it holds numbers, or truths."""
+        return self.values.dtype.kind != "O"
+
+
+class Group:
+    """A group as it is filled: what h5py's group offers for that; `track_order`: it keeps the order of its making."""
+
+    def __init__(self, parent: Group | None = None, name: str = "/", *, track_order: bool = True) -> None:
+        self.name, self.track_order = name, track_order
+        self.parent = parent if parent is not None else self
+        self.top: Group = parent.top if parent is not None else self
+        self.inside: dict[str, Data | Group] = {}
+        self.attrs: dict[str, Any] = {}
+
+    def get(self, path: str) -> Any:
+        """Return what stands at a path below this group, None where nothing does."""
+        found: Any = self
+        for name in path.split("/"):
+            found = found.inside.get(name) if isinstance(found, Group) else None
+        return found
+
+    def __contains__(self, path: str) -> bool:
+        return self.get(path) is not None
+
+    def __getitem__(self, path: str) -> Any:
+        found = self.get(path)
+        if found is None:
+            raise KeyError(path)
+        return found
+
+    def __setitem__(self, name: str, values: ArrayLike) -> None:
+        self.put(name, Data(values))
+
+    def put(self, name: str, item: Any) -> Any:
+        """Put a new data set or group into the group, and return it."""
+        if name in self.inside:
+            raise ValueError(f"{self.name}: {name}: expected a name that is free, found it taken")
+        self.inside[name] = item
+        return item
+
+    def create_group(self, path: str, *, track_order: bool = False) -> Group:
+        """Make a new group, and those above it in its path that are not there yet, which keep their order as this."""
+        name, _, below = path.partition("/")
+        inner: Any = self.inside.get(name) if below else None
+        if inner is None:
+            order = self.track_order if below else track_order
+            inner = self.put(name, Group(self, f"{self.name.rstrip('/')}/{name}", track_order=order))
+        made: Group = inner.create_group(below, track_order=track_order) if below else inner
+        return made
+
+    def require_group(self, path: str) -> Group:
+        """Return the group at a path, made where it is not there yet."""
+        return found if isinstance(found := self.get(path), Group) else self.create_group(path)
+
+    def datasets(self) -> Iterator[tuple[str, Group, Data]]:
+        """Yield every data set with its path and its group."""
+        for name, item in self.inside.items():
+            if isinstance(item, Group):
+                yield from item.datasets()
+            else:
+                yield f"{self.name.rstrip('/')}/{name}", self, item
+
+
+# Written.
+
+
+def write_tree(file: Any, top: Group) -> None:
+    """Write all that a group holds into an open file that is empty, by its identifier."""
+    _write_group(file, top)
+    for _, _, data in top.datasets():
+        if data.scales:
+            named = [data.scales.get(axis) for axis in range(len(data.shape))]
+            lists = np.empty(len(named), dtype=LISTS)
+            for axis, scale in enumerate(named):
+                lists[axis] = np.array([] if scale is None else [_reference(scale)], dtype=h5py.ref_dtype)
+            _write_attribute(data.id, "DIMENSION_LIST", lists, "references")
+        if data.axes:
+            belongs = [(_reference(other), axis) for other, axis in data.axes]
+            _write_attribute(data.id, "REFERENCE_LIST", np.array(belongs, dtype=REFERENCE))
+
+
+def _reference(data: Data) -> Any:
+    return h5r.create(data.id, b".", h5r.OBJECT)
+
+
+def _write_group(place: Any, group: Group) -> None:
+    """Write what a group holds into the open group of an identifier."""
+    for name, item in group.inside.items():
+        if isinstance(item, Group):
+            link, kind = _link_kind(name.isascii()), _group_kind(item.track_order)
+            _write_group(h5g.create(place, name.encode(), link, kind), item)
+            continue
+        item.id = _write_data(place, name, item)
+        for key, value in item.attrs.items():
+            _write_attribute(item.id, key, value)
+        if item.scale:
+            for key, text in (("CLASS", "DIMENSION_SCALE"), ("NAME", item.scale)):
+                _write_attribute(item.id, key, np.bytes_(text.encode()))
+    for key, value in group.attrs.items():
+        _write_attribute(place, key, value)
+
+
+def _write_data(place: Any, name: str, data: Data) -> Any:
+    """Write a data set as a new one of the open group of an identifier, and return its own."""
+    values, stored = np.asarray(data.values, order="C"), _plain()
+    rows, parts = _deflated(values) if data.numbers and values.size > DEFLATE_ABOVE else (0, [])
+    if parts:
+        stored = stored.copy()
+        stored.set_chunk((rows, *values.shape[1:]))
+        stored.set_shuffle()
+        stored.set_deflate(1)
+    kind, space, link = _types(values.dtype)[0], _space(values.shape), _link_kind(name.isascii())
+    made = h5d.create(place, name.encode(), kind, space, stored, link)
+    for number, part in enumerate(parts):
+        made.write_direct_chunk((number * rows, *(0,) * (values.ndim - 1)), part)
+    if data.stored and not parts:
+        made.write(h5s.ALL, h5s.ALL, values)
+    return made
+
+
+def _deflated(values: NDArray[Any]) -> tuple[int, list[bytes]]:
+    """Return an array in pieces of so many rows, bytes of equal weight together and deflated; none if not worth it."""
+    from photogram.images.files import deflate  # which has the faster of two programs for it
+
+    def deflated(part: NDArray[Any]) -> bytes:
+        shuffled = np.ascontiguousarray(part.reshape(-1).view(np.uint8).reshape(-1, values.itemsize).T)
+        return bytes(deflate.compress(shuffled, 1))
+
+    sample = values.reshape(-1)[: SAMPLE_BYTES // values.itemsize]
+    if len(deflated(sample)) > WORTH_IT * sample.nbytes:
+        return 0, []
+    rows = max(1, min(len(values), CHUNK_BYTES * len(values) // values.nbytes))
+    whole = np.zeros((-len(values) % rows, *values.shape[1:]), values.dtype)  # what the last piece lacks
+    parts = [values[first : first + rows] for first in range(0, len(values), rows)]
+    if len(whole):
+        parts[-1] = np.concatenate([parts[-1], whole])
+    return rows, list(map(deflated, parts))
+
+
+def _write_attribute(holder: Any, name: str, value: Any, kind: str = "") -> None:
+    """Write a text, a number or several as a new attribute of what has this identifier."""
+    values = np.asarray(value, dtype=TEXT if isinstance(value, str) else None, order="C")
+    in_file, in_memory = _types(values.dtype, kind)
+    made = h5a.create(holder, name.encode(), in_file, _space(values.shape))
+    made.write(values, mtype=in_memory)
 
 
 @cache
 def _plain() -> Any:
-    """How a data set is stored that is not compressed: without the time when it was made."""
+    """How a data set is stored: without the time when it was made."""
     kind = h5p.create(h5p.DATASET_CREATE)
     kind.set_obj_track_times(False)
     kind.set_attr_creation_order(0)
@@ -25,47 +210,40 @@ def _plain() -> Any:
 
 
 @cache
-def _text_type() -> tuple[Any, Any]:
-    """Texts of any length as UTF-8: in the file, and in memory."""
-    kind = h5py.string_dtype()
+def _group_kind(track_order: bool) -> Any:
+    """How a group is stored: without that time, too."""
+    kind, order = h5p.create(h5p.GROUP_CREATE), h5p.CRT_ORDER_TRACKED | h5p.CRT_ORDER_INDEXED
+    kind.set_obj_track_times(False)
+    if track_order:
+        kind.set_link_creation_order(order)
+        kind.set_attr_creation_order(order)
+    return kind
+
+
+@cache
+def _link_kind(plain: bool) -> Any:
+    """How a name is stored: one that is not plain as UTF-8."""
+    kind = h5p.create(h5p.LINK_CREATE)
+    kind.set_char_encoding(h5t.CSET_ASCII if plain else h5t.CSET_UTF8)
+    return kind
+
+
+@lru_cache(1000)
+def _space(shape: tuple[int, ...]) -> Any:
+    """Room for values."""
+    return h5s.create_simple(shape) if shape else h5s.create(h5s.SCALAR)
+
+
+@cache
+def _types(kind: np.dtype[Any], of: str = "") -> tuple[Any, Any]:
+    """Types of values in the file and in memory, of objects those of texts or `of` references; bytes end with a zero.
+
+    (What numpy's types of objects stand for does not count where they are compared.)
+    """
+    if kind.kind == "S":
+        ended = h5t.C_S1.copy()
+        ended.set_size(kind.itemsize + 1)
+        return ended, h5t.py_create(kind)
+    if kind.kind == "O":
+        kind = LISTS if of else TEXT
     return h5t.py_create(kind, logical=True), h5t.py_create(kind)
-
-
-@cache
-def _one() -> Any:
-    """Room for one value."""
-    return h5s.create(h5s.SCALAR)
-
-
-@cache
-def _number_type(kind: np.dtype[Any]) -> Any:
-    return h5t.py_create(kind, logical=True)
-
-
-def put_array(group: h5py.Group, name: str, values: NDArray[Any]) -> Any:
-    """Write an array of numbers as a new data set of a group, and return its identifier."""
-    values = np.asarray(values, order="C")
-    space = h5s.create_simple(values.shape)
-    made = h5d.create(group.id, name.encode(), _number_type(values.dtype), space, _plain())
-    made.write(h5s.ALL, h5s.ALL, values)
-    return made
-
-
-def put_texts(group: h5py.Group, name: str, texts: Sequence[str]) -> Any:
-    """Write texts (N,) as a new data set of a group, and return its identifier."""
-    values = np.array(texts, dtype=object).view(h5py.string_dtype())
-    made = h5d.create(group.id, name.encode(), _text_type()[0], h5s.create_simple(values.shape), _plain())
-    made.write(h5s.ALL, h5s.ALL, values)
-    return made
-
-
-def put_axis(group: h5py.Group, name: str, length: int) -> Any:
-    """Make a new data set that is nothing but the length of an axis, and return its identifier."""
-    return h5d.create(group.id, name.encode(), h5t.IEEE_F32BE, h5s.create_simple((length,)), _plain())
-
-
-def put_text(holder: Any, name: str, text: str) -> None:
-    """Write a text as a new attribute of what has this identifier."""
-    kept, given = _text_type()
-    value = np.array(text, dtype=object).view(h5py.string_dtype())
-    h5a.create(holder, name.encode(), kept, _one()).write(value, mtype=given)

@@ -24,6 +24,8 @@ from types import FunctionType
 from typing import Any
 
 UNUSED_S = 30 * 86400.0
+LEAN_VERSIONS = ((0, 68),)
+"""Of numba, in which a kept kernel was seen to need nothing but the memory of arrays; with others it is loaded as usual."""
 
 
 def njit(*, error_model: str = "python", inline: str = "never") -> Callable[[Callable[..., Any]], Any]:
@@ -66,23 +68,37 @@ class Kernel:
 def _dispatcher(function: Callable[..., Any], options: dict[str, Any]) -> Any:
     """Return what numba makes of a function, its cache being the user's."""
     import numba
-    from numba.core.caching import IndexDataCacheFile
+    from numba.core.caching import FunctionCache, IndexDataCacheFile
+    from numba.core.runtime import rtsys
 
-    class Cache(IndexDataCacheFile):  # type: ignore[misc]
+    class File(IndexDataCacheFile):  # type: ignore[misc]
         """A cache that a full or read-only disk leaves as it is: the kernel is compiled again next time."""
 
         def save(self, key: Any, data: Any) -> None:
             with contextlib.suppress(OSError):
                 super().save(key, data)
 
+    class Cache(FunctionCache):  # type: ignore[misc]
+        """A cache that is read without all that numba knows of types and functions, which only a compiler needs.
+
+        To look that up takes as long as to import numba, which offers no public way without it.
+        """
+
+        def load_overload(self, sig: Any, target_context: Any) -> Any:
+            if numba.version_info.short not in LEAN_VERSIONS:
+                return super().load_overload(sig, target_context)
+            rtsys.initialize(target_context)  # the memory of arrays
+            with self._guard_against_spurious_io_errors():
+                return self._load_overload(sig, target_context)
+
     dispatcher = numba.njit(**options)(function)
     if numba.config.DISABLE_JIT:
         return dispatcher
-    dispatcher.enable_caching()
-    cache, folder = dispatcher._cache, _cache_folder()  # numba offers no public way to say where and until when
+    cache, folder = Cache(function), _cache_folder()  # numba offers no public way to say where, until when and how
     if folder is not None:
         cache._cache_path = str(folder)
-        cache._cache_file = Cache(str(folder), cache._impl.filename_base, _sources_digest())
+        cache._cache_file = File(str(folder), cache._impl.filename_base, _sources_digest())
+    dispatcher._cache = cache
     return dispatcher
 
 

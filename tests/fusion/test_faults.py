@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import errno
+import hashlib
 import io
 import os
 import random
@@ -16,6 +17,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import faults
@@ -28,7 +30,7 @@ from fusion.cli import main
 from fusion.commands.options import EXIT_CLOSED, EXIT_DONE, EXIT_FAILED, EXIT_INPUT
 from fusion.report import files
 from fusion.report.files import claimed, remove_abandoned, write_files, write_together, write_whole
-from fusion.report.folder import hash_files, read_provenance
+from fusion.report.folder import hash_files, hashing, read_provenance, sha256
 from fusion.report.table import Column, csv_text, read_rows
 from fusion.report.terminal import Terminal, printable
 from fusion.simulate import simulate
@@ -306,6 +308,55 @@ def test_a_file_that_changes_while_it_is_hashed_is_refused(tmp_path, monkeypatch
         hash_files([path], tmp_path)
 
 
+@pytest.mark.parametrize("change", ["rewritten", "vanished", "unreadable"])
+def test_what_happens_to_a_file_beside_its_hashing_is_told_before_what_was_found_in_it(
+    change, make_campaign, monkeypatch, capsys
+):
+    """Files that are older than the times of files are told apart by are read while they are hashed."""
+    folder, far, begun = make_campaign(), time.time_ns() - 10**12, Event()
+    for path in filter(Path.is_file, folder.parent.rglob("*")):
+        os.utime(path, ns=(far, far))
+    file = folder / "vibrometer.h5"
+
+    def late(path: Path) -> str:
+        assert begun.wait(20.0)
+        return sha256(path)
+
+    def evaluate(*_: Any, **__: Any) -> Any:
+        {"rewritten": lambda: file.write_bytes(b"other"), "vanished": file.unlink, "unreadable": unread}[change]()
+        begun.set()
+        raise ComputeError("what was found in the file")
+
+    def unread() -> None:
+        monkeypatch.setattr("fusion.report.folder.hashlib.file_digest", refuse)
+
+    def refuse(*_: Any) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("fusion.report.folder.sha256", late)
+    monkeypatch.setattr("fusion.campaign.run.evaluate_recording", evaluate)
+    assert main(["run", str(folder), "-q"]) == EXIT_INPUT
+    told = capsys.readouterr().err.splitlines()[-1]
+    verb = {
+        "rewritten": "changed while it was read",
+        "vanished": "vanished while it was read",
+        "unreadable": "Permission denied",
+    }
+    assert verb[change] in told
+    assert "vibrometer.h5" in told or change == "unreadable"
+    assert not (folder / "results").exists()
+
+
+def test_files_that_have_just_changed_are_hashed_before_they_are_read(tmp_path):
+    path, far = tmp_path / "a.h5", time.time_ns() - 10**12
+    path.write_bytes(b"first")
+    begun = hashing([path], tmp_path)
+    path.write_bytes(b"later")
+    assert begun["a.h5"] == hashlib.sha256(b"first").hexdigest()
+    os.utime(path, ns=(far, far))
+    assert dict(hashing([path], tmp_path)) == {"a.h5": hashlib.sha256(b"later").hexdigest()}
+
+
 @pytest.mark.parametrize("change", ["rewritten", "vanished"])
 def test_a_run_on_a_file_that_changes_writes_nothing(change, make_campaign, ready_evaluation, monkeypatch, capsys):
     folder = make_campaign()
@@ -329,14 +380,13 @@ def test_a_run_on_a_file_that_changes_writes_nothing(change, make_campaign, read
 
 def test_a_manifest_that_changes_between_reading_and_hashing_is_refused(make_campaign, evaluated, monkeypatch, capsys):
     folder = make_campaign()
-    hashed = hash_files
 
     def late(*arguments: Any) -> Any:
         with (folder / "recording.toml").open("a") as stream:
             stream.write("# another sentence\n")
-        return hashed(*arguments)
+        return hashing(*arguments)
 
-    monkeypatch.setattr("fusion.campaign.run.hash_files", late)
+    monkeypatch.setattr("fusion.campaign.run.hashing", late)
     assert main(["run", str(folder), "-q"]) == EXIT_INPUT
     assert "recording.toml: changed while it was read" in capsys.readouterr().err
     assert not evaluated

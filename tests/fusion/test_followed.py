@@ -77,11 +77,11 @@ class Refusing:
 
 
 def test_blocks_come_back_to_the_last_bit_and_damaged_ones_not_at_all(tmp_path):
-    kept, block = Kept(tmp_path / "results", "key"), drawn_block(1)
+    kept, block = Kept(tmp_path / "results", lambda: "key"), drawn_block(1)
     followed(kept).add(BLOCKS_OF_THREE[0], block)
     assert bits(next(iter(followed(kept)))) == bits(block)
     assert followed(kept).missing() == [BLOCKS_OF_THREE[1]]
-    assert followed(Kept(tmp_path / "results", "other")).missing() == [*BLOCKS_OF_THREE]
+    assert followed(Kept(tmp_path / "results", lambda: "other")).missing() == [*BLOCKS_OF_THREE]
     (file,) = (tmp_path / ".results.so-far").iterdir()
     content = bytearray(file.read_bytes())
     content[len(content) // 2] ^= 1
@@ -128,13 +128,13 @@ def test_in_a_mounted_folder_blocks_are_kept_and_the_next_run_is_let_in(tmp_path
     place = tmp_path / "results"
     place.mkdir()
     monkeypatch.setattr(os.path, "ismount", lambda path: Path(path) == place)
-    kept, block = Kept(place, "key"), drawn_block(1)
+    kept, block = Kept(place, lambda: "key"), drawn_block(1)
     followed(kept).add(BLOCKS_OF_THREE[0], block)
     assert kept.disk == place
     assert [entry.name for entry in tmp_path.iterdir()] == ["results"]
     check_folder(place, {}, force=False)
     assert remove_abandoned(place) == []
-    assert bits(next(iter(followed(Kept(place, "key"))))) == bits(block)
+    assert bits(next(iter(followed(Kept(place, lambda: "key"))))) == bits(block)
     kept.remove()
     assert list(place.iterdir()) == []
 
@@ -156,7 +156,7 @@ def test_a_run_that_ended_behind_its_first_block_goes_on_to_the_same_bits(tmp_pa
     whole = body.measure_body(*series)
 
     def run() -> tuple[Followed, int]:
-        found = Followed(IMAGES, follow.prepare_body(*series), "cpu", Kept(tmp_path / "results", "key"))
+        found = Followed(IMAGES, follow.prepare_body(*series), "cpu", Kept(tmp_path / "results", lambda: "key"))
         missing = found.missing()
         for frames in missing:
             found.add(frames, follow.follow_block(found.scene, frames))

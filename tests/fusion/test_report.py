@@ -14,7 +14,7 @@ from markupsafe import Markup
 from page_outline import outline, self_contained
 
 from fusion.phasors.deformation import DeflectionShape, deflection_shape
-from fusion.report.figure import Figure, extremes, padded, power_text, thin_out
+from fusion.report.figure import Figure, extremes, padded, power_text, sheet, thin_out
 from fusion.report.motion_figures import (
     beat_curve,
     camera_rate_hz,
@@ -159,7 +159,20 @@ def test_every_figure_is_well_formed_on_paper_and_asks_for_nothing_outside(pictu
             assert image.attrib["{http://www.w3.org/1999/xlink}href"].startswith("data:image/png;base64,")
         assert picture.title
         assert picture.caption.endswith(".")
-        json.dumps(picture.data(), allow_nan=False)
+        assert json.loads(picture.json(), parse_constant=pytest.fail)["name"] == picture.name
+
+
+def test_numbers_of_a_page_have_ten_digits_where_they_are_few_and_null_where_there_is_none():
+    drawn = sheet("numbers", 2.0)
+    many = np.exp(np.linspace(-30.0, 30.0, 1000))
+    drawn.panels[0].points([np.pi, np.nan, -np.inf], [-1e-7 / 3.0, 2.0, 0.0], names=("a nan", "b", "c"))
+    drawn.panels[0].line(many, -many)
+    few, long = json.loads(drawn.json())["panels"][0]["marks"]
+    assert few["x"] == [3.141592654, None, None]
+    assert few["y"] == [-3.333333333e-08, 2, 0]
+    assert few["names"] == ["a nan", "b", "c"]
+    assert np.allclose(long["x"], many, rtol=5e-7, atol=0.0)
+    assert np.allclose(long["y"], -many, rtol=5e-7, atol=0.0)
 
 
 def test_beat_curve_passes_through_the_fit_at_every_frame_and_the_folded_one_is_it_without_offset(evaluation):
@@ -210,6 +223,8 @@ def test_thinning_keeps_peaks_and_axes_have_room():
     assert len(few_x) < 60
     assert (few_y.max(), few_x[np.argmax(few_y)]) == (9.0, 513.0)
     assert np.all(np.diff(few_x) > 0.0)
+    ends = [np.array([1.0, 2.0, 2.5, 4.0]), np.array([3.0, 1.0, 1.0, 0.0]), np.array([2.0, 3.0, 3.5])]
+    assert np.array_equal(thin_out(*ends), [[1.0, 2.0, 4.0], [3.0, 1.0, 0.0]])  # an interval without any, and equals
     assert padded(0.0, 10.0, 0.1) == (-1.0, 11.0)
     assert padded(2.0, 2.0)[0] < 2.0 < padded(2.0, 2.0)[1]
     assert power_text(-7) == "10⁻⁷"

@@ -266,10 +266,10 @@ def kernel(x):
 RUN = "from small.calls import kernel; print(kernel(1), sum(kernel.stats.cache_hits.values()))"
 
 
-def in_another_process(folder: Path) -> list[str]:
+def in_another_process(folder: Path, program: str = RUN) -> list[str]:
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder.parent / "kernels")}
     done = subprocess.run(
-        [sys.executable, "-c", RUN], cwd=folder, check=True, capture_output=True, text=True, env=environment
+        [sys.executable, "-c", program], cwd=folder, check=True, capture_output=True, text=True, env=environment
     )
     return done.stdout.split()
 
@@ -292,6 +292,15 @@ def test_a_kernel_follows_the_functions_that_it_calls_and_serves_all_checkouts(t
     assert in_another_process(tmp_path / "other") == ["20", "1"]
     called.write_text(CALLED.format(offset=2), encoding="utf-8")
     assert in_another_process(tmp_path / "one") == ["30", "0"]
+
+
+def test_a_kept_kernel_is_loaded_without_what_only_a_compiler_needs_and_others_are_compiled_after_it(tmp_path):
+    checkout(tmp_path / "one")
+    told = "; print('numba.misc.cffiimpl' in sys.modules)"
+    program = f"import sys; from small.calls import kernel; print(kernel(1)){told}"
+    assert in_another_process(tmp_path / "one", program) == ["20", "True"]
+    program = f"{program}; print(kernel(0.5)){told}"
+    assert in_another_process(tmp_path / "one", program) == ["20", "False", "15.0", "True"]
 
 
 def test_a_disk_that_takes_no_cache_ends_nothing(monkeypatch):
