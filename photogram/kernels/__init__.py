@@ -25,7 +25,7 @@ from typing import Any
 
 UNUSED_S = 30 * 86400.0
 LEAN_VERSIONS = ((0, 68),)
-"""Of numba, in which a kept kernel was seen to need nothing but the memory of arrays; with others it is loaded as usual."""
+"""Of numba, in which a kept kernel was seen to need nothing but the memory of arrays; with others it loads as usual."""
 
 
 def njit(*, error_model: str = "python", inline: str = "never") -> Callable[[Callable[..., Any]], Any]:
