@@ -1,4 +1,7 @@
-"""Differential evolution, rand/1/bin, generation by generation (Storn and Price, J. Global Optim. 11 (1997) 341)."""
+"""Differential evolution, rand/1/bin, generation by generation (Storn and Price, J. Global Optim. 11 (1997) 341).
+
+Importing this module brings numba, which compiles what goes through members or samples one by one.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +9,11 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from shaker.arrays import FloatArray
-from shaker.release.recursion import dealt
+from shaker.arrays import FloatArray, IntArray
+from shaker.lti.recursion import njit
 
 MUTATION, CROSSOVER = 0.8, 0.7  # the published settings
+HUGE = 1e100  # loss from which a model counts as grown without bound
 
 Losses = Callable[[FloatArray, FloatArray], FloatArray]
 """Of members (P, N) and the losses (P,) that they have to keep to: losses (P,), infinite where a member exceeds its."""
@@ -53,3 +57,50 @@ def _to_front(members: FloatArray, losses: FloatArray) -> None:
     """Exchange the best member and its loss with the first."""
     best = int(np.argmin(losses))
     members[[0, best]], losses[[0, best]] = members[[best, 0]], losses[[best, 0]]
+
+
+@njit
+def dealt(order: IntArray, turns: IntArray) -> IntArray:
+    """Return three others for each of P members, (3, P): the first of `order` (P,), which is shuffled anew for each.
+
+    `turns` (P, P): what each shuffle makes of the order before it; the last one is left in `order`.
+    """
+    count = len(order)
+    chosen, shuffled = np.empty((3, count), dtype=np.int64), np.empty(count, dtype=np.int64)
+    for p in range(count):
+        for i in range(count):
+            shuffled[i] = order[turns[p, i]]
+        order[:] = shuffled
+        own = 0
+        for k in range(3):
+            own += order[k + own] == p
+            chosen[k, p] = order[k + own]
+    return chosen
+
+
+@njit
+def output_errors(
+    members: FloatArray, most: FloatArray, load: FloatArray, output: FloatArray, before: float
+) -> FloatArray:
+    """Return the squared output errors (P,) of difference equations, infinite from `most` (P,) or 1e100 on.
+
+    `members` (P, 2n): [b_n, a_n, …, b_1, a_1] each, of H(z) = Σ b z⁻ⁱ/(1 + Σ a z⁻ⁱ); `before`: squares of the output
+    before `load` (N,) begins, with which `output` (N,) does. A model is followed no further than its error allows.
+    """
+    count, order = members.shape[0], members.shape[1] // 2
+    found = np.full(count, np.inf)
+    state = np.empty(order + 1)
+    for p in range(count):
+        state[:] = 0.0
+        square, limit = before, min(most[p], HUGE)
+        for k in range(len(load)):
+            x, y = load[k], state[0]
+            for i in range(order):
+                place = 2 * (order - 1 - i)
+                state[i] = state[i + 1] + x * members[p, place] - y * members[p, place + 1]
+            square += (output[k] - y) ** 2
+            if not square <= limit:
+                break
+        if square <= limit:
+            found[p] = square
+    return found

@@ -264,8 +264,6 @@ def difference_fit(
 
     Where a pole has no continuous counterpart the sampled system stays, with a notice.
     """
-    from shaker.release.recursion import filtered
-
     (load, output, time_s), where = signals, f"{record.name}, {reading.channel}"
     decimation = record.samples.shape[1] // len(time_s)
     rate, system, notices = record.sample_rate_hz / decimation, sampled, tuple[Notice, ...]()
@@ -274,9 +272,7 @@ def difference_fit(
     except ValueError as error:
         notices = (Notice("warning", f"no continuous model: {error}", where),)
     notices += pole_notices(system, rate)
-    fitted = load
-    for section in sampled.sections():
-        fitted = filtered(section[:3], section[3:], fitted)
+    fitted = sampled.filtered(load)
     if not np.all(np.isfinite(fitted)):
         notices += (Notice("warning", "the model's output grows without bound: shown is the output's mean", where),)
         fitted = np.full_like(output, output.mean())
@@ -391,8 +387,7 @@ def fit_evolution(
 
 def _published(record: StepRecord, reading: Reading, rng: np.random.Generator, order: int, began: float) -> StepFit:
     """Return the model found as published, in coefficients of the difference equation."""
-    from shaker.release.evolution import evolved
-    from shaker.release.recursion import losses
+    from shaker.release.evolution import evolved, output_errors
 
     signals = constructed(record, reading, 1)
     begin = int(np.argmax(signals[0] != 0.0))  # until then no model answers
@@ -400,7 +395,7 @@ def _published(record: StepRecord, reading: Reading, rng: np.random.Generator, o
     before = float(np.sum(signals[1, :begin] ** 2))
     bounds = [(-BOUND, BOUND)] * (2 * order)
     best, path = evolved(
-        lambda members, most: losses(members, most, load, output, before), bounds, rng, (POPULATION, GENERATIONS)
+        lambda members, most: output_errors(members, most, load, output, before), bounds, rng, (POPULATION, GENERATIONS)
     )
     top, bottom = np.append(0.0, best[-2::-2]), np.append(1.0, best[::-2])
     sampled = LinearSystem.from_coefficients(top, bottom, record.sample_rate_hz)

@@ -348,7 +348,7 @@ def _start(window: Window, place: Location, poles: ComplexArray, sample_rate_hz:
         times = thin.time_s + early_s[:, None]  # as the samples are seen from a centre that much earlier
         columns, target = _rows(thin, trial.columns(times.ravel()).reshape(*times.shape, -1))
         joined = np.concatenate([columns, np.broadcast_to(target[:, None], (*columns.shape[:2], 1))], axis=-1)
-        squares = np.linalg.qr(joined, mode="r")[:, -1, -1] ** 2
+        squares = np.asarray(np.linalg.qr(joined, mode="r"))[:, -1, -1] ** 2
         if np.min(squares) < least:
             least = float(np.min(squares))
             best = replace(trial, centre_s=middle_s - early_s[np.argmin(squares)])

@@ -189,7 +189,7 @@ def squares(problem: Problem, vectors: FloatArray) -> FloatArray:
     rows[:, 1:-1], rows[:, -1] = parts, samples.value
     known = np.all(np.isfinite(parts), axis=(1, 2))
     rows[~known] = 0.0
-    last = np.linalg.qr((rows * samples.weight).swapaxes(1, 2), mode="r")[:, :, -1]
+    last = np.asarray(np.linalg.qr((rows * samples.weight).swapaxes(1, 2), mode="r"))[:, :, -1]
     left = np.cumsum(last[:, ::-1] ** 2, axis=1)[:, ::-1][:, 2:]
     return np.where(known[:, None], left, np.inf)
 

@@ -19,7 +19,7 @@ from shaker.release.record import Shape
 
 _SMALL = 1e-2  # |x| below which factors are taken from their series
 _SERIES = 64  # evenly spaced times from which on exponentials at them are products of two short series
-_EVEN = 1e-6  # intervals by which times may be off even ones
+_EVEN = 1e-9  # intervals by which times may be off even ones
 _RESTS = 40  # blocks of what comes before the release
 MOMENTS: dict[Shape, float] = {"step": 0.0, "ramp": 1.0 / 12.0, "smooth": 0.25 - 2.0 / np.pi**2}
 """Second moment of a release about its middle over its squared length: what 1/a² of a lag adds to."""
@@ -151,20 +151,20 @@ def pole_responses(
     if shape == "measured":
         raise ValueError('shape: expected "step", "ramp" or "smooth", found "measured"')
     p, length = np.asarray(poles, dtype=np.complex128), 0.0 if shape == "step" else release_s
-    return _at_times(shape, p, np.asarray(time_s, dtype=np.float64) - onset_s, length, 1)[0].T
+    return np.asarray(_at_times(shape, p, np.asarray(time_s, dtype=np.float64) - onset_s, length, 1)[0].T)
 
 
 def exponentials(poles: ComplexArray, tau: FloatArray) -> ComplexArray:
-    """Return exp(pτ) (P, N), poles (P,) in rad/s, at times `tau` (N,) in s.
+    """Return exp(pτ) (P, N), poles (P,) in rad/s, at times `tau` (N,) in s, none below 0.
 
-    Evenly spaced times τ + (i + mj)Δ, i below m, make them exp(p(τ + iΔ))·exp(pmjΔ): 2√N exponentials in place of N.
+    Times τ + (i + mj)Δ that rise evenly, i below m, make them exp(p(τ + iΔ))·exp(pmjΔ): 2√N exponentials for N.
     """
     count = len(tau)
     p = poles[:, None]
     if count < _SERIES:
         return np.asarray(np.exp(p * tau))
     step = float(tau[-1] - tau[0]) / (count - 1)
-    if np.max(np.abs(tau - (tau[0] + step * np.arange(count)))) > _EVEN * abs(step):
+    if not np.max(np.abs(tau - (tau[0] + step * np.arange(count)))) <= _EVEN * step:
         return np.asarray(np.exp(p * tau))
     size = int(np.sqrt(count - 1)) + 1
     places = np.arange(size)
@@ -230,7 +230,7 @@ def release_factor(shape: Shape, x: ComplexArray) -> tuple[ComplexArray, Complex
         value = 0.5 * np.pi**2 * (1.0 + grown) / below
         return value, 0.5 * np.pi**2 * grown / below - 2.0 * x * value / below
     small = np.abs(x) < _SMALL
-    safe = np.where(small, 1.0, x)
+    safe: ComplexArray = np.where(small, 1.0, x).astype(np.complex128)
     away = np.expm1(safe)
     value = away / safe
     slope = (away + 1.0 - value) / safe

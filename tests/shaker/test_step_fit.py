@@ -24,6 +24,7 @@ from shaker.release.response import (
     Samples,
     answers,
     every_sample,
+    exponentials,
     in_blocks,
     load_rate,
     load_share,
@@ -401,6 +402,47 @@ def test_evolution_of_modes_reaches_the_default_s_optimum():
 
 
 @pytest.mark.slow
+def test_evolution_draws_and_steps_as_scipy_s_does():
+    from scipy.optimize import differential_evolution
+    from scipy.signal import lfilter
+
+    from shaker.release.evolution import evolved, output_errors
+
+    load, bounds = np.ones(300), [(-2.0, 2.0)] * 4
+    output = lfilter([0.0, 0.1, 0.05], [1.0, -1.5, 0.7], load) + 1e-3 * np.random.default_rng(7).normal(size=300)
+
+    def square(vector):
+        with np.errstate(over="ignore", invalid="ignore"):
+            rest = output - lfilter([0.0, vector[2], vector[0]], [1.0, vector[3], vector[1]], load)
+            return float(rest @ rest) if np.all(np.isfinite(rest)) and rest @ rest <= 1e100 else np.inf
+
+    rng, theirs, path = np.random.default_rng(3), np.random.default_rng(3), []
+    best, losses = evolved(lambda *of: output_errors(*of, load, output, 0.0), bounds, rng, (30, 60))
+    first, settings = -2.0 + 4.0 * theirs.random((30, 4)), {"tol": 0.0, "mutation": 0.8, "recombination": 0.7}
+    end = differential_evolution(
+        square,
+        bounds,
+        strategy="rand1bin",
+        maxiter=60,
+        init=first,
+        rng=theirs,
+        callback=lambda intermediate_result: path.append(intermediate_result.fun),
+        polish=False,
+        updating="deferred",
+        **settings,
+    )
+    assert np.array_equal(best, end.x)
+    np.testing.assert_allclose(losses, path, rtol=1e-12)
+    assert rng.random() == theirs.random(), "as many draws"
+
+
+@pytest.mark.parametrize("count", [10, 64, 1000, 1021])
+def test_exponentials_at_even_and_uneven_times(count):
+    poles, even = np.array([-40.0 + 9e3j, -2e5 + 0j, 30.0 + 100j]), 0.1 + 1e-5 * np.arange(count)
+    for time_s in (even, even + 1e-7 * np.sin(np.arange(count)), even[::-1]):
+        np.testing.assert_allclose(exponentials(poles, time_s), np.exp(np.outer(poles, time_s)), rtol=1e-11)
+
+
 def test_published_evolution_is_far_from_the_truth():
     """500 generations of 100 members in coefficients within ±5 do not find the mode that the default finds."""
     record = record_of(held(2500), 2e-3, 1)
