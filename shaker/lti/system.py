@@ -118,25 +118,18 @@ class LinearSystem(Brief):
         return bool(np.all(self.poles.real < 0) if self.sample_rate_hz is None else np.all(np.abs(self.poles) < 1))
 
     def sections(self) -> FloatArray:
-        """Return a sampled system as second-order sections (S, 6), [b0 b1 b2 a0 a1 a2] of 1, z⁻¹, z⁻² each."""
+        """Return a sampled system as second-order sections (S, 6) for `scipy.signal.sosfilt`."""
+        from scipy.signal import zpk2sos
+
         if self.sample_rate_hz is None:
             raise ValueError("sample_rate_hz: expected that of a sampled system, found none")
-        rows = np.zeros(((len(self.poles) + 1) // 2, 6))
-        for row, first in zip(rows, range(0, len(self.poles), 2), strict=True):  # conjugates stand side by side
-            poles, zeros = (roots[first : first + 2] for roots in (self.poles, self.zeros))
-            late = len(poles) - len(zeros)
-            row[late : len(poles) + 1], row[3 : len(poles) + 4] = np.poly(zeros).real, np.poly(poles).real
-        rows[:1, :3] *= self.gain
+        rows = np.asarray(zpk2sos(self.zeros, self.poles, self.gain))
+        late = len(self.poles) - len(self.zeros)
+        for row in rows:  # zpk2sos fills up with zeros at z = 0, each of which makes the output a sample early
+            while late and row[2] == 0:
+                row[:3] = 0.0, row[0], row[1]
+                late -= 1
         return rows
-
-    def filtered(self, load: FloatArray) -> FloatArray:
-        """Return the output (N,) of a sampled system that was at rest, for a load (N,)."""
-        from shaker.lti.recursion import filtered
-
-        output = np.asarray(load, dtype=np.float64)
-        for section in self.sections():
-            output = filtered(section[:3], section[3:], output)
-        return output if len(self.poles) else self.gain * output
 
     @property
     def direct(self) -> float:
@@ -175,6 +168,8 @@ class LinearSystem(Brief):
 
     def _driven(self, time_s: FloatArray, step: bool) -> FloatArray:
         """Return a response by poles where they are apart, by the matrix exponential where they coincide."""
+        from scipy.signal import sosfilt
+
         time = np.asarray(time_s, dtype=np.float64)
         late = time >= 0
         response, t = np.zeros(len(time)), time[late]
@@ -185,7 +180,7 @@ class LinearSystem(Brief):
             index = np.floor(t * self.sample_rate_hz + 1e-6).astype(np.int64)
             drive = np.ones(int(index.max()) + 1)
             drive[1:] = 1.0 if step else 0.0
-            response[late] = self.filtered(drive)[index]
+            response[late] = sosfilt(self.sections(), drive)[index]
         elif not apart:
             response[late] = self._by_matrix(t, step)
         elif step:

@@ -1,16 +1,17 @@
-"""Differential evolution, rand/1/bin, generation by generation (Storn and Price, J. Global Optim. 11 (1997) 341).
+"""Differential evolution, rand/1/bin, of all members at once (Storn, Price, J. Global Optim. 11 (1997) 341).
 
-Importing this module brings numba, which compiles what goes through members or samples one by one.
+Importing this module brings numba, which compiles what follows members sample by sample.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
+import numba
 import numpy as np
 
-from shaker.arrays import FloatArray, IntArray
-from shaker.lti.recursion import njit
+from shaker.arrays import FloatArray
 
 MUTATION, CROSSOVER = 0.8, 0.7  # the published settings
 HUGE = 1e100  # loss from which a model counts as grown without bound
@@ -22,63 +23,44 @@ Losses = Callable[[FloatArray, FloatArray], FloatArray]
 def evolved(
     losses: Losses, bounds: Sequence[tuple[float, float]], rng: np.random.Generator, effort: tuple[int, int]
 ) -> tuple[FloatArray, tuple[float, ...]]:
-    """Return the best vector (N,) and the best loss of every generation; `effort`: members and generations.
+    """Return the best vector (N,) and the best loss of every generation; `effort`: members and generations."""
+    from scipy.optimize import differential_evolution
 
-    Draws and steps are those of `scipy.optimize.differential_evolution` with `strategy="rand1bin"`, deferred updating
-    and the first generation that is drawn here, so that both come to the same digits; that one shuffles all members
-    for each of them by itself. It ends before its last generation where all members have one loss.
-    """
-    (low, high), (count, generations) = np.array(bounds).T, effort
-    middle, span = 0.5 * (low + high), np.abs(low - high)
-    first = low + (high - low) * rng.random((count, len(bounds)))
-    members = np.clip((first - middle) * (1.0 / span) + 0.5, 0.0, 1.0)
-    every, order, path = np.arange(count), np.arange(count), list[float]()
-    known = losses(middle + (members - 0.5) * span, np.full(count, np.inf))
-    _to_front(members, known)
-    for _ in range(generations):
-        base, one, other = members[dealt(order, rng.permuted(np.broadcast_to(every, (count, count)), axis=1))]
-        point, crossed = rng.integers(len(bounds), size=count), rng.uniform(size=members.shape) < CROSSOVER
-        crossed[every, point] = True
-        trials = np.where(crossed, base + MUTATION * (one - other), members)
-        outside = (trials > 1.0) | (trials < 0.0)
-        if np.any(outside):
-            trials[outside] = rng.uniform(size=np.count_nonzero(outside))
-        found = losses(middle + (trials - 0.5) * span, known)
-        better = found <= known
-        members, known = np.where(better[:, None], trials, members), np.where(better, found, known)
-        _to_front(members, known)
-        path.append(float(known[0]))
-        if np.all(np.isfinite(known)) and np.std(known) == 0.0:
-            break
-    return middle + (members[0] - 0.5) * span, tuple(path)
+    low, high = np.array(bounds).T
+    first = low + (high - low) * rng.random((effort[0], len(bounds)))
+    path, parents = list[float](), np.full(effort[0], np.inf)
 
+    def keep(intermediate_result: Any) -> None:
+        path.append(float(intermediate_result.fun))
+        parents[:] = intermediate_result.population_energies
 
-def _to_front(members: FloatArray, losses: FloatArray) -> None:
-    """Exchange the best member and its loss with the first."""
-    best = int(np.argmin(losses))
-    members[[0, best]], losses[[0, best]] = members[[best, 0]], losses[[best, 0]]
+    def of_all(_: Any, members: Iterable[FloatArray]) -> FloatArray:
+        return losses(np.array(list(members)), parents)
+
+    end = differential_evolution(
+        _called_by_all,
+        bounds,
+        strategy="rand1bin",
+        maxiter=effort[1],
+        init=first,
+        tol=0.0,
+        mutation=MUTATION,
+        recombination=CROSSOVER,
+        rng=rng,
+        callback=keep,
+        polish=False,
+        updating="deferred",
+        workers=of_all,
+    )
+    return np.asarray(end.x), tuple(path)
 
 
-@njit
-def dealt(order: IntArray, turns: IntArray) -> IntArray:
-    """Return three others for each of P members, (3, P): the first of `order` (P,), which is shuffled anew for each.
-
-    `turns` (P, P): what each shuffle makes of the order before it; the last one is left in `order`.
-    """
-    count = len(order)
-    chosen, shuffled = np.empty((3, count), dtype=np.int64), np.empty(count, dtype=np.int64)
-    for p in range(count):
-        for i in range(count):
-            shuffled[i] = order[turns[p, i]]
-        order[:] = shuffled
-        own = 0
-        for k in range(3):
-            own += order[k + own] == p
-            chosen[k, p] = order[k + own]
-    return chosen
+def _called_by_all(_: FloatArray) -> float:
+    """What is asked of one member: the losses of all are computed at once in its place."""
+    raise NotImplementedError
 
 
-@njit
+@numba.njit(cache=True, nogil=True)
 def output_errors(
     members: FloatArray, most: FloatArray, load: FloatArray, output: FloatArray, before: float
 ) -> FloatArray:

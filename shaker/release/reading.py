@@ -69,12 +69,14 @@ def release_times(window: Window, fit: Beginning, correlation: float) -> tuple[I
     the residual enlarges variances. Added to the onset: an output that holds the force of the sensor's damper too,
     (2ζs/ω + 1), comes earlier by 2ζ/ω. None where the lags cannot be told apart at all.
     """
+    from scipy.interpolate import CubicSpline
+
     variance = fit.squares / max(fit.rows - len(fit.vector), 1) * correlation
     lags, nodes = _nodes(window, fit, variance)
     if len(nodes) < _FEWEST:
         return None
     lag = np.linspace(lags[0], lags[-1], _TIMES)
-    squares, length2, spread, centre, by_square, own = _spline(np.array(nodes), _TIMES).T
+    squares, length2, spread, centre, by_square, own = np.asarray(CubicSpline(lags, np.array(nodes))(lag)).T
     spread, own = np.maximum(spread, 1e-300), np.maximum(own, 0.0)
     u_square = np.sqrt(spread)
     low = np.sqrt(np.maximum(length2 - _NEAR * u_square, 0.0))
@@ -93,26 +95,6 @@ def release_times(window: Window, fit: Beginning, correlation: float) -> tuple[I
     release_s, u_release_s = _moments(weight, length, likely)
     u_onset_s = float(np.sqrt(u_onset_s**2 + np.sum(weight * own[:, None]) + damper**2))
     return Interval(onset_s, u_onset_s, release_s, u_release_s), float(np.sum(weight * lag[:, None]))
-
-
-def _spline(values: FloatArray, count: int) -> FloatArray:
-    """Return `count` values (count, …) along the cubic spline through evenly spaced ones (N, …), N ≥ 4.
-
-    Its second derivatives, per interval squared, obey M(i-1) + 4M(i) + M(i+1) = 6·(second difference); the third is
-    continuous at the second and the last but one value.
-    """
-    size = len(values)
-    matrix, bend = 4.0 * np.eye(size) + np.eye(size, k=1) + np.eye(size, k=-1), np.zeros_like(values)
-    matrix[0], matrix[-1] = 0.0, 0.0
-    matrix[0, :3] = matrix[-1, -3:] = 1.0, -2.0, 1.0
-    bend[1:-1] = 6.0 * np.diff(values, 2, axis=0)
-    second = np.linalg.solve(matrix, bend)
-    place = np.linspace(0.0, size - 1.0, count)
-    left = np.minimum(place.astype(np.int64), size - 2)
-    b = (place - left)[:, None]
-    a = 1.0 - b
-    curved = (a**3 - a) * second[left] + (b**3 - b) * second[left + 1]
-    return np.asarray(a * values[left] + b * values[left + 1] + curved / 6.0)
 
 
 def _nodes(window: Window, fit: Beginning, variance: float) -> tuple[FloatArray, list[_Node]]:

@@ -401,39 +401,22 @@ def test_evolution_of_modes_reaches_the_default_s_optimum():
     assert np.all(np.diff(both[1].convergence) <= 0)
 
 
-@pytest.mark.slow
-def test_evolution_draws_and_steps_as_scipy_s_does():
-    from scipy.optimize import differential_evolution
+def test_output_errors_of_difference_equations_are_those_of_scipy_s_filter():
     from scipy.signal import lfilter
 
-    from shaker.release.evolution import evolved, output_errors
+    from shaker.release.evolution import output_errors
 
-    load, bounds = np.ones(300), [(-2.0, 2.0)] * 4
-    output = lfilter([0.0, 0.1, 0.05], [1.0, -1.5, 0.7], load) + 1e-3 * np.random.default_rng(7).normal(size=300)
-
-    def square(vector):
-        with np.errstate(over="ignore", invalid="ignore"):
-            rest = output - lfilter([0.0, vector[2], vector[0]], [1.0, vector[3], vector[1]], load)
-            return float(rest @ rest) if np.all(np.isfinite(rest)) and rest @ rest <= 1e100 else np.inf
-
-    rng, theirs, path = np.random.default_rng(3), np.random.default_rng(3), []
-    best, losses = evolved(lambda *of: output_errors(*of, load, output, 0.0), bounds, rng, (30, 60))
-    first, settings = -2.0 + 4.0 * theirs.random((30, 4)), {"tol": 0.0, "mutation": 0.8, "recombination": 0.7}
-    end = differential_evolution(
-        square,
-        bounds,
-        strategy="rand1bin",
-        maxiter=60,
-        init=first,
-        rng=theirs,
-        callback=lambda intermediate_result: path.append(intermediate_result.fun),
-        polish=False,
-        updating="deferred",
-        **settings,
-    )
-    assert np.array_equal(best, end.x)
-    np.testing.assert_allclose(losses, path, rtol=1e-12)
-    assert rng.random() == theirs.random(), "as many draws"
+    rng, load = np.random.default_rng(7), np.ones(300)
+    output, members = lfilter([0.0, 0.1, 0.05], [1.0, -1.5, 0.7], load), rng.uniform(-1.5, 1.5, (60, 4))
+    with np.errstate(over="ignore", invalid="ignore"):
+        rest = np.array([output - lfilter([0.0, b1, b2], [1.0, a1, a2], load) for b2, a2, b1, a1 in members])
+        wanted = 2.0 + np.sum(rest**2, axis=1)
+    wanted[~(wanted <= 1e100)] = np.inf
+    assert 10 < np.count_nonzero(np.isfinite(wanted)) < 60
+    np.testing.assert_allclose(output_errors(members, np.full(60, np.inf), load, output, 2.0), wanted, rtol=1e-9)
+    most = np.where(np.arange(60) % 2, 0.5, 2.0) * wanted
+    told = output_errors(members, most, load, output, 2.0)
+    assert np.array_equal(np.isfinite(told), np.isfinite(wanted) & (most > wanted))
 
 
 @pytest.mark.parametrize("count", [10, 64, 1000, 1021])
