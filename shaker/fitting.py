@@ -214,10 +214,8 @@ def eliminate(design: FloatArray, data: FloatArray) -> Eliminated:
         root = np.linalg.pinv(triangle, rcond=_RANK) / size[:, None]
         own = np.linalg.lstsq(scaled, data, rcond=_RANK)[0] / size[:, None]
     else:
-        from scipy.linalg import solve_triangular
-
-        both = np.concatenate([basis.T @ data, np.eye(len(size))], axis=1)
-        own, root = np.split(solve_triangular(triangle, both) / size[:, None], [data.shape[1]], axis=1)
+        root = np.linalg.inv(triangle) / size[:, None]
+        own = root @ (basis.T @ data)
     return Eliminated(own, data - design @ own, basis, root)
 
 

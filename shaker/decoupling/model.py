@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -126,6 +126,11 @@ class Poles(Brief):
             else:
                 slopes[i, m + place] = change.real
         return moments, slopes
+
+    @cached_property
+    def designs(self) -> dict[Any, tuple[Any, FloatArray]]:
+        """What these poles made of samples already, by what was asked; with the samples, so that these stay theirs."""
+        return {}
 
     def columns(self, place: int) -> list[int]:
         """Return the columns of a design that belong to one pole."""

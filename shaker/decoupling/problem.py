@@ -17,6 +17,7 @@ from shaker.release.response import MOMENTS, Answers, Load, Samples, answers, re
 
 _REACH = 1.96  # standard uncertainties of 95 %
 _LOOSE = (1.5, 2.0)  # standard deviations of what a start says of logarithms of real poles and of durations
+_KEPT = 64  # designs of records, some 0.2 MB each, that are known of one set of poles
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,8 @@ class StepProblem:
 
     def split(self, vector: FloatArray, poles: Poles, releases: Sequence[Release]) -> Offer | None:
         """Return poles and releases of a vector, None where they are not allowed."""
-        there, own = poles.with_vector(vector), vector[poles.count :].reshape(-1, 2)
+        still = np.array_equal(vector[: poles.count], poles.vector)  # then all that they are known to make stays known
+        there, own = poles if still else poles.with_vector(vector), vector[poles.count :].reshape(-1, 2)
         longest = np.array([float(np.ptp(record.samples.time_s)) for record in self.records])
         durations = np.exp(np.clip(own[:, 1], -50.0, 50.0))
         if not there.allowed or np.any(durations > longest):
@@ -266,11 +268,17 @@ def _block(problem: StepProblem, poles: Poles, releases: Sequence[Release], plac
     edges = np.cumsum([0, *(len(record.samples.time_s) for record in records)])
     designs = []
     for i, record in zip(places, records, strict=True):
-        load, release = Load(releases[i].shape, record.amplitude), releases[i]
-        value = responses(load, poles.values, record.samples, release.middle_s, release.duration_s)
-        upper, real = value[:, :modes], value[:, modes:]
-        columns = np.concatenate([2 * upper.real, -2 * upper.imag, real.real], axis=1)
-        designs.append(columns - columns.mean(axis=0))
+        release = releases[i]
+        key = id(record.samples), release
+        if key not in poles.designs:
+            if len(poles.designs) >= _KEPT:
+                poles.designs.clear()
+            load = Load(release.shape, record.amplitude)
+            value = responses(load, poles.values, record.samples, release.middle_s, release.duration_s)
+            upper, real = value[:, :modes], value[:, modes:]
+            columns = np.concatenate([2 * upper.real, -2 * upper.imag, real.real], axis=1)
+            poles.designs[key] = record.samples, columns - columns.mean(axis=0)
+        designs.append(poles.designs[key][1])
     design = np.concatenate(designs)
     free = poles.count if held < poles.count else 0  # parameters of the poles that move
     moved = np.concatenate([np.arange(free), *(poles.count + 2 * i + np.arange(2) for i in places)])

@@ -14,6 +14,7 @@ import numpy as np
 
 from shaker.arrays import FloatArray, Notice
 from shaker.lti.responses import (
+    band_edges,
     band_end,
     gain_curve,
     half_power,
@@ -138,6 +139,8 @@ def indices(system: LinearSystem, nominal_gain: float = 1.0, sample_rate_hz: flo
     top, passing = peak(curve), transient(system)
     usable = bool(np.isfinite(static)) and static != 0
     levels = [(gain, part) for gain in (static, nominal_gain) for part in (0.05, 0.10)]
+    if usable:  # in one search, whose parts are then at hand
+        curve.crossings(float(curve.gain[0]) / np.sqrt(2.0), *(edge for level in levels for edge in band_edges(*level)))
     band_5, band_10, nominal_5, nominal_10 = (band_end(curve, *level) if usable else None for level in levels)
     _, poles = places_rad(system)
     return Indices(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import count, pairwise
 
@@ -73,17 +73,24 @@ class GainCurve(Brief):
     system: LinearSystem
     edges_hz: FloatArray
     gain: FloatArray
+    passed: dict[float, FloatArray] = field(default_factory=dict, compare=False)
 
     def crossings(self, *levels: float) -> list[float]:
-        """Return every frequency in Hz at which |H| passes one of the levels, rising."""
-        passed = [sign_changes(self.gain - level) for level in levels]
-        level, places = np.repeat(levels, [len(own) for own in passed]), np.concatenate(passed)
+        """Return every frequency in Hz at which |H| passes one of the levels, rising.
+
+        Each level is looked for once, those of one call together.
+        """
+        new = [level for level in dict.fromkeys(levels) if level not in self.passed]
+        changes = [sign_changes(self.gain - level) for level in new]
+        counts, places = [len(own) for own in changes], np.concatenate([np.zeros(0, dtype=np.int64), *changes])
+        level = np.repeat(new, counts)
 
         def above(hertz: FloatArray) -> FloatArray:
             return np.asarray(np.abs(self.system.response(hertz)) / level - 1.0)
 
         roots = roots_between(above, self.edges_hz[places], self.edges_hz[places + 1])
-        return [float(root) for root in np.sort(roots)]
+        self.passed.update(zip(new, np.split(roots, np.cumsum(counts)[:-1]), strict=True) if new else ())
+        return [float(root) for root in np.sort(np.concatenate([self.passed[level] for level in levels]))]
 
     def inside(self, low: float, high: float) -> list[tuple[float, float]]:
         """Return the ranges of frequency in Hz in which low ≤ |H| ≤ high, rising; the last may be endless."""
@@ -155,10 +162,14 @@ def log_slope(system: LinearSystem, hertz: FloatArray) -> FloatArray:
     return np.asarray(np.where(np.any(hit, axis=1), 0.0, slope))
 
 
+def band_edges(reference: float, tolerance: float) -> tuple[float, float]:
+    """Return the levels of |H| that are ±`tolerance` off |`reference|`."""
+    return (1 - tolerance) * abs(reference), (1 + tolerance) * abs(reference)
+
+
 def band_end(curve: GainCurve, reference: float, tolerance: float) -> float | None:
     """Return the frequency in Hz up to which |H| is within ±`tolerance` of |`reference`|, None if not at rest."""
-    level = abs(reference)
-    ranges = curve.inside((1 - tolerance) * level, (1 + tolerance) * level)
+    ranges = curve.inside(*band_edges(reference, tolerance))
     return ranges[0][1] if ranges and ranges[0][0] == 0.0 else None
 
 

@@ -347,9 +347,9 @@ def paired(roots: ComplexArray, name: str) -> ComplexArray:
 
 
 def modal_poles(omega: FloatArray, damping_ratio: FloatArray, rate: FloatArray) -> ComplexArray:
-    """Return poles in rad/s: the upper ones ω(-ζ + j√(1 - ζ²)) of the modes (M,), then the real ones, -`rate` (Q,)."""
+    """Return poles in rad/s: ω(-ζ + j√(1 - ζ²)), the upper ones, of modes (…, M), then the real ones -`rate` (…, Q)."""
     upper = omega * (-damping_ratio + 1j * np.sqrt(1 - damping_ratio**2))
-    return np.concatenate([upper, -rate + 0j])
+    return np.concatenate([upper, -rate + 0j], axis=-1)
 
 
 @dataclass(frozen=True, repr=False)

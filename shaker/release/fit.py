@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import BoolArray, Brief, FloatArray, Notice, check_shape, check_shapes
+from shaker.arrays import Brief, FloatArray, Notice, check_shape, check_shapes
 from shaker.lti.indices import pole_notices
 from shaker.lti.system import LinearSystem, ModalModel
 from shaker.release.order import Found, Search, known_about, more_terms, remarks, searched
@@ -336,13 +335,9 @@ def modal_form(system: LinearSystem) -> ModalModel | None:
 
 # Differential evolution: with the published settings, and on parameters that suit the problem.
 
-MUTATION, CROSSOVER, POPULATION, GENERATIONS, BOUND = 0.8, 0.7, 100, 500, 5.0  # the published settings
+POPULATION, GENERATIONS, BOUND = 100, 500, 5.0  # the published settings
 _FEWER = (30, 40)  # members and generations that three bounded parameters take
 _DAMPING = (1e-4, 0.5)
-_FIRST_PART = 8  # of what follows the onset is looked at first
-_HUGE = 1e100  # loss from which a member counts as grown without bound
-_LOOK = 32  # samples from the onset on in which most members of the evolution show that they grow
-_ROUNDING = 1e-9  # relative, of a loss: what two ways of adding it up differ by at most
 _BLOCKS = 1000  # blocks of the record that the evolution looks at
 
 
@@ -362,6 +357,8 @@ def fit_evolution(
     and a real pole for order 3 (fn, ζ for order 2), the numerator by linear least squares, then the default method's
     output-error steps from the best member, which bring the covariance.
     """
+    from shaker.release.evolution import evolved
+
     began = time.perf_counter()
     reading = reading or read_release(record, channel)
     if parametrisation == "coefficients":
@@ -379,10 +376,11 @@ def fit_evolution(
     # ln ω from two periods in the record to a tenth of the blocks' rate, ζ, ln a up to 0.4 of the samples' rate
     bounds = [(slow, fast), _DAMPING, *[(slow, edge)] * structure.reals]
 
-    def loss(part: FloatArray, _: float) -> float:
-        return float(squares(problem, np.append(part, onset_s))[-1])
+    def losses(members: FloatArray, _: FloatArray) -> FloatArray:
+        vectors = np.insert(members, order, onset_s, axis=1)  # as many at once as the processor holds near by
+        return np.concatenate([squares(problem, part)[:, -1] for part in np.array_split(vectors, _FEWER[0] // 10)])
 
-    best, path = _evolved(loss, bounds, rng, _FEWER)
+    best, path = evolved(losses, bounds, rng, _FEWER)
     hz = float(np.exp(best[0])) / (2 * np.pi)
     start = np.append(best, onset_s)
     plain = replace(problem, structure=replace(structure, terms=1, scale=2 * np.pi * hz))
@@ -392,92 +390,20 @@ def fit_evolution(
 
 def _published(record: StepRecord, reading: Reading, rng: np.random.Generator, order: int, began: float) -> StepFit:
     """Return the model found as published, in coefficients of the difference equation."""
-    from scipy.signal import lfilter
+    from shaker.release.evolution import evolved, output_errors
 
     signals = constructed(record, reading, 1)
-    load, output = signals[:2]
-    begin = int(np.argmax(load != 0.0))  # until then no model answers
-    cuts = (begin, begin + (len(load) - begin) // _FIRST_PART, len(load))
-    quiet = float(output[:begin] @ output[:begin])
-    top, bottom, still = np.zeros(order + 1), np.ones(order + 1), np.zeros(order)
-
-    def loss(part: FloatArray, most: float) -> float:
-        top[1:], bottom[1:] = part[-2::-2], part[::-2]
-        square, state = quiet, still
-        for first, last in pairwise(cuts):
-            answer, state = lfilter(top, bottom, load[first:last], zi=state)
-            rest = output[first:last] - answer
-            square += float(rest @ rest)
-            if not square <= min(most, _HUGE):
-                return np.inf
-        return square
-
-    looked_at = slice(begin, begin + _LOOK)
-    before = np.append(still, load[looked_at])
-    lagged = np.stack([before[lag : lag - order] for lag in range(order)])
-
-    def hopeless(members: FloatArray, most: FloatArray) -> BoolArray:
-        """Which members (P, 2n) surely lose within the first samples, which all go through at once; most grow there."""
-        driven, back = members[:, ::2] @ lagged, members[:, 1::2]
-        answer = np.zeros((len(members), order + driven.shape[1]))
-        for n in range(driven.shape[1]):
-            answer[:, order + n] = driven[:, n] - np.einsum("pi,pi->p", back, answer[:, n : order + n])
-        square = quiet + np.sum((answer[:, order:] - output[looked_at]) ** 2, axis=1)
-        return np.asarray(~(square <= (1.0 + _ROUNDING) * most))
-
+    begin = int(np.argmax(signals[0] != 0.0))  # until then no model answers
+    load, output = signals[:2, begin:]
+    before = float(np.sum(signals[1, :begin] ** 2))
     bounds = [(-BOUND, BOUND)] * (2 * order)
-    with np.errstate(over="ignore", invalid="ignore"):
-        best, path = _evolved(loss, bounds, rng, (POPULATION, GENERATIONS), hopeless)
-    top[1:], bottom[1:] = best[-2::-2], best[::-2]
+    best, path = evolved(
+        lambda members, most: output_errors(members, most, load, output, before), bounds, rng, (POPULATION, GENERATIONS)
+    )
+    top, bottom = np.append(0.0, best[-2::-2]), np.append(1.0, best[::-2])
     sampled = LinearSystem.from_coefficients(top, bottom, record.sample_rate_hz)
     fit = difference_fit(record, reading, sampled, "zoh", signals, np.array(path))
     return replace(fit, order=order, duration_s=time.perf_counter() - began)
-
-
-def _evolved(
-    loss: Callable[[FloatArray, float], float],
-    bounds: list[tuple[float, float]],
-    rng: np.random.Generator,
-    effort: tuple[int, int],
-    hopeless: Callable[[FloatArray, FloatArray], BoolArray] | None = None,
-) -> tuple[FloatArray, tuple[float, ...]]:
-    """Return the best vector and the best loss of every generation; `effort`: members and generations.
-
-    loss(vector, most) may stop as soon as it is beyond `most`, the parent's own: such a vector is not taken over.
-    `hopeless` says of which vectors (P, N) that is sure.
-    """
-    from scipy.optimize import differential_evolution
-
-    low, high = np.array(bounds).T
-    first = low + (high - low) * rng.random((effort[0], len(bounds)))
-    path: list[float] = []
-    parents = [np.inf] * effort[0]
-
-    def keep(intermediate_result: Any) -> None:
-        path.append(float(intermediate_result.fun))
-        parents[:] = intermediate_result.population_energies
-
-    def of_all(_: Any, members: Iterable[FloatArray]) -> list[float]:
-        every = np.array(list(members))
-        lost = [False] * len(every) if hopeless is None else hopeless(every, np.array(parents)).tolist()
-        return [np.inf if out else loss(*one) for *one, out in zip(every, parents, lost, strict=True)]
-
-    end = differential_evolution(
-        loss,  # which `of_all` calls in its place
-        bounds,
-        strategy="rand1bin",
-        maxiter=effort[1],
-        init=first,
-        tol=0.0,
-        mutation=MUTATION,
-        recombination=CROSSOVER,
-        rng=rng,
-        callback=keep,
-        polish=False,
-        updating="deferred",
-        workers=of_all,
-    )
-    return np.asarray(end.x), tuple(path)
 
 
 # Every method on the same record.

@@ -204,11 +204,7 @@ def fit_beginning(window: Window, start: Beginning) -> Beginning:
 
 def solved(window: Window, start: Beginning) -> Trial:
     """Return a beginning with its linear parts solved."""
-    weight = np.sqrt(window.before)
-    ahead = np.zeros((_AHEAD, 2 + len(start.frequency_hz)))
-    ahead[0, 0], ahead[1, -1] = weight, window.small
-    columns = np.concatenate([ahead, start.columns(window.time_s)])
-    target = np.concatenate([[weight * window.rest, 0.0], window.samples])
+    columns, target = _rows(window, start.columns(window.time_s))
     count = 3 + 2 * len(start.frequency_hz)
 
     def changes(own: FloatArray) -> tuple[IntArray, FloatArray]:
@@ -219,19 +215,33 @@ def solved(window: Window, start: Beginning) -> Trial:
     return Trial(replace(start, linear=linear, squares=point.loss, rows=len(target)), point)
 
 
+def _rows(window: Window, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return columns (…, N + 2, 2 + M) and their target (N + 2,): those of the samples behind what stands ahead."""
+    weight = np.sqrt(window.before)
+    ahead = np.zeros((*columns.shape[:-2], _AHEAD, columns.shape[-1]))
+    ahead[..., 0, 0], ahead[..., 1, -1] = weight, window.small
+    return np.concatenate([ahead, columns], axis=-2), np.concatenate([[weight * window.rest, 0.0], window.samples])
+
+
 def _slopes(window: Window, fit: Beginning, columns: FloatArray) -> FloatArray:
     """Return the derivatives (N + 2, K) of y by centre, squared length and lag, frequencies and damping ratios."""
     time = window.time_s
     slopes = np.zeros((len(time) + _AHEAD, len(fit.vector) - len(fit.linear)))
     slopes[_AHEAD:, 0] = -fit.speed(time)
     here = columns[_AHEAD:] @ fit.linear
-    vector = fit.vector
-    least = [0.0, *[(_SHORT * window.step_s) ** 2] * 2, *[0.0] * len(fit.frequency_hz), *[1e-9] * len(fit.frequency_hz)]
-    for place in range(1, slopes.shape[1]):
-        span = max(_DIFFERENCE * abs(vector[place]), least[place])
+    vector, modes = fit.vector, len(fit.frequency_hz)
+    for place in (1, 2):
         shifted = vector.copy()
+        span = max(_DIFFERENCE * abs(vector[place]), (_SHORT * window.step_s) ** 2)
         shifted[place] += span
         slopes[_AHEAD:, place] = (fit.with_vector(shifted).at(time) - here) / span
+    # every frequency and every damping ratio moves its own mode alone: all that are moved, side by side
+    f, z = np.tile(fit.frequency_hz, 2), np.tile(fit.damping_ratio, 2)
+    spans = _DIFFERENCE * np.abs(vector[3 : 3 + 2 * modes])
+    spans[modes:] = np.maximum(spans[modes:], 1e-9)
+    f[:modes], z[modes:] = f[:modes] + spans[:modes], z[modes:] + spans[modes:]
+    beside = replace(fit, frequency_hz=f, damping_ratio=z).columns(time)[:, 1:-1] - np.tile(columns[_AHEAD:, 1:-1], 2)
+    slopes[_AHEAD:, 3:] = beside * (np.tile(fit.linear[1:-1], 2) / spans)
     return slopes
 
 
@@ -332,12 +342,17 @@ def _start(window: Window, place: Location, poles: ComplexArray, sample_rate_hz:
     middle_s = start_s + 0.5 * (place.low + place.high) / sample_rate_hz
     early_s = np.linspace(0.0, 0.3 * 2 * np.pi / float(np.min(np.abs(poles))), _CENTRES)
     frequency, damping = np.abs(poles) / (2 * np.pi), -poles.real / np.abs(poles)
-    trials = [
-        Beginning("ramp", middle_s - early, length, 0.0, frequency, damping, np.zeros(0))
-        for length in _LENGTHS * plain_s
-        for early in early_s
-    ]
-    return min((solved(thin, trial).fit for trial in trials), key=lambda trial: trial.squares)
+    best, least = Beginning("ramp", middle_s, plain_s, 0.0, frequency, damping, np.zeros(0)), np.inf
+    for length in _LENGTHS * plain_s:
+        trial = replace(best, centre_s=middle_s, release_s=length)
+        times = thin.time_s + early_s[:, None]  # as the samples are seen from a centre that much earlier
+        columns, target = _rows(thin, trial.columns(times.ravel()).reshape(*times.shape, -1))
+        joined = np.concatenate([columns, np.broadcast_to(target[:, None], (*columns.shape[:2], 1))], axis=-1)
+        squares = np.asarray(np.linalg.qr(joined, mode="r"))[:, -1, -1] ** 2
+        if np.min(squares) < least:
+            least = float(np.min(squares))
+            best = replace(trial, centre_s=middle_s - early_s[np.argmin(squares)])
+    return solved(thin, best).fit
 
 
 # The rise time of a response from its fitted beginning.

@@ -100,7 +100,7 @@ def first_vectors(
     rich = replace(structure, terms=structure.order)
     best, found = np.full(rich.terms, np.inf), [np.zeros(0)] * rich.terms
     for vector in _grid(structure, load, near, modes, reading, rise):
-        costs = squares(Problem(rich, load, near, vector, np.ones(len(vector)), reading.onset_s), vector)
+        costs = squares(Problem(rich, load, near, vector, np.ones(len(vector)), reading.onset_s), vector[None])[0]
         found = [vector if cost < old else kept for cost, old, kept in zip(costs, best, found, strict=True)]
         best = np.minimum(best, costs)
     return found
@@ -252,7 +252,7 @@ def more_terms(found: Solution, starts: list[FloatArray], highest_hz: float) -> 
         richer = replace(problem, structure=replace(problem.structure, terms=terms))
         gain, _ = gain_by(found, richer, [found.vector, starts[terms - 1]])
         if gain > TERM * problem.colour * (terms - found.problem.structure.terms):
-            start = min(found.vector, starts[terms - 1], key=lambda vector: squares(richer, vector)[-1])
+            start = min(found.vector, starts[terms - 1], key=lambda vector: squares(richer, vector[None])[0, -1])
             firm = 1.0 if terms <= problem.structure.smoothest else 6.0
             trial = solve(*known_about(richer, start, firm * highest_hz))
             found = replace(trial, path=found.path + trial.path) if better(found, trial) else found

@@ -42,9 +42,8 @@ class Structure:
         return max(1, 2 * self.modes - 1)
 
     def poles(self, vector: FloatArray) -> ComplexArray:
-        """Return the upper poles of the modes and the real ones (M + Q,) in rad/s."""
-        m = self.modes
-        log_omega, zeta, log_real = vector[:m], vector[m : 2 * m], vector[2 * m : self.order]
+        """Return the upper poles of the modes and the real ones (…, M + Q) in rad/s of vectors (…, K)."""
+        log_omega, zeta, log_real = np.split(vector[..., : self.order], [self.modes, 2 * self.modes], axis=-1)
         return modal_poles(np.exp(log_omega), zeta, np.exp(log_real))
 
     def vector(self, poles: ComplexArray) -> FloatArray:
@@ -63,13 +62,13 @@ class Structure:
         return slopes
 
     def shares(self, vector: FloatArray) -> ComplexArray:
-        """Return residues (M + Q, terms) of every numerator term.
+        """Return residues (…, M + Q, terms) of every numerator term, of vectors (…, K).
 
         Residue of term k at p_i: ω0^n (p_i/ω0)^k/Π_{j≠i}(p_i - p_j) over all n poles.
         """
         poles = self.poles(vector)
-        first = self.scale * np.prod(self.scale / self._gaps(poles), axis=1)
-        return np.asarray(first[:, None] * (poles[:, None] / self.scale) ** np.arange(self.terms))
+        first = self.scale * np.prod(self.scale / self._gaps(poles), axis=-1)
+        return np.asarray(first[..., None] * (poles[..., None] / self.scale) ** np.arange(self.terms))
 
     def share_slopes(self, vector: FloatArray) -> ComplexArray:
         """Return derivatives (M + Q, terms, 2M + Q) of `shares` to the parameters."""
@@ -81,9 +80,10 @@ class Structure:
         return np.asarray(self.shares(vector)[:, :, None] * rate)
 
     def _gaps(self, poles: ComplexArray) -> ComplexArray:
-        """Return how far all poles, conjugates last, lie from each (M + Q, 2M + Q); `scale` from itself."""
-        gaps = poles[:, None] - np.concatenate([poles, poles[: self.modes].conj()])
-        np.fill_diagonal(gaps, self.scale)
+        """Return how far all poles, conjugates last, lie from each (…, M + Q, 2M + Q); `scale` from itself."""
+        gaps = poles[..., None] - np.concatenate([poles, poles[..., : self.modes].conj()], axis=-1)[..., None, :]
+        own = np.arange(poles.shape[-1])
+        gaps[..., own, own] = self.scale
         return np.asarray(gaps)
 
 
@@ -174,15 +174,24 @@ def slopes(problem: Problem, vector: FloatArray, linear: FloatArray, answered: A
     return np.concatenate(out, axis=1)
 
 
-def squares(problem: Problem, vector: FloatArray) -> FloatArray:
-    """Return the weighted sums of squares (terms,) that 1, 2, … numerator terms leave, by one factorisation."""
+def squares(problem: Problem, vectors: FloatArray) -> FloatArray:
+    """Return the weighted sums of squares (V, terms) that 1, 2, … numerator terms leave, by one factorisation each.
+
+    `vectors` (V, K) of different poles, but of one release.
+    """
+    structure, samples = problem.structure, problem.samples
+    poles = structure.poles(vectors)
     with np.errstate(over="ignore", invalid="ignore"):
-        columns_ = design(problem, vector, problem.samples)
-    whole = np.concatenate([columns_, problem.samples.value[:, None]], axis=1) * problem.samples.weight[:, None]
-    if not np.all(np.isfinite(whole)):
-        return np.full(problem.structure.terms, np.inf)
-    last = np.asarray(np.linalg.qr(whole, mode="r"))[:, -1]
-    return np.asarray(np.cumsum(last[::-1] ** 2)[::-1][2:])
+        value = responses(problem.load, poles.ravel(), samples, *problem.release(vectors[0])).T
+        residues = (_twice(structure)[:, None] * structure.shares(vectors)).swapaxes(1, 2)
+        parts = np.real(residues @ value.reshape(*poles.shape, -1))
+    rows = np.ones((len(vectors), structure.terms + 2, len(samples.value)))
+    rows[:, 1:-1], rows[:, -1] = parts, samples.value
+    known = np.all(np.isfinite(parts), axis=(1, 2))
+    rows[~known] = 0.0
+    last = np.asarray(np.linalg.qr((rows * samples.weight).swapaxes(1, 2), mode="r"))[:, :, -1]
+    left = np.cumsum(last[:, ::-1] ** 2, axis=1)[:, ::-1][:, 2:]
+    return np.where(known[:, None], left, np.inf)
 
 
 def solve(problem: Problem, start: FloatArray) -> Solution:

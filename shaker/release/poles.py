@@ -171,10 +171,16 @@ def shared_poles(parts: Sequence[FloatArray], rate_hz: float) -> ComplexArray:
     length = min(_WINDOW, min(part.shape[1] for part in parts) // 2)
     gram, windows = np.zeros((length, length)), 0
     for part in parts:
-        for row in part:
-            table = np.lib.stride_tricks.sliding_window_view(row, length)
-            gram += table.T @ table
-            windows += len(table)
+        # G[i, j] sums y(n + i)·y(n + j) over the beginnings n of windows; one place on along a diagonal it has the
+        # product behind the last window more and the one ahead of the first less
+        count = part.shape[1] - length + 1
+        head, tail = part[:, : length - 1], part[:, count:]
+        gram[1:, 1:] += tail.T @ tail - head.T @ head
+        gram[0] += sum(row[:count] @ np.lib.stride_tricks.sliding_window_view(row, length) for row in part)
+        windows += count * len(part)
+    for place in range(1, length):
+        gram[place, place:] += gram[place - 1, place - 1 : -1]
+    gram = np.triu(gram) + np.triu(gram, 1).T
     value, vector = np.linalg.eigh(gram / windows)
     noise = float(np.median(value[: length // 2]))
     count = int(np.clip(np.count_nonzero(value > _ABOVE_NOISE * noise), 3, min(_MOST, length // 2)))

@@ -476,7 +476,7 @@ def _spread(values: Sequence[float], u: Sequence[float]) -> Spread:
 
 def _faster(one: Spread, other: Spread) -> float:
     """Return the probability that one mean is below another (Welch 1947), NaN where one release has no scatter."""
-    from scipy.stats import t
+    from scipy.special import stdtr
 
     if np.isnan(one.repeatability) or np.isnan(other.repeatability):
         return float("nan")
@@ -487,4 +487,4 @@ def _faster(one: Spread, other: Spread) -> float:
         return 1.0 if other.mean > one.mean else 0.5
     inverse = float(np.sum(parts**2 / dofs)) / total**2
     dof = 1.0 / inverse if inverse > 0.0 else np.inf
-    return float(t.cdf((other.mean - one.mean) / np.sqrt(total), dof))
+    return float(stdtr(dof, (other.mean - one.mean) / np.sqrt(total)))

@@ -282,7 +282,7 @@ def clipped(samples: FloatArray, resolution: float, noise: float) -> bool:
 # The spectrum of a response: its first and second peak.
 
 _LEVEL = 5.0  # noise levels that a peak must stand above
-_PADDED = 4  # length of the transform over that of the record
+_PADDED = 4  # length of the transform over that of the record, at least
 _DIP = 7.0  # noise levels that the spectrum dips by between two peaks
 _SHARE = 1e-3  # of the highest peak below which others are the window's
 _REFINED = 40
@@ -294,9 +294,11 @@ def response_spectrum(ringing: FloatArray, sample_rate_hz: float) -> Spectrum:
     Weighted with half a Hann window, cos²(πn/2N), which begins with the ringing and ends it softly; a lasting sine
     shows its amplitude.
     """
-    window = _window(len(ringing))
-    amplitude = 2.0 * np.abs(np.fft.rfft(ringing * window, _PADDED * len(ringing))) / window.sum()
-    frequency = np.fft.rfftfreq(_PADDED * len(ringing), 1.0 / sample_rate_hz)
+    window, count = _window(len(ringing)), _PADDED * len(ringing)
+    even = 1 << max(0, count.bit_length() - 6)  # multiples of which have no large prime factors
+    count = -(-count // even) * even
+    amplitude = 2.0 * np.abs(np.fft.rfft(ringing * window, count)) / window.sum()
+    frequency = np.fft.rfftfreq(count, 1.0 / sample_rate_hz)
     return Spectrum(np.asarray(frequency, dtype=np.float64), np.asarray(amplitude, dtype=np.float64))
 
 

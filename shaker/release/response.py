@@ -18,6 +18,8 @@ from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray, check_shape
 from shaker.release.record import Shape
 
 _SMALL = 1e-2  # |x| below which factors are taken from their series
+_SERIES = 64  # evenly spaced times from which on exponentials at them are products of two short series
+_EVEN = 1e-9  # intervals by which times may be off even ones
 _RESTS = 40  # blocks of what comes before the release
 MOMENTS: dict[Shape, float] = {"step": 0.0, "ramp": 1.0 / 12.0, "smooth": 0.25 - 2.0 / np.pi**2}
 """Second moment of a release about its middle over its squared length: what 1/a² of a lag adds to."""
@@ -149,14 +151,25 @@ def pole_responses(
     if shape == "measured":
         raise ValueError('shape: expected "step", "ramp" or "smooth", found "measured"')
     p, length = np.asarray(poles, dtype=np.complex128), 0.0 if shape == "step" else release_s
-    tau = np.asarray(time_s, dtype=np.float64)[:, None] - onset_s
-    value = np.zeros((len(tau), len(p)), dtype=np.complex128)
-    after, during = (tau[:, 0] > 0) & (tau[:, 0] >= length), (tau[:, 0] > 0) & (tau[:, 0] < length)
-    factor = release_factor(shape, p * length)[0] if length > 0 else 1.0
-    value[after] = (factor * np.exp(p * (tau[after] - length)) - 1.0) / p
-    if np.any(during):
-        value[during] = (_along_line if shape == "ramp" else _along_cosine)(p, tau[during], length)[1]
-    return value
+    return np.asarray(_at_times(shape, p, np.asarray(time_s, dtype=np.float64) - onset_s, length, 1)[0].T)
+
+
+def exponentials(poles: ComplexArray, tau: FloatArray) -> ComplexArray:
+    """Return exp(pτ) (P, N), poles (P,) in rad/s, at times `tau` (N,) in s, none below 0.
+
+    Times τ + (i + mj)Δ that rise evenly, i below m, make them exp(p(τ + iΔ))·exp(pmjΔ): 2√N exponentials for N.
+    """
+    count = len(tau)
+    p = poles[:, None]
+    if count < _SERIES:
+        return np.asarray(np.exp(p * tau))
+    step = float(tau[-1] - tau[0]) / (count - 1)
+    if not np.max(np.abs(tau - (tau[0] + step * np.arange(count)))) <= _EVEN * step:
+        return np.asarray(np.exp(p * tau))
+    size = int(np.sqrt(count - 1)) + 1
+    places = np.arange(size)
+    fine, coarse = np.exp(p * (tau[0] + step * places)), np.exp(p * (size * step * places))
+    return np.asarray((coarse[:, :, None] * fine[:, None]).reshape(len(poles), size**2)[:, :count])
 
 
 @dataclass(frozen=True, repr=False)
@@ -192,22 +205,22 @@ def _answered(
     """Return the first rows of `Answers` (R, B, P), one or all four, to a release of a middle and a length."""
     length = release[1] if load.lasting else 0.0
     tau = samples.time_s - (release[0] - 0.5 * length)
-    whole = np.zeros((rows, len(tau), len(poles)), dtype=np.complex128)
+    whole = np.zeros((rows, len(poles), len(tau)), dtype=np.complex128)
     first = int(np.searchsorted(tau, length, "left" if length > 0.0 else "right"))
     for run in samples.runs:
         later = slice(max(run.start, first), run.stop)
         if later.start < later.stop:
             means = _means(poles, int(samples.length[later.start]), samples.step_s)
-            whole[:, later] = _after(load.shape, poles, tau[later] - length, length, means, rows)
+            _after((load.shape, length), poles, tau[later] - length, means, whole[:, :, later])
     touched = slice(int(np.searchsorted(tau + (samples.length - 1) * samples.step_s, 0.0, "right")), first)
     if touched.start < touched.stop:
         size = samples.length[touched]
         ends = np.cumsum(size)
         inside = np.arange(ends[-1]) - np.repeat(ends - size, size)
         single = _at_times(load.shape, poles, np.repeat(tau[touched], size) + inside * samples.step_s, length, rows)
-        whole[:, touched] = np.add.reduceat(single, ends - size, axis=1) / size[:, None]
+        whole[:, :, touched] = np.add.reduceat(single, ends - size, axis=2) / size
     whole *= load.amplitude
-    return whole
+    return whole.transpose(0, 2, 1)
 
 
 def release_factor(shape: Shape, x: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
@@ -217,53 +230,65 @@ def release_factor(shape: Shape, x: ComplexArray) -> tuple[ComplexArray, Complex
         value = 0.5 * np.pi**2 * (1.0 + grown) / below
         return value, 0.5 * np.pi**2 * grown / below - 2.0 * x * value / below
     small = np.abs(x) < _SMALL
-    safe = np.where(small, 1.0, x)
-    value = np.where(small, 1 + x / 2 + x**2 / 6 + x**3 / 24 + x**4 / 120, np.expm1(safe) / safe)
-    series = 0.5 + x / 3 + x**2 / 8 + x**3 / 30 + x**4 / 144
-    return value, np.where(small, series, (np.exp(safe) - value) / safe)
+    safe: ComplexArray = np.where(small, 1.0, x).astype(np.complex128)
+    away = np.expm1(safe)
+    value = away / safe
+    slope = (away + 1.0 - value) / safe
+    if np.any(small):
+        value = np.where(small, 1 + x / 2 + x**2 / 6 + x**3 / 24 + x**4 / 120, value)
+        slope = np.where(small, 0.5 + x / 3 + x**2 / 8 + x**3 / 30 + x**4 / 144, slope)
+    return value, slope
 
 
 def _after(
-    shape: Shape, p: ComplexArray, sigma: FloatArray, length: float, means: tuple[ComplexArray, ComplexArray], rows: int
-) -> list[ComplexArray]:
-    """Return what blocks show (R of B, P), as `Answers`, whose first sample is `sigma` (B,) after the release's end.
+    load: tuple[Shape, float],
+    p: ComplexArray,
+    sigma: FloatArray,
+    means: tuple[ComplexArray, ComplexArray],
+    out: ComplexArray,
+) -> None:
+    """Put what blocks show (R, P, B), as `Answers`, whose first sample is `sigma` (B,) after the release's end.
 
     `means`, (P,) each: of exp(pt) over a block's samples, and its derivative to p.
     """
-    mean, mean_slope = means
-    late, ones = sigma[:, None], np.ones_like(p)
-    factor, slope = release_factor(shape, p * length) if length > 0 else (ones, 0.5 * ones)
-    swing = np.exp(p * late)
-    decay = mean * factor * swing
-    value = (decay - 1.0) / p
-    if rows == 1:
-        return [value]
-    change = mean_slope * factor + mean * (late * factor + length * slope)
-    return [value, (change * swing - value) / p, -decay, mean * (slope - 0.5 * factor) * swing]
+    (mean, mean_slope), (shape, length) = means, load
+    factor, slope = release_factor(shape, p * length) if length > 0 else (np.ones_like(p), np.full_like(p, 0.5))
+    swing, per_pole = exponentials(p, sigma), (1.0 / p)[:, None]
+    decay = swing * (mean * factor)[:, None]
+    np.multiply(decay - 1.0, per_pole, out=out[0])
+    if len(out) > 1:
+        change = swing * (mean_slope * factor + mean * length * slope)[:, None] + decay * sigma
+        np.multiply(change - out[0], per_pole, out=out[1])
+        np.negative(decay, out=out[2])
+        np.multiply(swing, (mean * (slope - 0.5 * factor))[:, None], out=out[3])
 
 
 def _at_times(shape: Shape, p: ComplexArray, tau: FloatArray, length: float, rows: int) -> ComplexArray:
-    """Return what single samples show (R, B, P), as `Answers`, `tau` (B,) after the onset; zero before it."""
-    whole = np.zeros((rows, len(tau), len(p)), dtype=np.complex128)
+    """Return what single samples show (R, P, B), as `Answers`, `tau` (B,) after the onset; zero before it."""
+    whole = np.zeros((rows, len(p), len(tau)), dtype=np.complex128)
     after, during = (tau > 0) & (tau >= length), (tau > 0) & (tau < length)
-    whole[:, after] = _after(shape, p, tau[after] - length, length, _means(p, 1, 0.0), rows)
+    if np.any(after):
+        late = np.empty((rows, len(p), np.count_nonzero(after)), dtype=np.complex128)
+        _after((shape, length), p, tau[after] - length, _means(p, 1, 0.0), late)
+        whole[:, :, after] = late
     if np.any(during):
-        early = tau[during][:, None]
+        early, p = tau[during], p[:, None]
         share, value, by_pole = (_along_line if shape == "ramp" else _along_cosine)(p, early, length)
         found = [value]
         if rows > 1:
             by_onset = -(p * value + share)
             # the answer is T·f(τ/T, pT), so that the derivative to the length follows from those to time and pole
             found += [by_pole, by_onset, (value + early * by_onset + p * by_pole) / length - 0.5 * by_onset]
-        whole[:, during] = found
+        whole[:, :, during] = found
     return whole
 
 
 def _along_line(p: ComplexArray, tau: FloatArray, length: float) -> tuple[FloatArray, ComplexArray, ComplexArray]:
     """Return a ramp's load, its response [(exp(pτ) - 1)/p - τ]/(pT) and the derivative to the pole."""
-    rise = np.expm1(p * tau) / p
+    away = np.expm1(p * tau)
+    rise = away / p
     value = (rise - tau) / (p * length)
-    slope = (tau * np.exp(p * tau) - rise) / p
+    slope = (tau * (away + 1.0) - rise) / p
     return tau / length, value, slope / (p * length) - value / p
 
 

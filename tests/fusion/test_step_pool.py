@@ -102,6 +102,13 @@ def test_the_mean_stays_between_the_vectors():
     assert np.all(np.linalg.eigvalsh(mean.covariance) > 0.0)
 
 
+def test_a_parameter_that_differs_by_rounding_alone_weighs_nothing():
+    stated = np.array([np.diag([1.0, 0.0]), np.diag([3.0, 0.0])])
+    for last in (1.0, np.nextafter(1.0, 2.0)):
+        mean = weighted_mean(np.array([[0.0, 1.0], [1.0, last]]), stated, 1e-9)
+        assert mean.weight == pytest.approx([0.75, 0.25])
+
+
 def test_birge_ratio_of_a_mean():
     mean, u, dof = mean_with_scatter(np.array([1.0, 2.0, 3.0]), np.full(3, 0.1))
     assert mean == pytest.approx(2.0)

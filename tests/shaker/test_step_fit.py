@@ -24,6 +24,7 @@ from shaker.release.response import (
     Samples,
     answers,
     every_sample,
+    exponentials,
     in_blocks,
     load_rate,
     load_share,
@@ -400,7 +401,31 @@ def test_evolution_of_modes_reaches_the_default_s_optimum():
     assert np.all(np.diff(both[1].convergence) <= 0)
 
 
-@pytest.mark.slow
+def test_output_errors_of_difference_equations_are_those_of_scipy_s_filter():
+    from scipy.signal import lfilter
+
+    from shaker.release.evolution import output_errors
+
+    rng, load = np.random.default_rng(7), np.ones(300)
+    output, members = lfilter([0.0, 0.1, 0.05], [1.0, -1.5, 0.7], load), rng.uniform(-1.5, 1.5, (60, 4))
+    with np.errstate(over="ignore", invalid="ignore"):
+        rest = np.array([output - lfilter([0.0, b1, b2], [1.0, a1, a2], load) for b2, a2, b1, a1 in members])
+        wanted = 2.0 + np.sum(rest**2, axis=1)
+    wanted[~(wanted <= 1e100)] = np.inf
+    assert 10 < np.count_nonzero(np.isfinite(wanted)) < 60
+    np.testing.assert_allclose(output_errors(members, np.full(60, np.inf), load, output, 2.0), wanted, rtol=1e-9)
+    most = np.where(np.arange(60) % 2, 0.5, 2.0) * wanted
+    told = output_errors(members, most, load, output, 2.0)
+    assert np.array_equal(np.isfinite(told), np.isfinite(wanted) & (most > wanted))
+
+
+@pytest.mark.parametrize("count", [10, 64, 1000, 1021])
+def test_exponentials_at_even_and_uneven_times(count):
+    poles, even = np.array([-40.0 + 9e3j, -2e5 + 0j, 30.0 + 100j]), 0.1 + 1e-5 * np.arange(count)
+    for time_s in (even, even + 1e-7 * np.sin(np.arange(count)), even[::-1]):
+        np.testing.assert_allclose(exponentials(poles, time_s), np.exp(np.outer(poles, time_s)), rtol=1e-11)
+
+
 def test_published_evolution_is_far_from_the_truth():
     """500 generations of 100 members in coefficients within ±5 do not find the mode that the default finds."""
     record = record_of(held(2500), 2e-3, 1)

@@ -52,8 +52,11 @@ def evaluate_component(
         reason=fitted.reason,
         gains=tuple(static_gains(fitted.releases, unit)),
         ropes=ropes_of(fitted.releases, names),
-        methods=tuple(method_row(release.fit, release.name) for release in fitted.releases if release.fit is not None),
+        methods=(),
     )
+    if settings.method != "all" or not used:
+        rows = tuple(method_row(release.fit, release.name) for release in result.releases if release.fit is not None)
+        result = replace(result, methods=rows)
     if not used:
         notices.append(Notice("warning", f"no model of {channel}: {fitted.reason}", component))
         return result, tuple(notices)
@@ -83,7 +86,8 @@ def evaluate_component(
     result = replace(result, pooled=pooled, parameters=parameters, figures=found.quantities, entry=entry)
     result = replace(result, budget=found.budget, beside=known)
     if settings.method == "all":
-        rows, of_methods = compare_methods(used[0], settings)
+        by_rule = settings.release == "auto" and used[0].name not in fitted.anew
+        rows, of_methods = compare_methods(used[0], settings, [fits[0][1]] if by_rule else ())
         result, notices = replace(result, methods=rows), [*notices, *of_methods]
     return result, (*notices, *_remarks(result, pooled.model, found.notices, stated))
 

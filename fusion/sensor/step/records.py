@@ -245,12 +245,13 @@ def pool_models(
     ordered = [sorted_modes(model) for model in models]
     scale = scale_of(ordered[0])
     vectors, covariances = _in_coordinates(ordered, scale)
+    least = ROUNDING * sizes(vectors[0], len(ordered[0].real_hz))
     groups = [np.flatnonzero(np.array(mountings) == name) for name in dict.fromkeys(mountings)]
-    within = [weighted_mean(vectors[group], covariances[group]) for group in groups]
+    within = [weighted_mean(vectors[group], covariances[group], least) for group in groups]
     mean, shares = within[0], within[0].weight
     if len(groups) > 1:
         vectors, covariances = np.stack([m.value for m in within]), np.stack([m.covariance for m in within])
-        mean, shares = weighted_mean(vectors, covariances), np.zeros(len(models))
+        mean, shares = weighted_mean(vectors, covariances, least), np.zeros(len(models))
         for group, own, share in zip(groups, within, mean.weight, strict=True):
             shares[group] = share * own.weight
     value, back = _back(ordered[0], mean, scale)
@@ -289,13 +290,14 @@ def _back(model: ModalModel, mean: Mean, scale: float) -> tuple[FloatArray, Floa
     return from_coordinates(mean.value, modes, reals, scale), slope
 
 
-def weighted_mean(vectors: FloatArray, covariances: FloatArray) -> Mean:
+def weighted_mean(vectors: FloatArray, covariances: FloatArray, least: FloatArray | float = 0.0) -> Mean:
     """Return the mean of vectors (N, P) with covariances (N, P, P) under random effects between them.
 
     Of the sample covariance S of the vectors, what exceeds the mean of the stated variances is scatter: T = D·S·D with
     D = diag(τ/s), τ² = max(0, s² - mean u²) for each parameter (method of moments; Searle, Casella & McCulloch 1992,
     Variance Components, 3.6); the covariance is Σw²·(C + T). A vector weighs by the geometric mean of its variances
-    u² + τ², one number for all parameters, so that the mean stays between the vectors.
+    u² + τ², one number for all parameters, so that the mean stays between the vectors; `least` (P,): standard
+    deviations up to which a parameter is rounding and none of these.
     """
     count, size = vectors.shape
     stated = np.einsum("npp->np", covariances)
@@ -309,7 +311,7 @@ def weighted_mean(vectors: FloatArray, covariances: FloatArray) -> Mean:
         between = share[:, None] * sample * share
         counted = between if count == 2 else np.outer(excess > 0.0, excess > 0.0) * sample
     variance = stated + np.diag(between)
-    known = np.all(variance > 0.0, axis=0)
+    known = np.all(variance > least**2, axis=0)
     inverse = np.exp(-np.log(variance[:, known]).mean(axis=1)) if known.any() else np.ones(count)
     weight = inverse / inverse.sum()
     spread = np.einsum("n,npq->pq", weight**2, covariances + between)

@@ -289,13 +289,14 @@ def common_structure(releases: Sequence[Release]) -> tuple[int, int]:
 class Fitted(NamedTuple):
     """The releases of one component with their models, those that make its model, and why these.
 
-    `notices`: what could not be fitted, or had to be fitted anew.
+    `notices`: what could not be fitted, or had to be fitted anew; `anew`: names of these.
     """
 
     releases: tuple[Release, ...]
     chosen: tuple[Release, ...]
     reason: str
     notices: tuple[Notice, ...]
+    anew: tuple[str, ...] = ()
 
 
 def fit_component(releases: Sequence[Release], settings: StepSettings) -> Fitted:
@@ -325,7 +326,7 @@ def fit_component(releases: Sequence[Release], settings: StepSettings) -> Fitted
     if anew:
         notices.append(Notice("info", f"fitted anew with {text}", ", ".join(anew)))
     everything = tuple(alike.get(release.name, release) for release in own)
-    return Fitted(everything, tuple(alike.values()), reason, tuple(notices))
+    return Fitted(everything, tuple(alike.values()), reason, tuple(notices), tuple(anew))
 
 
 # What different methods make of one release.
@@ -341,13 +342,19 @@ LABELS: dict[Method, str] = {
 }
 
 
-def compare_methods(release: Release, settings: StepSettings) -> tuple[tuple[MethodRow, ...], tuple[Notice, ...]]:
-    """Return what every method makes of a release; a notice says which of them finds nothing, and what each remarks."""
+def compare_methods(
+    release: Release, settings: StepSettings, known: Sequence[StepFit] = ()
+) -> tuple[tuple[MethodRow, ...], tuple[Notice, ...]]:
+    """Return what every method makes of a release; a notice says which of them finds nothing, and what each remarks.
+
+    `known`: what methods have made of it already, by the same rules.
+    """
     rng, rows, notices = np.random.default_rng(SEED), list[MethodRow](), list[Notice]()
     by = partial(compare, release.record, release.driven, rng=rng, reading=release.reading)
+    made = {fit.method: fit for fit in known}
     for method in METHODS:
         try:
-            (fit,) = by(methods=(method,), modes=settings.modes, real_poles=settings.real_poles)
+            fit = made.get(method) or by(methods=(method,), modes=settings.modes, real_poles=settings.real_poles)[0]
         except FAILURES as error:
             notices.append(Notice("info", f"{LABELS[method]}: no model ({error})", release.name))
             continue

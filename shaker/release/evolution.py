@@ -1,0 +1,88 @@
+"""Differential evolution, rand/1/bin, of all members at once (Storn, Price, J. Global Optim. 11 (1997) 341).
+
+Importing this module brings numba, which compiles what follows members sample by sample.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import numba
+import numpy as np
+
+from shaker.arrays import FloatArray
+
+MUTATION, CROSSOVER = 0.8, 0.7  # the published settings
+HUGE = 1e100  # loss from which a model counts as grown without bound
+
+Losses = Callable[[FloatArray, FloatArray], FloatArray]
+"""Of members (P, N) and the losses (P,) that they have to keep to: losses (P,), infinite where a member exceeds its."""
+
+
+def evolved(
+    losses: Losses, bounds: Sequence[tuple[float, float]], rng: np.random.Generator, effort: tuple[int, int]
+) -> tuple[FloatArray, tuple[float, ...]]:
+    """Return the best vector (N,) and the best loss of every generation; `effort`: members and generations."""
+    from scipy.optimize import differential_evolution
+
+    low, high = np.array(bounds).T
+    first = low + (high - low) * rng.random((effort[0], len(bounds)))
+    path, parents = list[float](), np.full(effort[0], np.inf)
+
+    def keep(intermediate_result: Any) -> None:
+        path.append(float(intermediate_result.fun))
+        parents[:] = intermediate_result.population_energies
+
+    def of_all(_: Any, members: Iterable[FloatArray]) -> FloatArray:
+        return losses(np.array(list(members)), parents)
+
+    end = differential_evolution(
+        _called_by_all,
+        bounds,
+        strategy="rand1bin",
+        maxiter=effort[1],
+        init=first,
+        tol=0.0,
+        mutation=MUTATION,
+        recombination=CROSSOVER,
+        rng=rng,
+        callback=keep,
+        polish=False,
+        updating="deferred",
+        workers=of_all,
+    )
+    return np.asarray(end.x), tuple(path)
+
+
+def _called_by_all(_: FloatArray) -> float:
+    """What is asked of one member: the losses of all are computed at once in its place."""
+    raise NotImplementedError
+
+
+@numba.njit(cache=True, nogil=True)
+def output_errors(
+    members: FloatArray, most: FloatArray, load: FloatArray, output: FloatArray, before: float
+) -> FloatArray:
+    """Return the squared output errors (P,) of difference equations, infinite from `most` (P,) or 1e100 on.
+
+    `members` (P, 2n): [b_n, a_n, …, b_1, a_1] each, of H(z) = Σ b z⁻ⁱ/(1 + Σ a z⁻ⁱ); `before`: squares of the output
+    before `load` (N,) begins, with which `output` (N,) does. A model is followed no further than its error allows.
+    """
+    count, order = members.shape[0], members.shape[1] // 2
+    found = np.full(count, np.inf)
+    state = np.empty(order + 1)
+    for p in range(count):
+        state[:] = 0.0
+        square, limit = before, min(most[p], HUGE)
+        for k in range(len(load)):
+            x, y = load[k], state[0]
+            for i in range(order):
+                place = 2 * (order - 1 - i)
+                state[i] = state[i + 1] + x * members[p, place] - y * members[p, place + 1]
+            square += (output[k] - y) ** 2
+            if not square <= limit:
+                break
+        if square <= limit:
+            found[p] = square
+    return found
