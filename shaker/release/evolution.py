@@ -60,7 +60,16 @@ def _called_by_all(_: FloatArray) -> float:
     raise NotImplementedError
 
 
-@numba.njit(cache=True, nogil=True)
+def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile a function, once for all runs of a user who has a folder for caches."""
+    try:
+        kernel: Callable[..., Any] = numba.njit(cache=True, nogil=True)(function)
+    except RuntimeError:
+        kernel = numba.njit(nogil=True)(function)
+    return kernel
+
+
+@_compiled
 def output_errors(
     members: FloatArray, most: FloatArray, load: FloatArray, output: FloatArray, before: float
 ) -> FloatArray:
