@@ -10,8 +10,8 @@ how much faster and nearer the truth the default is than differential evolution 
 `--coverage N` how often the 95 % intervals of N trials hold the truth, each record read and its structure chosen by the
 program, for several releases, white noise, noise behind an anti-aliasing filter, and a coarse converter. With
 `--campaigns N` preset `steps` is simulated N times, evaluated and compensated: how often U of the ±10 % band and of the
-overshoot holds the truth, before and after the filter. Differential evolution takes a second per record, a campaign some
-10 s.
+overshoot holds the truth, before and after the filter. Differential evolution takes a second per record, a campaign
+some 10 s.
 """
 
 from __future__ import annotations
