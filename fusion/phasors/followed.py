@@ -68,7 +68,8 @@ class Followed:
         self.__dict__.update(state, _kept=None)
         self._hold(None)
         for frames, block in content.items():
-            if self._opened(frames, block) is None or frames not in self._ready:
+            self._opened(frames, block)
+            if frames not in self._ready:
                 self._put(frames, block)
 
     def missing(self) -> list[range]:
