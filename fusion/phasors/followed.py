@@ -79,14 +79,11 @@ class Followed:
     def add(self, frames: range, block: FollowedBlock) -> None:
         """Put a block where it is found again."""
         content = packed(block)
-        self._remember(frames, block, len(content))
+        if len(content) <= self._room:  # a copy: as followed, arrays lie scattered among those of pictures and splines
+            self._opened(frames, content)
         kept = self._kept is not None and self._kept.put(self._name(frames), content)
         if not kept and frames not in self._ready:
             self._put(frames, content)
-
-    def _remember(self, frames: range, block: FollowedBlock, size: int) -> None:
-        if size <= self._room:
-            self._ready[frames], self._room = block, self._room - size
 
     def _put(self, frames: range, content: bytes) -> None:
         start = self._held.seek(0, io.SEEK_END)
@@ -125,8 +122,8 @@ class Followed:
 
     def _opened(self, frames: range, content: bytes) -> FollowedBlock | None:
         block = unpacked(content, len(frames))
-        if block is not None:
-            self._remember(frames, block, len(content))
+        if block is not None and len(content) <= self._room:
+            self._ready[frames], self._room = block, self._room - len(content)
         return block
 
 

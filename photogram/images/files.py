@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, BinaryIO, cast
 
 import numpy as np
 
@@ -228,7 +228,9 @@ def _read_tiff(path: Path, bits: int, page: int | None = None) -> GreyImage:
     with reading(path):
         try:
             at_once = page is None and path.stat().st_size <= READ_AT_ONCE
-            with tifffile.TiffFile(io.BytesIO(path.read_bytes()) if at_once else path) as tiff:
+            # Closed here: what tifffile keeps of it in circles of references would keep the file's bytes as well.
+            content: BinaryIO = io.BytesIO(path.read_bytes()) if at_once else path.open("rb")
+            with content, tifffile.TiffFile(content) as tiff:
                 own = tiff.pages[page or 0]
                 inflated = _inflated(path, tiff, own) if "DEFLATE" in own.compression.name else None
                 image = inflated if inflated is not None else np.asarray(own.asarray())
