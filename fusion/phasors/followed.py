@@ -109,9 +109,9 @@ class Followed:
         return f"{self._pair}-{frames.start}-{frames.stop}"
 
     def _found(self, frames: range) -> FollowedBlock | None:
-        content = None
         if frames in self._ready:
             return self._ready[frames]
+        content = None
         if frames in self._places:
             start, length = self._places[frames]
             self._held.seek(start)

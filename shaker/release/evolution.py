@@ -5,7 +5,7 @@ Importing this module brings numba, which compiles what follows members sample b
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numba
@@ -34,11 +34,8 @@ def evolved(
         path.append(float(intermediate_result.fun))
         parents[:] = intermediate_result.population_energies
 
-    def of_all(_: Any, members: Iterable[FloatArray]) -> FloatArray:
-        return losses(np.array(list(members)), parents)
-
     end = differential_evolution(
-        _called_by_all,
+        lambda members: losses(np.ascontiguousarray(members.T), parents),
         bounds,
         strategy="rand1bin",
         maxiter=effort[1],
@@ -50,14 +47,9 @@ def evolved(
         callback=keep,
         polish=False,
         updating="deferred",
-        workers=of_all,
+        vectorized=True,
     )
     return np.asarray(end.x), tuple(path)
-
-
-def _called_by_all(_: FloatArray) -> float:
-    """What is asked of one member: the losses of all are computed at once in its place."""
-    raise NotImplementedError
 
 
 def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
