@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
@@ -72,22 +71,27 @@ class LineList:
 
 @dataclass
 class _State:
-    """Names found so far, and the fundamentals they rest on."""
+    """Names found so far, and the fundamentals they rest on: in Hz, with uncertainty and strength, strongest first."""
 
     lines: LineList
-    fundamentals: list[tuple[float, float, float]] = field(default_factory=list)  # in Hz, uncertainty, strength
+    fundamentals: FloatArray = field(default_factory=lambda: np.empty((3, 0)))
     origins: dict[int, Origin] = field(default_factory=dict)
     mains: dict[float, tuple[float, float]] = field(default_factory=dict)  # by nominal: as found, with uncertainty
 
-    def tolerance(self, i: int, u_other: float) -> float:
-        """Return within which distance line i agrees with a prediction."""
-        u = math.hypot(self.lines.u_hz[i], u_other)
-        return max(_TOLERANCE_U * u, _TOLERANCE_BINS * self.lines.resolution_hz)
+    def accept(self, frequency: float, u: float, strength: float) -> None:
+        """Add a fundamental."""
+        place = int(np.searchsorted(-self.fundamentals[2], -strength, side="right"))
+        self.fundamentals = np.insert(self.fundamentals, place, (frequency, u, strength), axis=1)
 
-    def fits(self, i: int, wanted: float, u_wanted: float) -> bool:
+    def tolerance(self, i: int, u_other: FloatArray | float) -> FloatArray:
+        """Return within which distance line i agrees with predictions of these uncertainties."""
+        u = np.hypot(self.lines.u_hz[i], u_other)
+        return np.asarray(np.maximum(_TOLERANCE_U * u, _TOLERANCE_BINS * self.lines.resolution_hz))
+
+    def fits(self, i: int, wanted: FloatArray | float, u_wanted: FloatArray | float) -> BoolArray:
         """Tell whether line i lies where `wanted` appears in the spectrum."""
-        place = abs(wanted - self.lines.rate_hz * round(wanted / self.lines.rate_hz))
-        return abs(place - float(self.lines.frequency_hz[i])) <= self.tolerance(i, u_wanted)
+        place = np.abs(wanted - self.lines.rate_hz * np.round(np.divide(wanted, self.lines.rate_hz)))
+        return np.asarray(np.abs(place - self.lines.frequency_hz[i]) <= self.tolerance(i, u_wanted))
 
     def find(self, wanted: float, u_wanted: float) -> int | None:
         """Return the line nearest to a frequency, None where none agrees."""
@@ -96,13 +100,9 @@ class _State:
         i = int(np.argmin(np.abs(self.lines.frequency_hz - wanted)))
         return i if self.fits(i, wanted, u_wanted) else None
 
-    def pairs(self) -> list[tuple[float, float, float]]:
-        """Return the fundamentals with uncertainty and strength, strongest first."""
-        return sorted(self.fundamentals, key=lambda fundamental: -fundamental[2])
-
     def perhaps(self, i: int, places: float) -> str:
         """Return a word of doubt where so many predicted places hit a line by chance."""
-        chance = places * 4.0 * self.tolerance(i, 0.0) / self.lines.rate_hz
+        chance = places * 4.0 * float(self.tolerance(i, 0.0)) / self.lines.rate_hz
         return "perhaps " if chance > _PERHAPS else ""
 
 
@@ -121,7 +121,7 @@ def name_lines(lines: LineList, fundamental_hz: FloatArray | None = None) -> tup
     for i in strongest_first if fundamental_hz is None else ():
         if i in state.origins or lines.strength[i] < _FUNDAMENTAL:
             continue
-        explained = _explain(state, i) if state.fundamentals else None
+        explained = _explain(state, i) if state.fundamentals.size else None
         if explained is None:
             lowest = _lowest(state, i)
             _accept(state, float(lines.frequency_hz[lowest]), lowest)
@@ -140,9 +140,9 @@ def _accept(state: _State, frequency: float, index: int | None = None) -> None:
         folded = float(alias_frequency(frequency, state.lines.rate_hz))
         index = state.find(folded, 0.0) if len(state.lines.frequency_hz) else None
     if index is None:
-        state.fundamentals.append((frequency, 0.0, 1.0))
+        state.accept(frequency, 0.0, 1.0)
     else:
-        state.fundamentals.append((frequency, float(state.lines.u_hz[index]), float(state.lines.strength[index])))
+        state.accept(frequency, float(state.lines.u_hz[index]), float(state.lines.strength[index]))
         seen = state.lines.frequency_hz[index]
         above = f" {frequency:.6g} Hz, read at {seen:.6g} Hz" if frequency > state.lines.rate_hz / 2.0 else ""
         mains = next((m for m in MAINS_HZ if abs(frequency - m) <= _MAINS_TOLERANCE * m), None)
@@ -185,14 +185,14 @@ def _explain(state: _State, i: int) -> Origin | None:
 
 def _harmonic(state: _State, i: int) -> Origin | None:
     """Explain a line as a multiple of a fundamental, the lowest there is."""
-    lowest: Origin | None = None
-    for f, u, strength in state.pairs():
-        m = round(float(state.lines.frequency_hz[i]) / f)
-        fits = 2 <= m <= MAX_MULTIPLE and m * f < state.lines.rate_hz / 2.0 and state.fits(i, m * f, m * u)
-        if fits and (lowest is None or m < lowest.multiple):
-            share = float(state.lines.strength[i]) / strength
-            lowest = Origin("harmonic", f"harmonic {m} of {f:.6g} Hz, {share:.2g} of it", f, m)
-    return lowest
+    f, u, strength = state.fundamentals
+    m = np.round(state.lines.frequency_hz[i] / f)
+    fits = (m >= 2) & (m <= MAX_MULTIPLE) & (m * f < state.lines.rate_hz / 2.0) & state.fits(i, m * f, m * u)
+    if not np.any(fits):
+        return None
+    best = int(np.argmin(np.where(fits, m, np.inf)))
+    text = f"harmonic {m[best]:.0f} of {f[best]:.6g} Hz, {state.lines.strength[i] / strength[best]:.2g} of it"
+    return Origin("harmonic", text, float(f[best]), int(m[best]))
 
 
 def _mains(state: _State, i: int, multiples: range) -> Origin | None:
@@ -202,13 +202,10 @@ def _mains(state: _State, i: int, multiples: range) -> Origin | None:
         m = round(f / mains)
         if m not in multiples:
             continue
-        if mains in state.mains:
-            found, u_found = state.mains[mains]
-            agrees = state.fits(i, m * found, m * u_found)
-        else:
-            strays = max(_MAINS_TOLERANCE * f, _TOLERANCE_BINS * state.lines.resolution_hz)
-            agrees = m <= _MAINS_ALONE and abs(f - m * mains) <= strays
-        if agrees:
+        strays = max(_MAINS_TOLERANCE * f, _TOLERANCE_BINS * state.lines.resolution_hz)
+        found, u_found = state.mains.get(mains, (None, 0.0))
+        alone = found is None and m <= _MAINS_ALONE and abs(f - m * mains) <= strays
+        if alone or (found is not None and state.fits(i, m * found, m * u_found)):
             state.mains.setdefault(mains, (f / m, u / m))
             text = f"mains hum ({mains:g} Hz)" if m == 1 else f"mains hum (harmonic {m} of {mains:g} Hz)"
             return Origin("mains", text, mains, m)
@@ -217,47 +214,85 @@ def _mains(state: _State, i: int, multiples: range) -> Origin | None:
 
 def _sub_harmonic(state: _State, i: int) -> Origin | None:
     """Explain a line as a half or a third of a fundamental, or, where that is there, as a multiple of it."""
-    frequency = float(state.lines.frequency_hz[i])
-    for f, u, strength in state.pairs():
-        for part in _DIVISORS:
-            k = round(part * frequency / f)
-            if k % part == 0 or k >= 2 * part + 2 or state.lines.strength[i] > _SMALLER * strength:
-                continue
-            if state.fits(i, k * f / part, k * u / part) and (k == 1 or state.find(f / part, u / part) is not None):
-                return Origin("sub-harmonic", f"sub-harmonic, {k}/{part} of {f:.6g} Hz", f)
+    f, u, strength = state.fundamentals[..., None]
+    part = np.array(_DIVISORS)
+    k = np.round(part * state.lines.frequency_hz[i] / f)
+    small = (k % part > 0) & (k < 2 * part + 2) & (state.lines.strength[i] <= _SMALLER * strength)
+    for row, column in np.argwhere(small & state.fits(i, k * f / part, k * u / part)).tolist():
+        base, p, times = float(f[row, 0]), _DIVISORS[column], int(k[row, column])
+        if times == 1 or state.find(base / p, float(u[row, 0]) / p) is not None:
+            return Origin("sub-harmonic", f"sub-harmonic, {times}/{p} of {base:.6g} Hz", base)
     return None
 
 
 def _combination(state: _State, i: int, orders: range, folded: bool = False) -> Origin | None:
     """Explain a line as the simplest combination of two stronger fundamentals, in band or folded."""
-    known = [(f, u) for f, u, strength in state.pairs() if _SMALLER * strength > state.lines.strength[i]]
-    chance = state.perhaps(i, len(state.fundamentals) * (len(state.fundamentals) - 1) * orders[-1])
-    for order in orders:
-        for (f1, u1), (f2, u2) in combinations(known, 2):
-            for m, n in ((m, sign * (order - m)) for m in range(1, order) for sign in (1, -1)):
-                wanted = abs(m * f1 + n * f2)
-                beyond = wanted >= state.lines.rate_hz / 2.0
-                if wanted > 0.0 and beyond == folded and state.fits(i, wanted, float(np.hypot(m * u1, n * u2))):
-                    # Its positive part is told first.
-                    told = [(m, f1), (n, f2)] if n > 0 or m * f1 + n * f2 >= 0.0 else [(-n, f2), (-m, f1)]
-                    first, second = (f"{abs(k)}·{f:.6g}" if abs(k) > 1 else f"{f:.6g}" for k, f in told)
-                    text = f"{chance}combination {first} {'+' if n > 0 else '-'} {second} Hz"
-                    if folded:
-                        return Origin("folded combination", f"{text}, folded from {wanted:.6g} Hz")
-                    return Origin("combination", text)
+    known = state.fundamentals[:2, _SMALLER * state.fundamentals[2] > state.lines.strength[i]]
+    places = state.fundamentals.shape[1] * (state.fundamentals.shape[1] - 1) * orders[-1]
+    for order in orders if known.shape[1] > 1 else ():
+        found = _sum(state, i, known, order, folded)
+        if found is not None:
+            (m, f1), (n, f2) = found
+            wanted = m * f1 + n * f2
+            # Its positive part is told first.
+            told = found if n > 0 or wanted >= 0.0 else ((-n, f2), (-m, f1))
+            first, second = (f"{abs(k)}·{f:.6g}" if abs(k) > 1 else f"{f:.6g}" for k, f in told)
+            text = f"{state.perhaps(i, places)}combination {first} {'+' if n > 0 else '-'} {second} Hz"
+            if folded:
+                return Origin("folded combination", f"{text}, folded from {abs(wanted):.6g} Hz")
+            return Origin("combination", text)
     return None
+
+
+def _sum(
+    state: _State, i: int, known: FloatArray, order: int, folded: bool
+) -> tuple[tuple[int, float], tuple[int, float]] | None:
+    """Return (m, f1), (n, f2) of the strongest pair of fundamentals for which line i is m·f1 + n·f2, |m| + |n| = order.
+
+    Of `known` (2, F), frequencies and their uncertainties, each is taken as f1, and f2 looked for among all in order.
+    """
+    f, u = known
+    nyquist = state.lines.rate_hz / 2.0
+    terms = np.array([(m, sign * (order - m)) for m in range(1, order) for sign in (1, -1)], dtype=np.float64)
+    seen = float(state.lines.frequency_hz[i])
+    # Where the line may come from; m·f1 + n·f2 may be negative.
+    turns = range(1, round(order * float(f.max()) / (2.0 * nyquist)) + 1) if folded else ()
+    origin = [turn * 2.0 * nyquist + part for turn in turns for part in (seen, -seen)] if folded else [seen]
+    origin += [-place for place in origin]
+    ascending = np.argsort(f)
+    m, n = terms.T[..., None, None]
+    partner = (np.array(origin)[:, None] - m * f) / n
+    reach = (float(state.tolerance(i, order * float(u.max()))) + 1e-9 * nyquist) / np.abs(n)
+    low, high = (np.searchsorted(f[ascending], partner + sign * reach) for sign in (-1, 1))
+    here = np.argwhere(high > low)
+    count = (high - low)[high > low]
+    term, _, one = np.repeat(here, count, axis=0).T
+    within = np.arange(len(term)) - np.repeat(np.cumsum(count) - count, count)
+    other = ascending[np.repeat(low[high > low], count) + within]
+    m, n = terms[term].T
+    wanted = np.abs(m * f[one] + n * f[other])
+    fits = (other > one) & (wanted > 0.0) & ((wanted >= nyquist) == folded)
+    fits &= state.fits(i, wanted, np.hypot(m * u[one], n * u[other]))
+    if not np.any(fits):
+        return None
+    term, one, other = term[fits], one[fits], other[fits]
+    best = np.lexsort((term, other, one))[0]
+    (m1, n1), a, b = terms[term[best]], one[best], other[best]
+    return (int(m1), float(f[a])), (int(n1), float(f[b]))
 
 
 def _folded(state: _State, i: int) -> Origin | None:
     """Explain a line as a harmonic above the Nyquist frequency that no filter kept out."""
-    for m in range(2, MAX_MULTIPLE + 1):
-        for f, u, strength in state.pairs():
-            beyond = m * f >= state.lines.rate_hz / 2.0 and state.lines.strength[i] < _SMALLER * strength
-            if beyond and state.fits(i, m * f, m * u):
-                doubt = state.perhaps(i, m * len(state.fundamentals))
-                text = f"{doubt}harmonic {m} of {f:.6g} Hz, folded from {m * f:.6g} Hz"
-                return Origin("folded harmonic", text, f, m)
-    return None
+    f, u, strength = state.fundamentals
+    m = np.arange(2, MAX_MULTIPLE + 1)[:, None]
+    beyond = (m * f >= state.lines.rate_hz / 2.0) & (state.lines.strength[i] < _SMALLER * strength)
+    fits = np.argwhere(beyond & state.fits(i, m * f, m * u))
+    if not len(fits):
+        return None
+    multiple, base = int(m[fits[0, 0], 0]), float(f[fits[0, 1]])
+    doubt = state.perhaps(i, multiple * len(f))
+    text = f"{doubt}harmonic {multiple} of {base:.6g} Hz, folded from {multiple * base:.6g} Hz"
+    return Origin("folded harmonic", text, base, multiple)
 
 
 def _side_band(state: _State, i: int) -> Origin | None:

@@ -1,5 +1,6 @@
 """Lines of a record: spectra, lines found, named and refined; plans of rates against Fisher's information."""
 
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -173,6 +174,40 @@ def test_combinations_and_folded_harmonics():
     assert found[round(f + g, 1)] == "combination 311.7 + 1104.3 Hz"
     assert found[round(2 * g - f, 1)] == "combination 2·1104.3 - 311.7 Hz"
     assert found[round(RATE - 11 * f, 1)] == "harmonic 11 of 311.7 Hz, folded from 3428.7 Hz"
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_combination_is_the_first_that_trying_all_pairs_finds(seed):
+    rng, rate_hz, resolution_hz = np.random.default_rng(seed), 10_000.0, 0.1
+    fundamentals = rng.uniform(700.0, 4800.0, 10)
+    sums = [
+        3 * fundamentals[8] - 2 * fundamentals[9],
+        fundamentals[2] + fundamentals[7],
+        2 * fundamentals[1] + fundamentals[4],
+    ]
+    frequency_hz = np.concatenate(
+        [fundamentals, np.abs(np.remainder(sums, rate_hz) - 0.01), rng.uniform(50.0, 4950.0, 60)]
+    )
+    frequency_hz[10:] = np.minimum(frequency_hz[10:], rate_hz - frequency_hz[10:])
+    strength = np.concatenate([np.linspace(1.0, 0.8, 10), np.full(63, 1e-3)])
+    lines = detection.LineList(frequency_hz, np.full(73, 1e-4), strength, rate_hz, resolution_hz)
+    named = detection.name_lines(lines, fundamentals)
+
+    def tried(line: float, orders: range, folded: bool) -> tuple[float, float] | None:
+        for order, (f, g) in itertools.product(orders, itertools.combinations(fundamentals.tolist(), 2)):
+            for m, sign in itertools.product(range(1, order), (1, -1)):
+                wanted = abs(m * f + sign * (order - m) * g)
+                seen = abs(wanted - rate_hz * round(wanted / rate_hz))
+                if (wanted >= rate_hz / 2.0) == folded and abs(seen - line) <= 0.2 * resolution_hz:
+                    return wanted, f
+        return None
+
+    assert sum("combination" in origin.kind for origin in named) >= 2
+    for line, origin in zip(frequency_hz.tolist(), named, strict=True):
+        if origin.kind in ("combination", "folded combination", "unexplained"):
+            plain, beyond = tried(line, range(2, 6), False), tried(line, range(2, 4), True)
+            assert origin.kind == ("combination" if plain else "folded combination" if beyond else "unexplained")
+            assert f"{(plain or beyond or (0, 0))[1]:.6g}" in origin.text or origin.kind == "unexplained"
 
 
 def test_the_largest_line_may_be_the_second_harmonic_unless_nominal_frequencies_decide():
