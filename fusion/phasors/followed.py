@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fusion.base import ComputeError, Keeper
+from photogram.arrays import FloatArray
 from photogram.geometry import RigidTransform
 
 if TYPE_CHECKING:
@@ -27,12 +28,18 @@ if TYPE_CHECKING:
 HELD = 1 << 26
 
 
-def follow(scene: BodyScene, frames: range, device: str) -> FollowedBlock:  # a task, so of this module
-    """Follow a body through a block of frames on the device that a choice means."""
+Foretelling = tuple[FloatArray, int | None]
+"""What known lines tell of a body: the terms (F, m) of its motion, and in how many frames subsets are looked for."""
+
+
+def follow(
+    scene: BodyScene, frames: range, device: str, told: Foretelling | None = None
+) -> FollowedBlock:  # a task, so of this module
+    """Follow a body through a block of frames on the device that a choice means, as known lines foretell it."""
     from photogram.measure.follow import follow_block
     from photogram.subsets.track import resolve_device
 
-    return follow_block(scene, frames, resolve_device(device))
+    return follow_block(scene if told is None else scene.foretold(*told), frames, resolve_device(device))
 
 
 class Followed:
@@ -44,8 +51,15 @@ class Followed:
     again. A pickle holds all blocks, of whatever size, and is opened in memory and the system's folder.
     """
 
-    def __init__(self, images: OpenImages, scene: BodyScene, device: str, kept: Keeper | None) -> None:
-        self.scene = scene
+    def __init__(
+        self,
+        images: OpenImages,
+        scene: BodyScene,
+        device: str,
+        kept: Keeper | None,
+        told: Foretelling | None = None,
+    ) -> None:
+        self.scene = scene if told is None else scene.foretold(*told)
         self._device, self._kept = device, kept if len(scene.blocks) > 1 else None
         pair = "\n".join([images.sight.name, *images.left.names[:1]])  # the first image tells it from that of a take
         self._sight, self._pair = images.sight.name, hashlib.sha256(pair.encode()).hexdigest()[:12]

@@ -18,7 +18,8 @@ from fusion.estimation.variance_components import EstimatedNoise
 from fusion.instruments.channel import Reading, RelativeError, acting, observe_channels
 from fusion.instruments.stereo import PERIODIC, StereoReading
 from fusion.phasors.channels import ChannelResult
-from fusion.phasors.setup import OpenSetUp, SetUp, line_stationarity, stationarity_notices
+from fusion.phasors.setup import OpenSetUp, SetUp
+from fusion.phasors.steadiness import line_stationarity, stationarity_notices
 from fusion.phasors.stereo_phasors import StereoResult
 from fusion.phasors.timing import ClockResult
 from fusion.recording.manifest import ChannelEntry

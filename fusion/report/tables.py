@@ -13,7 +13,7 @@ from fusion.estimation.coverage import Polar, polar
 from fusion.estimation.fuse import Acceleration
 from fusion.estimation.uncertainty import Contribution, Uncertainty, polar_elements
 from fusion.instruments.transducer import TRANSDUCERS
-from fusion.phasors.setup import LineStationarity, line_stationarity
+from fusion.phasors.steadiness import LineStationarity, line_stationarity
 from fusion.phasors.stereo_phasors import StereoResult
 from fusion.phasors.timing import ClockResult
 from fusion.report.table import (

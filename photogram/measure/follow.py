@@ -114,6 +114,14 @@ class BodyScene(Arrays, shapes="rest_m N 3; sought F"):
         """In which the body may deform."""
         return self.body.shapes or PlainShapes.of(self.rest_m)
 
+    def foretold(self, terms: FloatArray, wanted: int | None) -> BodyScene:
+        """The scene with the `terms` (F, m) of the body's motion, and subsets looked for in about `wanted` frames.
+
+        For terms that become known while the body is prepared; None: looked for as before.
+        """
+        sought = self.sought if wanted is None else _sought(range(1 + len(self.lead), len(self.sought)), wanted)
+        return replace(self, body=replace(self.body, terms=terms), sought=sought)
+
 
 def prepare_body(
     images: tuple[ImageSequence, ...],

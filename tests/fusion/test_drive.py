@@ -14,7 +14,7 @@ from support import AT_ORIGIN, block, channel, evaluated, recording_head, write_
 
 from fusion.base import ComputeError
 from fusion.cli import main
-from fusion.phasors.setup import line_stationarity, stationarity_notices
+from fusion.phasors.steadiness import line_stationarity, stationarity_notices
 from fusion.report.recording import write_h5
 from fusion.report.tables import drift_table
 from fusion.sensitivity.analyse import Evaluation

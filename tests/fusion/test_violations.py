@@ -20,7 +20,7 @@ from support import DOCS, Refused, state, truth_of
 
 from fusion.instruments.channel import ChainUncertainty, Reading
 from fusion.phasors.channels import ChannelResult, folding, folding_told, folds_told
-from fusion.phasors.setup import distortions
+from fusion.phasors.steadiness import distortions
 from fusion.recording.manifest import ChannelEntry
 from fusion.simulate import simulate
 from fusion.simulate.preset import Preset, read_preset

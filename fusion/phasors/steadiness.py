@@ -1,0 +1,322 @@
+"""What a record shows beside a steady motion: driven lines that change, harmonics of outputs that the load has not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from fusion.base import AnyNotice, rounded
+from fusion.estimation.coverage import coverage_factor
+from fusion.estimation.uncertainty import Scope
+from fusion.instruments.channel import Reading, RelativeError, acting
+from fusion.instruments.transducer import TRANSDUCERS
+from fusion.phasors.channels import HARMONICS, ChannelResult
+from fusion.phasors.timing import ClockResult
+from shaker.arrays import Notice
+from shaker.lines.frequencies import Lines
+from shaker.sine.fit import Stationarity
+
+if TYPE_CHECKING:
+    from fusion.phasors.stereo_phasors import StereoResult
+
+SURE = 1.0 / 16000.0  # chance that noise and rates of clocks make a change that is told
+MATTERS = 1e-3  # of the amplitude, or rad, over the record: a mean over another stretch differs by up to half of it
+NAMED = 4
+
+# What readings of outputs are found to hold beside the load.
+
+DISTORTION, DRIFT = "distortion", "drift over the record"
+SCOPES: dict[str, Scope] = {DISTORTION: "rig", DRIFT: "recording"}
+
+
+class Doubt(NamedTuple):
+    """How large a `share` of a `channel` at a line may be none of the load's, as a notice says."""
+
+    channel: str
+    frequency_hz: float
+    share: float
+
+
+def doubted(
+    readings: Sequence[Reading], changes: Sequence[LineStationarity], distorted: Iterable[Distortion]
+) -> tuple[Reading, ...]:
+    """Return the readings of a set-up with what its outputs are found to hold beside the load."""
+    doubts = {DISTORTION: [found.doubt for found in distorted]}
+    doubts[DRIFT] = [doubt for frequency in _frequencies(changes) for doubt in _told(changes, frequency).doubts]
+    return tuple(_doubted(reading, doubts) for reading in readings)
+
+
+def _doubted(reading: Reading, doubts: Mapping[str, Sequence[Doubt]]) -> Reading:
+    """Return a reading with the errors that are found in it.
+
+    The largest share a at a line, in a direction of the complex plane of which nothing is known: an arc-sine
+    distribution with a/√2 in either part.
+    """
+    name, errors = reading.entry.name, []
+    for what, found in doubts.items():
+        u = np.zeros(len(reading.phasors.frequency_hz))
+        for doubt in (doubt for doubt in found if doubt.channel == name):
+            here = reading.phasors.frequency_hz == doubt.frequency_hz
+            u[here] = np.maximum(u[here], doubt.share / np.sqrt(2.0))
+        for part, turn in (("in phase", 1.0), ("in quadrature", 1.0j)):
+            unknown, effect = f"{what} of output {name}: {part}", np.asarray(turn * u[:, None], np.complex128)
+            errors.append(RelativeError(unknown, f"output: {what}", float(u.max()), "1", effect, SCOPES[what]))
+    return replace(reading, further=acting([*reading.further, *errors]))
+
+
+# How far amplitude and phase of the driven lines changed while each instrument was recording.
+
+
+@dataclass(frozen=True)
+class LineStationarity:
+    """Change of one line in one channel over its record: `amplitude`, relative to itself, and `phase_rad`.
+
+    `chance` is how often noise, and rates of clocks as uncertain as they are, move the blocks that far from their mean;
+    `sure_amplitude` and `sure_phase_rad`: what they reach once in 16 000 cases. `wander`: of the blocks about what a
+    wrong rate makes of them, beyond noise, as the change of a straight line with the same scatter; `output` of the
+    sensor.
+    """
+
+    name: str
+    frequency_hz: float
+    blocks: int
+    periods: float
+    whole: bool
+    amplitude: float
+    u_amplitude: float
+    phase_rad: float
+    u_phase_rad: float
+    chance: float
+    sure_amplitude: float
+    sure_phase_rad: float
+    wander: float = 0.0
+    output: bool = False
+
+
+def line_stationarity(
+    channels: Sequence[ChannelResult], stereo: Sequence[StereoResult], lines: Lines, clocks: Sequence[ClockResult]
+) -> tuple[LineStationarity, ...]:
+    """Return the changes of the driven lines in every channel and in the strongest component of every stereo pair.
+
+    A phase's drift is known no better than the rates behind it: of a clock that is tied to the first one, of the
+    trigger that exposes the frames, and the frequency of the line itself. The rate that is stated of a clock is none of
+    these, since the frequency is found on the same clock.
+    """
+    u_rate = {clock.daq: float(np.sqrt(clock.tie.covariance[1, 1])) for clock in clocks if clock.tie is not None}
+    shown = [(c.name, c.stationarity, u_rate.get(c.daq, 0.0), c.quantity == "output") for c in channels]
+    shown += [(f"stereo pair {pair.name}", pair.stationarity, pair.u_rate, False) for pair in stereo]
+    first = lines.multiple == 1
+    driven = list(zip(lines.frequency_hz[first].tolist(), lines.u_frequency_hz[first].tolist(), strict=True))
+    return tuple(
+        change
+        for name, steady, u, output in shown
+        if steady is not None
+        for change in _of_lines(name, steady, driven, u, output=output)
+    )
+
+
+def stationarity_notices(changes: Sequence[LineStationarity]) -> tuple[AnyNotice, ...]:
+    """Return a notice for each line whose amplitude, and one for each whose phase, surely changed by what matters.
+
+    A third one where they surely change but along no straight line, such as over a part of a beat. All say so where
+    the outputs of the sensor change and the motion does not.
+    """
+    notices: list[AnyNotice] = []
+    for frequency in _frequencies(changes):
+        grown, turned, bent, doubts = _told(changes, frequency)
+        end = "results are means over each instrument's own record"
+        if doubts:
+            end += (
+                "; only outputs of the sensor do so, the motion does not: look for a line beside the driven one, such "
+                "as a harmonic beyond half the sampling rate that folds onto it for lack of an anti-aliasing filter, "
+                "or for a drift of the amplifier; U contains as much in any direction"
+            )
+        for what, by in (
+            ("amplitude at {} changes", [f"{100.0 * d.amplitude:+.2g} % in {d.name}" for d in grown]),
+            ("phase at {} drifts", [f"{1e3 * d.phase_rad:+.2g} mrad in {d.name}" for d in turned]),
+            ("phasor at {} wanders", [f"by {100.0 * d.wander:.2g} % in {d.name}" for d in bent]),
+        ):
+            if by:
+                where, more = f"{frequency:.6g} Hz", f" and {len(by) - NAMED} more" if len(by) > NAMED else ""
+                text = f"the {what.format(where)} over the record: {', '.join(by[:NAMED])}{more}"
+                notices.append(Notice("warning", f"{text}; {end}", where))
+    return tuple(notices)
+
+
+class _Told(NamedTuple):
+    """The changes of a line that are told; `doubts`: how far outputs changed where the motion did not."""
+
+    grown: list[LineStationarity]
+    turned: list[LineStationarity]
+    bent: list[LineStationarity]
+    doubts: list[Doubt]
+
+
+def _frequencies(changes: Sequence[LineStationarity]) -> list[float]:
+    return list(dict.fromkeys(line.frequency_hz for line in changes))
+
+
+def _told(changes: Sequence[LineStationarity], frequency_hz: float) -> _Told:
+    """Return which changes of a line are sure and matter."""
+    here = [line for line in changes if line.frequency_hz == frequency_hz]
+    grown = [d for d in here if abs(d.amplitude) > max(MATTERS, d.sure_amplitude)]
+    turned = [d for d in here if abs(d.phase_rad) > max(MATTERS, d.sure_phase_rad)]
+    named = {d.name for d in (*grown, *turned)}
+    bent = [d for d in here if d.chance < SURE and d.wander > MATTERS and d.name not in named]
+    doubts = []
+    if {d.output for d in (*grown, *turned, *bent)} == {True} and not all(d.output for d in here):
+        for d in dict.fromkeys((*grown, *turned, *bent)):
+            along = np.hypot(d.amplitude * (d in grown), d.phase_rad * (d in turned))
+            doubts.append(Doubt(d.name, frequency_hz, float(max(along, d.wander))))
+    return _Told(grown, turned, bent, doubts)
+
+
+def _of_lines(
+    name: str, steady: Stationarity, driven: Sequence[tuple[float, float]], u_rate: float, *, output: bool
+) -> list[LineStationarity]:
+    """Return the changes of the driven lines (frequency, its u), each in the channel that shows it best."""
+    length, changes = steady.length_s, []
+    for frequency, u_frequency in driven:
+        turn = 2.0 * np.pi * float(np.hypot(frequency * u_rate, u_frequency))
+        chance, scatter = steady.p_value_beside(turn), steady.scatter_beside(turn)
+        for line in np.flatnonzero(steady.frequency_hz == frequency):
+            mean = np.abs(steady.value[:, line].mean(axis=0))
+            clear = mean / np.maximum(steady.u_amplitude_per_s[line], np.finfo(np.float64).tiny)
+            c = int(np.argmax(clear))
+            if mean[c] > 0.0:
+                part = length / mean[c]
+                u_amplitude, own = steady.u_amplitude_per_s[line, c] * part, steady.u_phase_rad_per_s[line, c]
+                u_phase = float(np.hypot(own, turn))
+                dof = max(float(steady.dof[line]), 1.0)
+                # The rates are known, the noise is estimated (Welch and Satterthwaite).
+                dof_phase = dof * (u_phase / own) ** 4 if own > 0.0 else np.inf
+                # A straight line from -D/2 to D/2 has the variance D²/12.
+                wander = np.sqrt(12.0 * scatter[line, c]) / mean[c]
+                changes.append(
+                    LineStationarity(
+                        name,
+                        float(frequency),
+                        len(steady.time_s),
+                        steady.periods,
+                        steady.whole,
+                        float(steady.amplitude_per_s[line, c] * part),
+                        float(u_amplitude),
+                        float(steady.phase_rad_per_s[line, c] * length),
+                        u_phase * length,
+                        float(chance[line, c]),
+                        coverage_factor(dof, 1.0 - SURE) * float(u_amplitude),
+                        coverage_factor(dof_phase, 1.0 - SURE) * u_phase * length,
+                        float(wander),
+                        output,
+                    )
+                )
+    return changes
+
+
+# Harmonics of the outputs that the load's motion does not have.
+
+STRONG = 0.5  # of the largest fundamental: outputs and motion channels whose harmonics are compared
+CHANGED = 0.3  # relative: what the sensor may answer otherwise at a harmonic than at its fundamental
+
+
+class Distortion(NamedTuple):
+    """What a harmonic of an output tells of its fundamental."""
+
+    doubt: Doubt
+    notice: Notice
+
+
+def distortions(channels: Sequence[ChannelResult], lines: Lines) -> Iterator[Distortion]:
+    """Yield each harmonic of an output that is surely there, matters, and that the load's motion has not.
+
+    Harmonics are compared relative to the fundamental: of the outputs that answer most, of the acceleration in the
+    channels that move most. Of x - ε·x³ the third harmonic is ε/4 of the amplitude and the fundamental lowered by
+    3ε/4, which is what the ratio is then off by; of other harmonics it is taken to be off by as much as they have.
+    Nothing is said where no channel measures the load's motion.
+    """
+    outputs = [c for c in channels if c.quantity == "output" and c.harmonics is not None]
+    motion = [c for c in channels if c.quantity in TRANSDUCERS and c.body == "load" and c.harmonics is not None]
+    for f in lines.frequency_hz[lines.multiple == 1].tolist():
+        moving = _strongest(motion, f)
+        for output in _strongest(outputs, f) if moving else []:
+            for m in HARMONICS:
+                own = _share(output, f, m)
+                theirs = [share for channel in moving if (share := _share(channel, f, m)) is not None]
+                if own is not None and theirs:
+                    yield from _distortion(output, f, m, own, theirs)
+
+
+def _strongest(channels: Sequence[ChannelResult], frequency_hz: float) -> list[ChannelResult]:
+    """Return the channels in which a fundamental is strong, motion in terms of acceleration."""
+    size = {}
+    for channel in channels:
+        seen = channel.phasors.frequency_hz == frequency_hz
+        order = TRANSDUCERS[channel.quantity].order if channel.quantity in TRANSDUCERS else 0
+        value = channel.phasors.value[seen, 0] * (2.0 * np.pi * frequency_hz) ** -order
+        if np.isfinite(value).any():
+            size[channel.name] = float(np.abs(value[0]))
+    least = STRONG * max(size.values(), default=0.0)
+    return [channel for channel in channels if size.get(channel.name, 0.0) > least]
+
+
+class _Share(NamedTuple):
+    """A harmonic over its fundamental, of motion that of the acceleration: `u` of a part; the fundamental's phase."""
+
+    value: complex
+    u: float
+    dof: float
+    phase_rad: float
+
+
+def _share(channel: ChannelResult, frequency_hz: float, m: int) -> _Share | None:
+    """Return one harmonic of a channel, None where it has none."""
+    found = channel.harmonics
+    if found is None:
+        return None
+    near = [np.flatnonzero(np.abs(found.frequency_hz / (n * frequency_hz) - 1.0) < 1e-9) for n in (1, m)]
+    if not all(len(places) for places in near):
+        return None
+    first, place = (int(places[0]) for places in near)
+    order = TRANSDUCERS[channel.quantity].order if channel.quantity in TRANSDUCERS else 0
+    factor = float(m) ** -order / complex(found.value[first, 0])
+    u = np.sqrt((found.u_re[place, 0] ** 2 + found.u_im[place, 0] ** 2) / 2.0) * abs(factor)
+    value, phase = complex(found.value[place, 0]) * factor, float(np.angle(found.value[first, 0]))
+    return _Share(value, float(u), float(found.dof[place]), phase)
+
+
+def _distortion(
+    output: ChannelResult,
+    frequency_hz: float,
+    m: int,
+    own: _Share,
+    theirs: Sequence[_Share],
+) -> Iterator[Distortion]:
+    """Yield what is left of one harmonic of an output beside that of the channels that see the motion."""
+    from scipy.special import fdtri
+
+    share = np.array([one.value for one in theirs])
+    weight = 1.0 / np.maximum([one.u for one in theirs], np.finfo(np.float64).tiny) ** 2
+    motion = complex(np.sum(weight * share) / np.sum(weight))
+    spread = float(np.sqrt(np.mean(np.abs(share - motion) ** 2) / 2.0))
+    u = float(np.sqrt(own.u**2 + 1.0 / np.sum(weight) + spread**2 / len(share)))
+    excess = own.value - motion
+    size, dof = abs(excess), max(own.dof, 1.0)
+    sure = float(np.sqrt(2.0 * fdtri(2.0, dof, 1.0 - SURE / len(HARMONICS)))) * u + CHANGED * abs(motion)
+    cubic = 3.0 if m == 3 else 1.0
+    # Less harmonic in the output than in the motion is a distortion of what measures the motion.
+    if size <= sure or cubic * size <= MATTERS or abs(own.value) < size / 2.0:
+        return
+    part = rounded(100.0 * size, 100.0 * coverage_factor(dof) * u, 0)
+    text = (
+        f"distortion of output {output.name}: harmonic {m} of {frequency_hz:.6g} Hz is "
+        f"({part.value} ± {part.expanded}) % of the fundamental beyond what the load's motion explains; "
+        "the sensor or its converter is not linear"
+    )
+    if m == 3:
+        sign = "small" if (excess * np.exp(-2j * own.phase_rad)).real < 0.0 else "large"
+        text += f"; if it is so by the cube, the ratio at the fundamental is too {sign} by about {300.0 * size:.2g} %"
+    text += f"; U contains {100.0 * cubic * size:.2g} % in any direction"
+    yield Distortion(Doubt(output.name, frequency_hz, cubic * size), Notice("warning", text, output.name))
