@@ -115,7 +115,7 @@ def follow(
 def moved_together(
     reference: Reference, target: Spline, start: FloatArray, last: FloatArray, settings: TrackSettings
 ) -> FloatArray:
-    """Warps (N,p) in an image from the last ones (N,p) and one affine motion of all, or `start` (N,p) if that is nearer.
+    """Warps (N,p) in an image, from the last ones (N,p) and one affine motion of all, or `start` if that is nearer.
 
     The motion is that of a few subsets, which are looked for from their start. What a few frames foretell of each
     subset by itself has several times the noise of its last place, from which one step is enough, mostly.

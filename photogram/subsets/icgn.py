@@ -20,6 +20,7 @@ from photogram.subsets.reference import (
     TrackStatus,
     affine_sums,
     curved_sums,
+    fetch,
     subset_offsets,
 )
 
@@ -197,7 +198,7 @@ def unresolved_px(reference: Reference, found: Registration) -> FloatArray:
     ok = found.status == TrackStatus.OK
     if not ok.any():
         return np.full((len(ok), 2), np.nan)
-    slopes = np.einsum("nkp,nkp->nk", reference.pixels[:, 1:], reference.pixels[:, 1:]) / reference.pixels.shape[2]
+    slopes = np.einsum("nkp,nkp->nk", *[reference.pixels[:, 1:]] * 2, dtype=np.float64) / reference.pixels.shape[2]
     freedom = reference.pixels.shape[2] - reference.removed.shape[2] - GAIN_AND_OFFSET
     own = OTHER_NOISE * (1.0 + found.gain**2) * np.maximum(np.median(reference.noise_grey2[ok]), QUANTISATION)
     level = np.minimum(np.median(found.residual_grey2[ok]), own) * (1.0 + UNEXPLAINED_SIGMAS * np.sqrt(2.0 / freedom))
@@ -347,11 +348,12 @@ def _correlate(subset, grey, parameters, sums):  # type: ignore[no-untyped-def]
 @njit()
 def _sample(subset, target, warp, grey, room):  # type: ignore[no-untyped-def]
     """Grey values (P,) of the target at the warped subset, row by row; `room` is for points of a curved row."""
-    centre_x, centre_y, radius, _, _, _, _ = subset
+    centre_x, centre_y, radius, pixels, _, _, _ = subset
     coefficients, degree = target
     width = room.shape[1]
     for number in range(width):
         dy, span = number - radius, (number * width, (number + 1) * width)
+        fetch(pixels, (3 * number * width, 3 * width))  # for the sums that follow
         x = centre_x + warp[0] + warp[2] * dy - (1.0 + warp[1]) * radius
         y = centre_y + warp[3] + (1.0 + warp[5]) * dy - warp[4] * radius
         if warp.size == 12:
