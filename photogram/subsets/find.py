@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from photogram.arrays import BoolArray, FloatArray
 from photogram.bspline import Spline
 from photogram.camera import StereoRig, epipolar_residual, triangulate
-from photogram.subsets.icgn import Registration, TrackSettings, register, resolved
+from photogram.subsets.icgn import LINEAR_PX, Registration, TrackSettings, register, resolved
 from photogram.subsets.reference import PARAMETERS, Reference, TrackStatus
 from photogram.subsets.search import (
     affine_field,
@@ -117,21 +117,29 @@ def moved_together(
 ) -> FloatArray:
     """Warps (N,p) in an image, from the last ones (N,p) and one affine motion of all, or `start` if that is nearer.
 
-    The motion is that of a few subsets, which are looked for from their start. What a few frames foretell of each
-    subset by itself has several times the noise of its last place, from which one step is enough, mostly.
+    The motion is that of a few subsets, which are looked for from their start; it counts if it leads next to all of
+    them. What a few frames foretell of each subset by itself has several times the noise of its last place, from which
+    one step is enough, mostly.
     """
-    ready = np.flatnonzero(np.isfinite(start).all(axis=1) & np.isfinite(last).all(axis=1) & (reference.status == 0))
+    ready = np.flatnonzero(
+        np.isfinite(start).all(axis=1) & np.isfinite(last).all(axis=1) & (reference.status == TrackStatus.OK)
+    )
     if len(ready) < FEWEST_LED:
         return start
     few = np.random.default_rng(0).choice(ready, LEADERS, replace=False)
     sought = np.full_like(start, np.nan)
     sought[few] = start[few]
     found = register(reference, target, sought, settings)
-    place = found.warp[few][:, [0, 3]]
+    seen = few[found.status[few] == TrackStatus.OK]
+    if 2 * len(seen) < LEADERS:
+        return start
+    place = found.warp[seen][:, [0, 3]]
     together = last.copy()
-    together[:, :6] += affine_field(reference.centre_px[few], place - last[few][:, [0, 3]], reference.centre_px)
-    off = [float(np.nanmedian(np.hypot(*(each[few][:, [0, 3]] - place).T))) for each in (together, start)]
-    return np.where(np.isfinite(together), together, start) if off[0] < off[1] else start
+    together[:, :6] += affine_field(reference.centre_px[seen], place - last[seen][:, [0, 3]], reference.centre_px)
+    off = [np.hypot(*(each[seen][:, [0, 3]] - place).T) for each in (together, start)]
+    if off[0].max() > LINEAR_PX or np.median(off[0]) > np.median(off[1]):
+        return start
+    return np.where(np.isfinite(together), together, start)
 
 
 def find_off_copies(

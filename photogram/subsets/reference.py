@@ -161,7 +161,7 @@ LEAST_RATIO = 4.0
 CURVED_MARGIN = 1.2
 SMALLEST_EXCESS = 1e-2
 PARAMETERS = {0: 2, 1: 6, 2: 12}
-CHUNK = 64
+CHUNK = 32
 
 
 class TrackStatus(IntEnum):
