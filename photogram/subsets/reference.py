@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
 from photogram.bspline import Spline, noise_gain, sample_squares, slope_noise_gain, third_differences
+from photogram.kernels import njit
 from photogram.kernels.lanes import (
     DOUBLE,
     DOUBLES,
@@ -62,6 +63,45 @@ def curved_sums(typing, grey, mean, pixels, offsets, sums):  # type: ignore[no-u
         return a * xx, a * xy, a * yy, d * xx, d * xy, d * yy
 
     return filling(grey, mean, pixels, offsets, sums), _subset_code(terms, CURVED_SUMS)
+
+
+def _powers(degree: int) -> list[tuple[int, int]]:
+    """Exponents of dx and dy in all their products up to a degree, in the order of the `shape_values`."""
+    return [(d - b, b) for d in range(degree + 1) for b in range(d + 1)]
+
+
+def _moments_by(degree: int) -> Any:
+    """Sums of steepest-descent images times each other for shape functions of this degree."""
+    all_powers, shapes = _powers(2 * degree), _powers(degree)
+
+    def terms(_: Lanes, f: Lanes, along: Lanes, down: Lanes, dx: Lanes, dy: Lanes) -> _Terms:
+        power = {(1, 0): dx, (0, 1): dy}
+        for a, b in all_powers[3:]:
+            power[a, b] = power[a - 1, b] * dx if a else power[a, b - 1] * dy
+        squares, singles = (along * along, along * down, down * down), (along, down, f * along, f * down)
+        sums = [(square, which) for square in squares for which in all_powers]
+        sums += [(single, which) for single in singles for which in shapes]
+        return tuple(value * power[which] if which in power else value for value, which in sums)
+
+    @intrinsic
+    def moments(typing, grey, mean, pixels, offsets, sums):  # type: ignore[no-untyped-def]
+        """Fill sums with Σ q·dx^a·dy^b: of f_x², f_x·f_y, f_y² for all powers, of f_x, f_y, f̃·f_x, f̃·f_y for shapes."""
+        return filling(grey, mean, pixels, offsets, sums), _subset_code(terms, 3 * len(all_powers) + 4 * len(shapes))
+
+    return moments
+
+
+_affine_moments, _curved_moments = _moments_by(1), _moments_by(2)
+
+
+@njit()
+def _moments(pixels, offsets, curved, sums):  # type: ignore[no-untyped-def]
+    """Rows of sums (n,…) of the subsets pixels (n,3,P)."""
+    for n in range(pixels.shape[0]):
+        if curved:
+            _curved_moments(pixels[n, 0], 0.0, pixels[n], offsets, sums[n])
+        else:
+            _affine_moments(pixels[n, 0], 0.0, pixels[n], offsets, sums[n])
 
 
 def _subset_code(terms: Callable[..., _Terms], number: int) -> Callable[..., Any]:
@@ -161,7 +201,7 @@ LEAST_RATIO = 4.0
 CURVED_MARGIN = 1.2
 SMALLEST_EXCESS = 1e-2
 PARAMETERS = {0: 2, 1: 6, 2: 12}
-CHUNK = 32
+CHUNK = 64
 
 
 class TrackStatus(IntEnum):
@@ -309,27 +349,22 @@ def _parts(which: IntArray) -> list[IntArray]:
 
 
 def _hessians(pixels: FloatArray, energy: FloatArray, order: int) -> tuple[FloatArray, FloatArray]:
-    """Hessians (n,m,m) of the steepest-descent images without their mean and part along f̃, and these (n,2,m).
-
-    pixels (n,3,P). All their sums are moments Σ q·dx^a·dy^b of seven products q: of rows first, then of these.
-    """
-    count, side = len(pixels), isqrt(pixels.shape[2])
-    f, along, down = np.moveaxis(pixels, 1, 0)
-    products = np.stack([along, down, f * along, f * down, along * along, along * down, down * down], axis=1)
-    powers = np.arange(-(side // 2), side // 2 + 1.0)[:, None] ** np.arange(2 * max(order, 1) + 1)
-    rows = products.reshape(-1, side) @ powers  # as one product of matrices
-    moments = powers.T @ rows.reshape(count, 7, side, powers.shape[1])
-    half = PARAMETERS[order] // 2
-    a, b = np.array([[0, 1, 0, 2, 1, 0], [0, 0, 1, 0, 1, 2]])[:, :half]
+    """Hessians (n,m,m) of the steepest-descent images without their mean and part along f̃, and these (n,2,m)."""
+    count, size, half = len(pixels), pixels.shape[2], PARAMETERS[order] // 2
+    shapes, powers = _powers(max(order, 1)), _powers(2 * max(order, 1))
+    sums = np.empty((count, 3 * len(powers) + 4 * len(shapes)))
+    offsets = np.ascontiguousarray(subset_offsets(isqrt(size) // 2).T)
+    _moments(pixels, offsets, order == 2, sums)
+    affine_first = np.argsort(np.tile(np.arange(half) // 3, 2), kind="stable")
     factor = np.array([1.0, 1.0, 1.0, 0.5, 1.0, 0.5])[:half]
-    order_of = np.argsort(np.tile(np.arange(half) // 3, 2), kind="stable")  # affine parts of x and y first
-    single = moments[:, :4, b, a] * factor
-    mean, part = (single[:, k : k + 2].reshape(count, 2 * half)[:, order_of] for k in (0, 2))
-    mean, part = mean / side**2, part / energy[:, None]
-    pairs = moments[:, 4:, b[:, None] + b, a[:, None] + a] * np.outer(factor, factor)
+    single = sums[:, 3 * len(powers) :].reshape(count, 4, len(shapes))[:, :, :half] * factor
+    mean, part = (single[:, k : k + 2].reshape(count, 2 * half)[:, affine_first] for k in (0, 2))
+    mean, part = mean / size, part / energy[:, None]
+    at = [[powers.index((a + c, b + d)) for c, d in shapes[:half]] for a, b in shapes[:half]]
+    pairs = sums[:, : 3 * len(powers)].reshape(count, 3, len(powers))[:, :, at] * np.outer(factor, factor)
     xx, xy, yy = np.moveaxis(pairs, 1, 0)
-    hessian = np.block([[xx, xy], [xy, yy]])[:, order_of[:, None], order_of]
-    hessian -= side**2 * mean[:, :, None] * mean[:, None, :]
+    hessian = np.block([[xx, xy], [xy, yy]])[:, affine_first[:, None], affine_first]
+    hessian -= size * mean[:, :, None] * mean[:, None, :]
     hessian -= energy[:, None, None] * part[:, :, None] * part[:, None, :]
     return hessian, np.stack([mean, part], axis=1)
 
