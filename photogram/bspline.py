@@ -27,6 +27,7 @@ from photogram.arrays import Arrays, FloatArray, check_shape
 from photogram.kernels import njit
 from photogram.kernels.lanes import (
     DOUBLE,
+    DOUBLES,
     FLOATS,
     INDEX,
     Lanes,
@@ -106,6 +107,12 @@ def grey_gradients(spline: Spline) -> tuple[FloatArray, FloatArray]:
     """∂/∂x and ∂/∂y (H,W) of the spline at whole pixels."""
     values, slopes = _at_pixels(spline.degree)
     return _weighted(spline, slopes, values), _weighted(spline, values, slopes)
+
+
+def third_differences(spline: Spline) -> FloatArray:
+    """Third differences (−1 3 −3 1) in x of those in y (H−3,W−3) of the image that the spline passes through."""
+    values = np.convolve(_at_pixels(spline.degree)[0], (-1.0, 3.0, -3.0, 1.0))
+    return _weighted(spline, values, values)[2:-1, 2:-1]
 
 
 def _at_pixels(degree: int) -> tuple[FloatArray, FloatArray]:
@@ -279,17 +286,17 @@ def weights_cubic(t: Lanes) -> tuple[Lanes, ...]:
 
 
 def weights_quintic(t: Lanes) -> tuple[Lanes, ...]:
-    """Values of the six quintic B-splines that reach offset t in [0,1) (P. Thévenaz's factorisation)."""
-    t2 = t * t
-    last = t * t2 * t2 / 120.0
-    t2 = t2 - t
-    t4 = t2 * t2
+    """Values of the six quintic B-splines that reach offset t in [0,1), as those of `weights_septic`."""
     h = t - 0.5
-    s = t2 * (t2 - 3.0)
-    first = (0.2 + t2 + t4) / 24.0 - last
-    even, odd = (t2 * (t2 - 5.0) + 9.2) / 24.0, -h * (s + 4.0) / 12.0
-    wide, skew = (1.8 - s) / 16.0, h * (t4 - t2 - 5.0) / 24.0
-    return first, wide + skew, even + odd, even - odd, wide - skew, last
+    q = h * h
+    even0 = (q / 48.0 + 1.0 / 96.0) * q + 1.0 / 3840.0
+    odd0 = (q / -120.0 - 1.0 / 48.0) * q - 1.0 / 384.0
+    even1 = (q / -16.0 + 7.0 / 32.0) * q + 79.0 / 1280.0
+    odd1 = (q / 24.0 - 1.0 / 16.0) * q - 25.0 / 128.0
+    even2 = (q / 24.0 - 11.0 / 48.0) * q + 841.0 / 1920.0
+    odd2 = (q / -12.0 + 7.0 / 24.0) * q - 77.0 / 192.0
+    odd0, odd1, odd2 = h * odd0, h * odd1, h * odd2
+    return even0 + odd0, even1 + odd1, even2 + odd2, even2 - odd2, even1 - odd1, even0 - odd0
 
 
 def weights_septic(t: Lanes) -> tuple[Lanes, ...]:
@@ -437,40 +444,53 @@ def _end_of_run(start, count, s, t, drift_x, drift_y):  # type: ignore[no-untype
 
 @njit()
 def _sample_squares(c, degree, centres, radius, squares):  # type: ignore[no-untyped-def]
-    """Every square that lies in the image."""
-    right, bottom = c.shape[1] - 2 * PADDING_PX - 1, c.shape[0] - 2 * PADDING_PX - 1
+    """Every square that lies in the image: rows are weighted along x, all of them then along y."""
+    right, bottom, side = c.shape[1] - 2 * PADDING_PX - 1, c.shape[0] - 2 * PADDING_PX - 1, 2 * radius + 1
+    taps, points = degree + 1, (2 * radius + 1) ** 2
+    wx, sx, wy, sy = np.empty(8), np.empty(8), np.empty(8), np.empty(8)
+    smooth, slope = np.empty((side + degree, side)), np.empty((side + degree, side))
     for n in range(centres.shape[0]):
         x, y = centres[n, 0] - radius, centres[n, 1] - radius
-        if x >= 0.0 and y >= 0.0 and x + 2 * radius <= right and y + 2 * radius <= bottom:
-            _sample_square(c, degree, x, y, 2 * radius + 1, squares[n])
+        if not (x >= 0.0 and y >= 0.0 and x + 2 * radius <= right and y + 2 * radius <= bottom):
+            continue
+        column, row = min(int(x), right + 1 - side), min(int(y), bottom + 1 - side)
+        basis(x - column, degree, wx, sx)
+        basis(y - row, degree, wy, sy)
+        left, top = column + PADDING_PX - degree // 2, row + PADDING_PX - degree // 2
+        for r in range(side + degree):
+            first = (top + r) * c.shape[1] + left
+            _weigh(c, (first, 1), wx, taps, smooth, (r * side, side))
+            _weigh(c, (first, 1), sx, taps, slope, (r * side, side))
+        for k, (source, weights) in enumerate(((smooth, wy), (slope, wy), (smooth, sy))):
+            _weigh(source, (0, side), weights, taps, squares, ((3 * n + k) * points, points))
 
 
-@njit()
-def _sample_square(c, degree, x, y, side, square):  # type: ignore[no-untyped-def]
-    """One square with its first point at (x, y)."""
-    column, row = min(int(x), c.shape[1] - 2 * PADDING_PX - side), min(int(y), c.shape[0] - 2 * PADDING_PX - side)
-    wx, sx, wy, sy = np.empty(8), np.empty(8), np.empty(8), np.empty(8)
-    basis(x - column, degree, wx, sx)
-    basis(y - row, degree, wy, sy)
-    left, top = column + PADDING_PX - degree // 2, row + PADDING_PX - degree // 2
-    smooth, slope = np.empty(side), np.empty(side)
-    square[:] = 0.0
-    for r in range(side + degree):
-        smooth[:] = 0.0
-        slope[:] = 0.0
-        for j in range(degree + 1):
-            line = c[top + r, left + j : left + j + side]
-            for i in range(side):
-                smooth[i] += wx[j] * line[i]
-                slope[i] += sx[j] * line[i]
-        for k in range(max(0, r - side + 1), min(degree, r) + 1):
-            first = (r - k) * side
-            value, along = square[0, first : first + side], square[1, first : first + side]
-            down = square[2, first : first + side]
-            for i in range(side):
-                value[i] += wy[k] * smooth[i]
-                along[i] += wy[k] * slope[i]
-                down[i] += sy[k] * smooth[i]
+@intrinsic
+def _weigh(typing, source, place, weights, taps, target, span):  # type: ignore[no-untyped-def]
+    """Fill target[start + i], i < count, with Σ_k weights[k]·source[first + k·stride + i], all arrays flat.
+
+    place: first, stride; taps: how many weights; span: start, count.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Sequence[Any]) -> Any:
+        table, factors, out = (array_of(context, builder, signature, arguments, k) for k in (0, 2, 4))
+        (first, stride), (start, count) = (cgutils.unpack_tuple(builder, arguments[k], 2) for k in (1, 5))
+
+        def block(index: Any, mask: Any) -> None:
+            total = cgutils.alloca_once(builder, DOUBLES)
+            builder.store(constant(DOUBLES, 0.0), total)
+            with cgutils.for_range(builder, arguments[3]) as loop:
+                weight = spread(builder, builder.load(builder.gep(factors.data, [loop.index])), DOUBLES)
+                at = builder.add(builder.add(first, index), builder.mul(stride, loop.index))
+                value = weight * load(builder, builder.gep(table.data, [at]), DOUBLES, mask)
+                builder.store((Lanes(builder, builder.load(total)) + value).value, total)
+            place = builder.gep(out.data, [builder.add(start, index)])
+            store(builder, Lanes(builder, builder.load(total)), place, mask)
+
+        in_blocks(builder, count, DOUBLES, block)
+        return context.get_dummy_value()
+
+    return filling(source, place, weights, taps, target, span), generate
 
 
 def _run_by(weights: Callable[[Lanes], tuple[Lanes, ...]]) -> Any:

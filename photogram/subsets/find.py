@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from photogram.arrays import BoolArray, FloatArray
 from photogram.bspline import Spline
 from photogram.camera import StereoRig, epipolar_residual, triangulate
-from photogram.subsets.icgn import Registration, TrackSettings, register, resolved
+from photogram.subsets.icgn import LINEAR_PX, Registration, TrackSettings, register, resolved
 from photogram.subsets.reference import PARAMETERS, Reference, TrackStatus
 from photogram.subsets.search import (
     affine_field,
@@ -34,6 +34,7 @@ class BodyNotFound(ValueError):
 
 NEIGHBOUR_ROUNDS = 8
 SEEDS = 12
+LEADERS, FEWEST_LED = 24, 200  # subsets that tell how all have moved, where there are many
 MORE_LOST = 0.05  # share of missing subsets by which a body beside another copy of itself is told
 MOST_COPIES = 3
 EDGE = 1.5  # subset radii from the edge of a picture within which a subset need not be found
@@ -51,12 +52,18 @@ class Follower:
         self._full_scale, self._settings = full_scale, settings
         self._steps: FloatArray | None = None  # by which the pattern repeats, once that matters
 
-    def find(self, frame: tuple[Image, Spline], start: FloatArray | None) -> Registration:
-        """Return where they are in a picture and its spline, from warps (N,p), or for None from the reference alone."""
+    def find(
+        self, frame: tuple[Image, Spline], start: FloatArray | None, last: FloatArray | None = None
+    ) -> Registration:
+        """Return where they are in a picture and its spline, from warps (N,p), or for None from the reference alone.
+
+        last: warps (N,p) in the picture before, if it is known how far all have moved since by how far a few have.
+        """
         reference, settings = self._reference, self._settings
         if start is None:
             found = find_anew(reference, self._first, frame, settings)
         else:
+            start = start if last is None else moved_together(reference, frame[1], start, last, settings)
             found = follow(reference, self._first, frame, start, settings)
         usable = reference.status == TrackStatus.OK
         if np.count_nonzero(found.status != TrackStatus.OK) > MORE_LOST * len(usable) + np.count_nonzero(~usable):
@@ -103,6 +110,36 @@ def follow(
         found = merged(found, more)
     found = find_from_neighbours(reference, frame[1], found, settings)
     return held_together(reference, found) if attempt > 0 else found
+
+
+def moved_together(
+    reference: Reference, target: Spline, start: FloatArray, last: FloatArray, settings: TrackSettings
+) -> FloatArray:
+    """Warps (N,p) in an image, from the last ones (N,p) and one affine motion of all, or `start` if that is nearer.
+
+    The motion is that of a few subsets, which are looked for from their start; it counts if it leads next to all of
+    them. What a few frames foretell of each subset by itself has several times the noise of its last place, from which
+    one step is enough, mostly.
+    """
+    ready = np.flatnonzero(
+        np.isfinite(start).all(axis=1) & np.isfinite(last).all(axis=1) & (reference.status == TrackStatus.OK)
+    )
+    if len(ready) < FEWEST_LED:
+        return start
+    few = np.random.default_rng(0).choice(ready, LEADERS, replace=False)
+    sought = np.full_like(start, np.nan)
+    sought[few] = start[few]
+    found = register(reference, target, sought, settings)
+    seen = few[found.status[few] == TrackStatus.OK]
+    if 2 * len(seen) < LEADERS:
+        return start
+    place = found.warp[seen][:, [0, 3]]
+    together = last.copy()
+    together[:, :6] += affine_field(reference.centre_px[seen], place - last[seen][:, [0, 3]], reference.centre_px)
+    off = [np.hypot(*(each[seen][:, [0, 3]] - place).T) for each in (together, start)]
+    if off[0].max() > LINEAR_PX or np.median(off[0]) > np.median(off[1]):
+        return start
+    return np.where(np.isfinite(together), together, start)
 
 
 def find_off_copies(

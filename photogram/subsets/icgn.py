@@ -20,6 +20,7 @@ from photogram.subsets.reference import (
     TrackStatus,
     affine_sums,
     curved_sums,
+    fetch,
     subset_offsets,
 )
 
@@ -132,7 +133,9 @@ def _found(reference: Reference, target: Spline, warp: FloatArray, settings: Tra
     """Gauss-Newton steps of all subsets from `warp` (N,6 or 12), which is overwritten."""
     count = len(warp)
     scores = np.full((count, 3), np.nan)
-    outcome = np.column_stack([reference.status, np.zeros(count)]).astype(np.int64)
+    lacking = (reference.status == TrackStatus.OK) & ~np.isfinite(warp).all(axis=1)
+    status = np.where(lacking, np.int8(TrackStatus.NO_START), reference.status)
+    outcome = np.column_stack([status, np.zeros(count)]).astype(np.int64)
     offsets = np.ascontiguousarray(subset_offsets(reference.radius_px).T)
     _register(
         (reference.centre_px, reference.radius_px, reference.pixels, reference.mean, reference.energy, offsets),
@@ -197,7 +200,7 @@ def unresolved_px(reference: Reference, found: Registration) -> FloatArray:
     ok = found.status == TrackStatus.OK
     if not ok.any():
         return np.full((len(ok), 2), np.nan)
-    slopes = np.einsum("nkp,nkp->nk", reference.pixels[:, 1:], reference.pixels[:, 1:]) / reference.pixels.shape[2]
+    slopes = np.einsum("nkp,nkp->nk", *[reference.pixels[:, 1:]] * 2, dtype=np.float64) / reference.pixels.shape[2]
     freedom = reference.pixels.shape[2] - reference.removed.shape[2] - GAIN_AND_OFFSET
     own = OTHER_NOISE * (1.0 + found.gain**2) * np.maximum(np.median(reference.noise_grey2[ok]), QUANTISATION)
     level = np.minimum(np.median(found.residual_grey2[ok]), own) * (1.0 + UNEXPLAINED_SIGMAS * np.sqrt(2.0 / freedom))
@@ -258,6 +261,14 @@ def _register(subsets, solved, target, limits, warp, scores, outcome):  # type: 
     """Every usable subset on its own; outcome (N,2) receives status and iterations."""
     centres, radius, pixels, means, energies, offsets = subsets
     removed, inverse = solved
+    side, parameters = 2 * radius + 1, inverse.shape[1]
+    room = (
+        np.empty(max(AFFINE_SUMS, 3 + parameters)),
+        np.empty((2, parameters)),
+        np.zeros(warp.shape[1]),
+        np.empty(side**2, np.float32),
+        np.empty((2, side)),
+    )
     for n in range(centres.shape[0]):
         if outcome[n, 0] != 0:
             continue
@@ -268,29 +279,29 @@ def _register(subsets, solved, target, limits, warp, scores, outcome):  # type: 
             limits,
             warp[n],
             scores[n],
+            room,
         )
 
 
 @njit()
-def _register_one(subset, solved, target, limits, warp, scores):  # type: ignore[no-untyped-def]
-    """Gauss-Newton steps of one subset until it stands still; returns status and iterations, fills warp and scores."""
+def _register_one(subset, solved, target, limits, warp, scores, room):  # type: ignore[no-untyped-def]
+    """Gauss-Newton steps of one subset until it stands still; returns status and iterations, fills warp and scores.
+
+    `room` is for what is computed on the way: sums, solution and slope, step, grey values, a row of places.
+    """
     centre_x, centre_y, radius, _, _, energy, _ = subset
     removed, inverse = solved
     max_iterations, convergence, min_zncc, remaining = limits
     count, parameters = (2 * radius + 1) ** 2, inverse.shape[0]
-    sums = np.empty(max(AFFINE_SUMS, 3 + parameters))
-    solution, slope = np.empty(parameters), np.empty(parameters)
-    step, grey, room = np.zeros(warp.size), np.empty(count, np.float32), np.empty((2, 2 * radius + 1))
-    for value in warp:
-        if not np.isfinite(value):
-            return 6, 0
+    sums, vectors, step, grey, places = room
+    solution, slope = vectors[0], vectors[1]
     start_x, start_y = warp[0], warp[3]
     for iteration in range(1, max_iterations + 1):
         if abs(warp[0] - start_x) + abs(warp[3] - start_y) > 2.0 * radius:
             return 1, iteration
         if not warp_inside(target[0], centre_x, centre_y, radius, warp):
             return 3, iteration
-        _sample(subset, target, warp, grey, room)
+        _sample(subset, target, warp, grey, places)
         _correlate(subset, grey, parameters, sums)
         spread = sums[1] - sums[0] * sums[0] / count
         gain = sums[2] / energy
@@ -347,11 +358,12 @@ def _correlate(subset, grey, parameters, sums):  # type: ignore[no-untyped-def]
 @njit()
 def _sample(subset, target, warp, grey, room):  # type: ignore[no-untyped-def]
     """Grey values (P,) of the target at the warped subset, row by row; `room` is for points of a curved row."""
-    centre_x, centre_y, radius, _, _, _, _ = subset
+    centre_x, centre_y, radius, pixels, _, _, _ = subset
     coefficients, degree = target
     width = room.shape[1]
     for number in range(width):
         dy, span = number - radius, (number * width, (number + 1) * width)
+        fetch(pixels, (3 * number * width, 3 * width))  # for the sums that follow
         x = centre_x + warp[0] + warp[2] * dy - (1.0 + warp[1]) * radius
         y = centre_y + warp[3] + (1.0 + warp[5]) * dy - warp[4] * radius
         if warp.size == 12:

@@ -5,20 +5,23 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from math import isqrt
 from typing import Any
 
 import numpy as np
 from llvmlite import ir
 from numba.core import cgutils
 from numba.extending import intrinsic
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from photogram.arrays import Arrays, BoolArray, FloatArray, check_shape
-from photogram.bspline import Spline, grey_values, noise_gain, sample_squares, slope_noise_gain
+from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
+from photogram.bspline import Spline, noise_gain, sample_squares, slope_noise_gain, third_differences
 from photogram.kernels import njit
 from photogram.kernels.lanes import (
     DOUBLE,
     DOUBLES,
+    FLOATS,
     INDEX,
     Lanes,
     across,
@@ -60,6 +63,45 @@ def curved_sums(typing, grey, mean, pixels, offsets, sums):  # type: ignore[no-u
         return a * xx, a * xy, a * yy, d * xx, d * xy, d * yy
 
     return filling(grey, mean, pixels, offsets, sums), _subset_code(terms, CURVED_SUMS)
+
+
+def _powers(degree: int) -> list[tuple[int, int]]:
+    """Exponents of dx and dy in all their products up to a degree, in the order of the `shape_values`."""
+    return [(d - b, b) for d in range(degree + 1) for b in range(d + 1)]
+
+
+def _moments_by(degree: int) -> Any:
+    """Sums of steepest-descent images times each other for shape functions of this degree."""
+    all_powers, shapes = _powers(2 * degree), _powers(degree)
+
+    def terms(_: Lanes, f: Lanes, along: Lanes, down: Lanes, dx: Lanes, dy: Lanes) -> _Terms:
+        power = {(1, 0): dx, (0, 1): dy}
+        for a, b in all_powers[3:]:
+            power[a, b] = power[a - 1, b] * dx if a else power[a, b - 1] * dy
+        squares, singles = (along * along, along * down, down * down), (along, down, f * along, f * down)
+        sums = [(square, which) for square in squares for which in all_powers]
+        sums += [(single, which) for single in singles for which in shapes]
+        return tuple(value * power[which] if which in power else value for value, which in sums)
+
+    @intrinsic
+    def moments(typing, grey, mean, pixels, offsets, sums):  # type: ignore[no-untyped-def]
+        """Fill sums with Σ q·dx^a·dy^b: of f_x², f_x·f_y, f_y² for all powers, of f_x, f_y, f̃·f_x, f̃·f_y for shapes."""
+        return filling(grey, mean, pixels, offsets, sums), _subset_code(terms, 3 * len(all_powers) + 4 * len(shapes))
+
+    return moments
+
+
+_affine_moments, _curved_moments = _moments_by(1), _moments_by(2)
+
+
+@njit()
+def _moments(pixels, offsets, curved, sums):  # type: ignore[no-untyped-def]
+    """Rows of sums (n,…) of the subsets pixels (n,3,P)."""
+    for n in range(pixels.shape[0]):
+        if curved:
+            _curved_moments(pixels[n, 0], 0.0, pixels[n], offsets, sums[n])
+        else:
+            _affine_moments(pixels[n, 0], 0.0, pixels[n], offsets, sums[n])
 
 
 def _subset_code(terms: Callable[..., _Terms], number: int) -> Callable[..., Any]:
@@ -112,6 +154,24 @@ def run_sums(typing, grey, mean, pixels, span, dx, sums):  # type: ignore[no-unt
     return filling(grey, mean, pixels, span, dx, sums), generate
 
 
+@intrinsic
+def fetch(typing, table, span):  # type: ignore[no-untyped-def]
+    """Ask for the floats start … start + count of an array, flat, that are read soon: memory is slower than sums."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Sequence[Any]) -> Any:
+        first = array_of(context, builder, signature, arguments, 0).data
+        start, count = cgutils.unpack_tuple(builder, arguments[1], 2)
+        numbers = [ir.Constant(ir.IntType(32), number) for number in (0, 3, 1)]  # to read, often, data
+        form = ir.FunctionType(ir.VoidType(), [first.type, *(number.type for number in numbers)])
+        ask = cgutils.get_or_insert_function(builder.module, form, "llvm.prefetch.p0")
+        step = ir.Constant(INDEX, FLOATS.count)
+        with cgutils.for_range_slice(builder, start, builder.add(start, count), step, INDEX) as (index, _):
+            builder.call(ask, [builder.gep(first, [index]), *numbers])
+        return context.get_dummy_value()
+
+    return filling(table, span), generate
+
+
 def _sum(builder: Any, count: Any, number: int, block: Callable[..., _Terms], sums: Any) -> None:
     """Code that adds the `number` terms of all blocks of `count` grey values lane by lane, then the lanes."""
     totals = [cgutils.alloca_once(builder, DOUBLES) for _ in range(number)]
@@ -141,7 +201,7 @@ LEAST_RATIO = 4.0
 CURVED_MARGIN = 1.2
 SMALLEST_EXCESS = 1e-2
 PARAMETERS = {0: 2, 1: 6, 2: 12}
-CHUNK = 256
+CHUNK = 64
 
 
 class TrackStatus(IntEnum):
@@ -181,7 +241,7 @@ class Reference(
 
     centre_px: FloatArray
     radius_px: int
-    pixels: FloatArray
+    pixels: NDArray[np.float32]
     mean: FloatArray
     energy: FloatArray
     removed: FloatArray
@@ -218,32 +278,34 @@ def prepare_reference(spline: Spline, centre_px: FloatArray, radius_px: int, ord
     check_shape("centre_px", centre_px, (None, 2))
     if order not in PARAMETERS:
         raise ValueError(f"order: expected 0, 1 or 2, found {order}")
-    pixels = sample_squares(spline, centre_px, radius_px)
-    count, size, parameters = len(centre_px), pixels.shape[2], PARAMETERS[order]
-    mean = pixels[:, 0].mean(axis=1)
-    pixels[:, 0] -= mean[:, None]
-    energy = np.sum(pixels[:, 0] ** 2, axis=1)
-    status = np.where(np.isfinite(pixels).all(axis=(1, 2)), np.int8(TrackStatus.OK), np.int8(TrackStatus.LEFT_IMAGE))
-    status[energy <= size * (SMALLEST_CONTRAST * np.abs(mean)) ** 2] = TrackStatus.FLAT
+    count, size, parameters = len(centre_px), (2 * radius_px + 1) ** 2, PARAMETERS[order]
     noise2 = _pixel_noise(spline, centre_px, radius_px) ** 2
-    floor = np.maximum(slope_noise_gain(spline.degree) * noise2, SMALLEST_NOISE * energy / size)
-    shape = shape_values(subset_offsets(radius_px), order)
+    pixels, status = np.empty((count, 3, size), np.float32), np.zeros(count, np.int8)
+    mean, energy = np.empty(count), np.empty(count)
+    extent = np.sum(shape_values(subset_offsets(radius_px), order) ** 2, axis=1)
     removed, inverse = np.zeros((count, 2, parameters)), np.full((count, parameters, parameters), np.nan)
     variance, plain = np.full((count, 2, 2), np.nan), np.full((count, 6, 6) if order == 2 else (0, 0, 0), np.nan)
-    extent, plain_variance = np.sum(shape**2, axis=1), variance.copy()
-    usable = np.flatnonzero(status == TrackStatus.OK)
-    for part in np.array_split(usable, range(CHUNK, len(usable), CHUNK)):
-        hessian, removed[part] = _hessians(pixels[part], energy[part], shape)
+    plain_variance = variance.copy()
+    for part in _parts(np.arange(count)):
+        square = sample_squares(spline, centre_px[part], radius_px)
+        mean[part] = square[:, 0].mean(axis=1)
+        square[:, 0] -= mean[part, None]
+        pixels[part], energy[part] = square, np.einsum("np,np->n", square[:, 0], square[:, 0])
+        status[part[~np.isfinite(square[:, 0, 0])]] = TrackStatus.LEFT_IMAGE
+        status[part[energy[part] <= size * (SMALLEST_CONTRAST * np.abs(mean[part])) ** 2]] = TrackStatus.FLAT
+        usable = part[status[part] == TrackStatus.OK]
+        floor = np.maximum(slope_noise_gain(spline.degree) * noise2[usable], SMALLEST_NOISE * energy[usable] / size)
+        hessian, removed[usable] = _hessians(square[status[part] == TrackStatus.OK], energy[usable], order)
         if order < 2:
-            known, inverse[part], variance[part] = _invert(hessian, floor[part], extent)
+            known, inverse[usable], variance[usable] = _invert(hessian, floor, extent)
         else:
-            known, plain[part], plain_variance[part] = _invert(hessian[:, :6, :6], floor[part], extent[:3])
+            known, plain[usable], plain_variance[usable] = _invert(hessian[:, :6, :6], floor, extent[:3])
             chance = float(np.sqrt(parameters / size))
-            carried, inverse[part], variance[part] = _invert(hessian, floor[part], extent, chance)
-            status[part[~carried]] = TrackStatus.UNRESOLVED
-        status[part[~known]] = TrackStatus.FLAT
+            carried, inverse[usable], variance[usable] = _invert(hessian, floor, extent, chance)
+            status[usable[~carried]] = TrackStatus.UNRESOLVED
+        status[usable[~known]] = TrackStatus.FLAT
     gain = noise_gain(centre_px[:, 0], spline.degree) * noise_gain(centre_px[:, 1], spline.degree)
-    status, affine = status.astype(np.int8), None
+    affine = None
     subsets, ends = (centre_px, radius_px, pixels, mean, energy), (gain, noise2, status)
     if order == 2:
         affine = Reference(*subsets, np.ascontiguousarray(removed[:, :, :6]), plain, plain_variance, *ends)
@@ -269,34 +331,42 @@ def _pixel_noise(spline: Spline, centre_px: FloatArray, radius_px: int) -> Float
 
     The differences (1 −3 3 −1) in x and y suppress texture of a few pixels' size; |·| has the median 0.6745 · 20 σ.
     """
-    fine = np.abs(np.diff(np.diff(grey_values(spline), n=3, axis=0), n=3, axis=1))
+    fine, side = np.abs(third_differences(spline)), 2 * radius_px - 2
     corner = np.rint(np.nan_to_num(centre_px, nan=-1e6)).astype(np.int64) - radius_px
-    middle = np.zeros(len(corner))
-    _medians(fine, corner, 2 * radius_px - 2, middle)
+    inside = np.flatnonzero(((corner >= 0) & (corner + side <= fine.shape[::-1])).all(axis=1))
+    middle, half = np.zeros(len(corner)), side**2 // 2
+    for part in _parts(inside):
+        column, row = corner[part].T
+        values = sliding_window_view(fine, (side, side))[row, column].reshape(len(part), -1)
+        values.partition(half, axis=1)  # an even number of them
+        middle[part] = (values[:, half] + values[:, :half].max(axis=1)) / 2.0
     return middle / (0.6745 * 20.0)
 
 
-@njit()
-def _medians(values, corner, side, middle):  # type: ignore[no-untyped-def]
-    """Median of every square of values (H,W) whose first column and row are corner (N,2); 0 where it is not inside."""
-    for n in range(corner.shape[0]):
-        x, y = corner[n, 0], corner[n, 1]
-        if x >= 0 and y >= 0 and x + side <= values.shape[1] and y + side <= values.shape[0]:
-            middle[n] = np.median(values[y : y + side, x : x + side])
+def _parts(which: IntArray) -> list[IntArray]:
+    """Indices of subsets, as many at a time as are quickly at hand."""
+    return np.array_split(which, range(CHUNK, len(which), CHUNK))
 
 
-def _hessians(pixels: FloatArray, energy: FloatArray, shape: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _hessians(pixels: FloatArray, energy: FloatArray, order: int) -> tuple[FloatArray, FloatArray]:
     """Hessians (n,m,m) of the steepest-descent images without their mean and part along f̃, and these (n,2,m)."""
-    size = pixels.shape[2]
-    steepest = np.concatenate(
-        [pixels[:, axis, None] * part for part in (shape[:3], shape[3:]) for axis in (1, 2)], axis=1
-    )
-    mean = steepest.mean(axis=2)
-    part = (steepest @ pixels[:, 0, :, None])[..., 0] / energy[:, None]
-    removed = np.stack([mean, part], axis=1)
-    hessian = steepest @ np.swapaxes(steepest, 1, 2)
-    hessian -= size * mean[:, :, None] * mean[:, None, :] + energy[:, None, None] * part[:, :, None] * part[:, None, :]
-    return hessian, removed
+    count, size, half = len(pixels), pixels.shape[2], PARAMETERS[order] // 2
+    shapes, powers = _powers(max(order, 1)), _powers(2 * max(order, 1))
+    sums = np.empty((count, 3 * len(powers) + 4 * len(shapes)))
+    offsets = np.ascontiguousarray(subset_offsets(isqrt(size) // 2).T)
+    _moments(pixels, offsets, order == 2, sums)
+    affine_first = np.argsort(np.tile(np.arange(half) // 3, 2), kind="stable")
+    factor = np.array([1.0, 1.0, 1.0, 0.5, 1.0, 0.5])[:half]
+    single = sums[:, 3 * len(powers) :].reshape(count, 4, len(shapes))[:, :, :half] * factor
+    mean, part = (single[:, k : k + 2].reshape(count, 2 * half)[:, affine_first] for k in (0, 2))
+    mean, part = mean / size, part / energy[:, None]
+    at = [[powers.index((a + c, b + d)) for c, d in shapes[:half]] for a, b in shapes[:half]]
+    pairs = sums[:, : 3 * len(powers)].reshape(count, 3, len(powers))[:, :, at] * np.outer(factor, factor)
+    xx, xy, yy = np.moveaxis(pairs, 1, 0)
+    hessian = np.block([[xx, xy], [xy, yy]])[:, affine_first[:, None], affine_first]
+    hessian -= size * mean[:, :, None] * mean[:, None, :]
+    hessian -= energy[:, None, None] * part[:, :, None] * part[:, None, :]
+    return hessian, np.stack([mean, part], axis=1)
 
 
 def _invert(

@@ -235,7 +235,7 @@ def follow_sequence(
         target = spline_of_image(image, settings.degree)
         alone = number == later.start  # nothing foretells what the reference alone does not
         start = None if alone else predict_warp([past.warp for past in history])
-        found = follower.find((image, target), start)
+        found = follower.find((image, target), start, history[-1].warp if history else None)
         history = [*history[1 - HISTORY :], found]
         yield FollowedImage(image, target, found)
 

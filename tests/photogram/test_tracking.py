@@ -28,8 +28,10 @@ from photogram.subsets.reference import TrackStatus
 from photogram.subsets.search import predict_warp
 from photogram.subsets.track import (
     Tracks,
+    follow_sequence,
     lay_stereo_grid,
     match_stereo,
+    prepare_sequence,
     resolve_device,
     track_sequence,
     track_stereo,
@@ -361,6 +363,16 @@ def test_the_frames_move_as_they_should(tracks):
         rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
         truth = (POINTS - np.array(PLANE_SIZE) / 2) @ rotation.T + np.array(PLANE_SIZE) / 2 + shift
         np.testing.assert_allclose(tracks.position_px[k], truth, atol=0.01)
+
+
+def test_most_subsets_take_one_step_from_where_a_few_have_moved(frames):
+    """A motion that no rule foretells, from the third frame on."""
+    points = np.stack(np.meshgrid(np.arange(16.0, 117.0, 5.0), np.arange(16.0, 105.0, 5.0)), axis=-1).reshape(-1, 2)
+    images = sequence(frames, FULL_SCALE)
+    reference = prepare_sequence(images, points, TrackSettings())
+    found = [frame.found for frame in follow_sequence(images, reference, TrackSettings())]
+    assert all(np.all(here.status == TrackStatus.OK) for here in found)
+    assert np.mean([here.iterations for here in found[2:]]) < 1.1
 
 
 @FEW
