@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
@@ -219,17 +219,32 @@ def eliminate(design: FloatArray, data: FloatArray) -> Eliminated:
     return Eliminated(own, data - design @ own, basis, root)
 
 
+class Changes(NamedTuple):
+    """How fitted rows change, `rows` (N, p, C), with the parameters `places` (p,) that move them.
+
+    Of rows beside a block's own: products of their changes, `beside` (C, p, p), and of these with what is left of the
+    data there, `pull` (C, p).
+    """
+
+    places: IntArray
+    rows: FloatArray
+    beside: FloatArray = np.zeros((1, 1, 1))
+    pull: FloatArray = np.zeros((1, 1))
+
+
 @dataclass(frozen=True)
 class Block:
     """Rows `design` (N, B) that explain `data` (N, C) by coefficients of their own.
 
-    `changes`: of coefficients (B, C), which parameters (p,) move these rows, and how the fitted rows change with each,
-    (N, p, C).
+    `changes`: of coefficients (B, C), as `Changes`. Long rows may be given turned, by an orthonormal basis of their
+    design: those along it, and of the data beside them, which no coefficients explain, `squares` and number `more`.
     """
 
     design: FloatArray
     data: FloatArray
-    changes: Callable[[FloatArray], tuple[IntArray, FloatArray]]
+    changes: Callable[[FloatArray], tuple[IntArray, FloatArray] | Changes]
+    squares: float = 0.0
+    more: int = 0
 
 
 @dataclass(frozen=True)
@@ -259,28 +274,30 @@ class Separable:
         """Sum of squares, infinite where a design is not finite."""
         if not all(np.all(np.isfinite(block.design)) for block in self.blocks):
             return np.inf
-        return float(sum(np.vdot(part.residual, part.residual) for part in self.solved))
+        beside = sum(block.squares for block in self.blocks)
+        return float(sum((np.vdot(part.residual, part.residual) for part in self.solved), start=beside))
 
     @property
     def freedom(self) -> int:
         """Degrees of freedom, at least 1."""
         linear = sum(part.coefficients.size for part in self.solved)
-        return max(1, sum(block.data.size for block in self.blocks) - linear - len(self.parameters))
+        return max(1, sum(block.data.size + block.more for block in self.blocks) - linear - len(self.parameters))
 
     @cached_property
-    def slopes(self) -> tuple[tuple[IntArray, FloatArray], ...]:
-        """Parameters (p,) and changes (N, p, C) of every block at its best coefficients."""
-        return tuple(block.changes(part.coefficients) for block, part in zip(self.blocks, self.solved, strict=True))
+    def slopes(self) -> tuple[Changes, ...]:
+        """Changes of every block at its best coefficients."""
+        pairs = zip(self.blocks, self.solved, strict=True)
+        return tuple(Changes(*block.changes(part.coefficients)) for block, part in pairs)
 
     @cached_property
     def normal(self) -> tuple[FloatArray, FloatArray]:
         """Normal equations of Kaufman's Jacobian."""
         count = len(self.parameters)
         normal, downhill = np.zeros((count, count)), np.zeros(count)
-        for part, (places, change) in zip(self.solved, self.slopes, strict=True):
-            free = part.beside(change).transpose(0, 2, 1).reshape(-1, len(places))
-            normal[np.ix_(places, places)] += free.T @ free
-            downhill[places] += free.T @ part.residual.ravel()
+        for part, (places, rows, beside, pull) in zip(self.solved, self.slopes, strict=True):
+            free = part.beside(rows).transpose(0, 2, 1).reshape(-1, len(places))
+            normal[np.ix_(places, places)] += free.T @ free + beside.sum(axis=0)
+            downhill[places] += free.T @ part.residual.ravel() + pull.sum(axis=0)
         return normal, downhill
 
 

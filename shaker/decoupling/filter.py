@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
@@ -371,10 +372,10 @@ def crosstalks(
             if isinstance(reader, DecouplingFilter)
             else reader[None].astype(np.complex128)
         )
-        kernel = _kernel(reader, len(time_s))
-        here = _convolved(kernel, steps)
+        reads = _reads(reader, len(time_s))
+        here = reads(steps)
         peak = np.max(np.abs(here), axis=0)
-        moved = [here + (_convolved(kernel, one) - here) / _SHORTENED for one in near]
+        moved = [here + (reads(one) - here) / _SHORTENED for one in near]
         spread = np.mean([(np.max(np.abs(other), axis=0) - peak) ** 2 for other in moved], axis=0)
         value, u = shown @ response, _u(model, shown, frequency_hz)
         stages.append(Crosstalk(stage, model.components, frequency_hz, value, u, peak, np.asarray(np.sqrt(spread))))
@@ -383,7 +384,7 @@ def crosstalks(
 
 def step_readings(model: MultiModel, reader: Reader, time_s: FloatArray) -> FloatArray:
     """Return the loads read (N, D, D) at equally spaced times while each load makes a unit step at t = 0."""
-    return _convolved(_kernel(reader, len(time_s)), model.step(time_s))
+    return _reads(reader, len(time_s))(model.step(time_s))
 
 
 def step_times(model: MultiModel, decoupler: DecouplingFilter) -> FloatArray:
@@ -410,17 +411,13 @@ def _root(covariance: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.cholesky(mended * np.outer(size, size)))
 
 
-def _kernel(reader: Reader, count: int) -> FloatArray:
-    """What a filter reads (N, D, C) after a unit impulse of every output; a matrix reads at once: (1, D, C)."""
-    return reader.impulse_response(count) if isinstance(reader, DecouplingFilter) else reader[None]
-
-
-def _convolved(kernel: FloatArray, outputs: FloatArray) -> FloatArray:
-    """Readings (N, D, D) of outputs (N, C, D)."""
-    if len(kernel) == 1:
-        return np.asarray(kernel[0] @ outputs)
+def _reads(reader: Reader, count: int) -> Callable[[FloatArray], FloatArray]:
+    """What makes readings (N, D, D) of outputs (N, C, D) of `count` samples: a matrix at once, a filter by its answer
+    to a unit impulse, transformed once for all outputs."""
+    if not isinstance(reader, DecouplingFilter):
+        return lambda outputs: np.asarray(reader @ outputs)
     from scipy.fft import irfft, next_fast_len, rfft
 
-    size = next_fast_len(2 * len(outputs), real=True)
-    product = rfft(kernel, size, axis=0) @ rfft(outputs, size, axis=0)
-    return np.asarray(irfft(product, size, axis=0)[: len(outputs)])
+    size = next_fast_len(2 * count, real=True)
+    kernel = rfft(reader.impulse_response(count), size, axis=0)
+    return lambda outputs: np.asarray(irfft(kernel @ rfft(outputs, size, axis=0), size, axis=0)[:count])

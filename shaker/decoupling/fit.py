@@ -86,7 +86,7 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
     fit, trials = chosen(near, (start, releases), most_modes, most_reals)
     fit = otherwise(near, fit)
     fit = shaped(problem, fit_poles(problem, fit.poles, fit.releases, calm=_NEAR))
-    again = noise * misfits(fit, len(noise))
+    again = noise * misfits(problem, fit)
     weighted = [
         replace(one, samples=replace(one.samples, value=one.samples.value * noise / again)) for one in problem.records
     ]
@@ -220,7 +220,8 @@ def multi_fit(
 ) -> MultiFit:
     """Return the result of a fit in the units of the records; `noise` (C,) of a sample weighted the outputs."""
     point, poles = fit.solution.point, fit.poles
-    spread, follows = covariances(point, [misfits(fit, len(noise)) ** 2] * len(point.blocks), left_open(fit))
+    misfit = misfits(problem, fit)
+    spread, follows = covariances(point, [misfit**2] * len(point.blocks), left_open(fit))
     spread = widened(fit, spread)
     scaled = noise / np.sqrt(problem.records[0].samples.length[0])
     releases = _releases(problem, records, fit, spread)
@@ -237,12 +238,14 @@ def multi_fit(
     for d, share in enumerate(shares):  # all residues of a load share the uncertainty of its scale
         here = slice(model.shared + d * size, model.shared + (d + 1) * size)
         covariance[here, here] += share**2 * np.outer(model.vector[here], model.vector[here])
-    data = [float(np.vdot(block.data, block.data)) for block in point.blocks]
-    left = [float(np.vdot(rest, rest)) for rest in point.residuals]
+    data = [float(np.vdot(block.data, block.data)) + block.squares for block in point.blocks]
+    left = [
+        float(np.vdot(rest, rest)) + block.squares for block, rest in zip(point.blocks, point.residuals, strict=True)
+    ]
     amplitude = [max(abs(r.amplitude) for r in records if r.component == name) for name in problem.components]
     return MultiFit(
         model=replace(model, covariance=covariance),
-        noise=noise * misfits(fit, len(noise)),
+        noise=noise * misfit,
         sample_rate_hz=records[0].sample_rate_hz,
         amplitude=np.array(amplitude),
         u_amplitude=shares,
@@ -255,11 +258,11 @@ def multi_fit(
     )
 
 
-def misfits(fit: Fitted, outputs: int) -> FloatArray:
+def misfits(problem: StepProblem, fit: Fitted) -> FloatArray:
     """Return the standard deviation of the residual of each output over its weight, all records together."""
-    rests = np.concatenate(fit.solution.point.residuals)
+    rests = np.concatenate([rest for _, rest in by_record(problem, fit)])
     free = sum(block.design.shape[1] for block in fit.solution.point.blocks)
-    free += (fit.poles.count + 2 * len(fit.releases)) / outputs
+    free += (fit.poles.count + 2 * len(fit.releases)) / rests.shape[1]
     return np.asarray(np.sqrt(np.sum(rests**2, axis=0) / (len(rests) - free)))
 
 

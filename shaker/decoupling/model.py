@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -16,9 +16,9 @@ from shaker.lti.system import ModalModel, modal_poles
 # Poles that outputs and loads share.
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Poles(Brief):
-    """Common poles: `frequency_hz` and `damping_ratio` (M,) of the modes, `real_hz` (Q,)."""
+    """Common poles: `frequency_hz` and `damping_ratio` (M,) of the modes, `real_hz` (Q,); equal to themselves alone."""
 
     frequency_hz: FloatArray
     damping_ratio: FloatArray
@@ -126,11 +126,6 @@ class Poles(Brief):
             else:
                 slopes[i, m + place] = change.real
         return moments, slopes
-
-    @cached_property
-    def designs(self) -> dict[Any, tuple[Any, FloatArray]]:
-        """What these poles made of samples already, by what was asked; with the samples, so that these stay theirs."""
-        return {}
 
     def columns(self, place: int) -> list[int]:
         """Return the columns of a design that belong to one pole."""

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from functools import cached_property, lru_cache
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from shaker.arrays import ComplexArray, FloatArray, IntArray
 from shaker.decoupling.model import MultiModel, Poles
-from shaker.fitting import Block, Minimum, Prior, Rules, Separable, levenberg_marquardt
+from shaker.fitting import Block, Changes, Minimum, Prior, Rules, Separable, levenberg_marquardt
 from shaker.release.poles import shared_poles
 from shaker.release.record import Shape
 from shaker.release.response import MOMENTS, Answers, Load, Samples, answers, responses
 
 _REACH = 1.96  # standard uncertainties of 95 %
 _LOOSE = (1.5, 2.0)  # standard deviations of what a start says of logarithms of real poles and of durations
-_KEPT = 64  # designs of records, some 0.2 MB each, that are known of one set of poles
+_KEPT = 2  # poles and releases of which a record keeps what they show of it
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,18 @@ Offer: TypeAlias = tuple[Poles, tuple[Release, ...]]
 """Poles with the releases that they answer to, of all records."""
 
 
+class Shown(NamedTuple):
+    """What poles and a release show of a record (A, C) less its level: responses (A, B) are `basis` @ `triangle`.
+
+    `basis` (A, B) is orthonormal, `told` (B, C) the data along it, `beside` (A, C) what no residues explain of them.
+    """
+
+    basis: FloatArray
+    triangle: FloatArray
+    told: FloatArray
+    beside: FloatArray
+
+
 @dataclass(frozen=True)
 class Sampled:
     """One record ready for a fit: means over blocks of samples (A, C) over their noise, times, load."""
@@ -46,6 +59,22 @@ class Sampled:
         """Return what poles answer to the release, with slopes."""
         load = Load(release.shape, self.amplitude)
         return answers(load, poles, self.samples, release.middle_s, release.duration_s)
+
+    @cached_property
+    def shown(self) -> Callable[[Poles, Release], Shown]:
+        """What poles and a release show of it, the last ones kept: searches begin where others ended."""
+
+        @lru_cache(_KEPT)
+        def found(poles: Poles, release: Release) -> Shown:
+            load = Load(release.shape, self.amplitude)
+            value = responses(load, poles.values, self.samples, release.middle_s, release.duration_s).T
+            upper, real = value[: poles.modes], value[poles.modes :]
+            columns = np.concatenate([2 * upper.real, -2 * upper.imag, real.real])
+            basis, triangle = np.linalg.qr((columns - columns.mean(axis=1, keepdims=True)).T)
+            told = basis.T @ self.samples.value
+            return Shown(basis, triangle, told, self.samples.value - basis @ told)
+
+        return found
 
     def cut(self, from_s: float, to_s: float) -> Sampled:
         """Return the record between two times."""
@@ -179,12 +208,12 @@ def covariances(
     """
     inverse, count = _inverse(point.normal[0] + np.diag(known)), len(point.parameters)
     spread, follows = np.diag(known), []
-    for part, (places, change), variance in zip(point.solved, point.slopes, variances, strict=True):
+    for part, (places, change, beside, _), variance in zip(point.solved, point.slopes, variances, strict=True):
         rows = []
         for c, size in enumerate(variance):
             along = part.basis.T @ change[:, :, c]
             free = change[:, :, c] - part.basis @ along
-            spread[np.ix_(places, places)] += size * (free.T @ free)
+            spread[np.ix_(places, places)] += size * (free.T @ free + beside[c])
             follow = np.zeros((len(part.root), count))
             follow[:, places] = -part.root @ along
             rows.append(np.concatenate([follow, np.sqrt(size) * part.root], axis=1))
@@ -263,47 +292,69 @@ def widened(fit: Fitted, spread: FloatArray) -> FloatArray:
 
 
 def _block(problem: StepProblem, poles: Poles, releases: Sequence[Release], places: Sequence[int], held: int) -> Block:
-    """All records of one load; the level of each is taken off data and design alike."""
-    records, smooth, modes = [problem.records[i] for i in places], poles.smooth, poles.modes
-    edges = np.cumsum([0, *(len(record.samples.time_s) for record in records)])
-    designs = []
-    for i, record in zip(places, records, strict=True):
-        release = releases[i]
-        key = id(record.samples), release
-        if key not in poles.designs:
-            if len(poles.designs) >= _KEPT:
-                poles.designs.clear()
-            load = Load(release.shape, record.amplitude)
-            value = responses(load, poles.values, record.samples, release.middle_s, release.duration_s)
-            upper, real = value[:, :modes], value[:, modes:]
-            columns = np.concatenate([2 * upper.real, -2 * upper.imag, real.real], axis=1)
-            poles.designs[key] = record.samples, columns - columns.mean(axis=0)
-        designs.append(poles.designs[key][1])
-    design = np.concatenate(designs)
+    """All records of one load, each turned by the basis of its responses."""
+    records, smooth = [problem.records[i] for i in places], poles.smooth
+    shown = [record.shown(poles, releases[i]) for i, record in zip(places, records, strict=True)]
+    edges = np.cumsum([0, *(len(part.told) for part in shown)])
     free = poles.count if held < poles.count else 0  # parameters of the poles that move
     moved = np.concatenate([np.arange(free), *(poles.count + 2 * i + np.arange(2) for i in places)])
 
-    def changes(own: FloatArray) -> tuple[IntArray, FloatArray]:
+    def changes(own: FloatArray) -> Changes:
         """Poles move the responses and turn the basis; middle and duration move those of their own record."""
-        change = np.zeros((edges[-1], len(moved), own.shape[1]))
-        turned = np.einsum("pbs,sc->bpc", poles.smooth_slopes, own)
-        re, im, real = np.split(smooth @ own, [modes, 2 * modes])
+        outputs, count = own.shape[1], len(moved)
+        turned = np.tensordot(poles.smooth_slopes[:free], own, axes=1).transpose(1, 0, 2)
+        re, im, real = np.split(smooth @ own, [poles.modes, 2 * poles.modes])
         residues = np.concatenate([2 * (re + 1j * im), real])  # those of modes twice, for their conjugates
-        which, slope = poles.slopes
-        by_pole = slope[:, None] * residues[which]
+        rows = np.zeros((edges[-1], count, outputs))
+        beside, pull = np.zeros((outputs, count, count)), np.zeros((outputs, count))
         for k, (i, record) in enumerate(zip(places, records, strict=True)):
-            rows, here = slice(edges[k], edges[k + 1]), record.answers(poles.values, releases[i])
-            if free:
-                along = here.by_pole[:, which]
-                change[rows, :free] = along.real[:, :, None] * by_pole.real - along.imag[:, :, None] * by_pole.imag
-                change[rows, :free] += np.tensordot(designs[k], turned, axes=1)
-            change[rows, free + 2 * k] = (here.by_onset @ residues).real
-            change[rows, free + 2 * k + 1] = releases[i].duration_s * (here.by_length @ residues).real
-            change[rows] -= change[rows].mean(axis=0)
-        chosen = moved >= held
-        return moved[chosen] - held, change if np.all(chosen) else change[:, chosen]
+            here, mine = record.answers(poles.values, releases[i]), np.r_[:free, free + 2 * k : free + 2 * k + 2]
+            columns, weights = _moving(here, residues, poles if free else None, releases[i].duration_s)
+            part = shown[k]
+            along = columns @ part.basis
+            columns -= along @ part.basis.T
+            change = (weights @ along).transpose(2, 1, 0)
+            change[:, :free] += np.tensordot(part.triangle, turned, axes=1)
+            rows[edges[k] : edges[k + 1], mine] = change
+            beside[:, mine[:, None], mine] += weights @ (columns @ columns.T) @ weights.transpose(0, 2, 1)
+            pull[:, mine] += np.einsum("cpq,qc->cp", weights, columns @ part.beside)
+        chosen = np.flatnonzero(moved >= held)
+        if len(chosen) < count:
+            rows, beside, pull = rows[:, chosen], beside[:, chosen[:, None], chosen], pull[:, chosen]
+        return Changes(moved[chosen] - held, rows, beside, pull)
 
-    return Block(design @ smooth, np.concatenate([record.samples.value for record in records]), changes)
+    return Block(
+        np.concatenate([part.triangle for part in shown]) @ smooth,
+        np.concatenate([part.told for part in shown]),
+        changes,
+        float(sum(np.vdot(part.beside, part.beside) for part in shown)),
+        sum(part.beside.size - part.told.size for part in shown),
+    )
+
+
+def _moving(
+    here: Answers, residues: ComplexArray, poles: Poles | None, duration_s: float
+) -> tuple[FloatArray, FloatArray]:
+    """What moves one record's rows, (R, A) less their levels, by weights (C, p, R).
+
+    Parameters (p,): those of the poles, None where these are held, middle and logarithm of the duration.
+    """
+    by_onset, by_length = (residues.T @ here.by_onset.T).real, duration_s * (residues.T @ here.by_length.T).real
+    outputs = len(by_onset)
+    count = 0 if poles is None else poles.count
+    weights = np.zeros((outputs, count + 2, count + 2 * outputs))
+    each = np.arange(outputs)
+    weights[each, count, count + each] = weights[each, count + 1, count + outputs + each] = 1.0
+    columns = [by_onset, by_length]
+    if poles is not None:
+        which, slope = poles.slopes
+        by_pole, parameter, m = (slope[:, None] * residues[which]).T, np.arange(count), poles.modes
+        along = here.by_pole.T
+        columns = [along.real, along.imag[:m], *columns]
+        weights[:, parameter, which] = by_pole.real
+        weights[:, parameter[: 2 * m], m + len(poles.real_hz) + which[: 2 * m]] = -by_pole.imag[:, : 2 * m]
+    table = np.concatenate(columns)
+    return table - table.mean(axis=1, keepdims=True), weights
 
 
 # How many poles the records ask for.
@@ -513,9 +564,11 @@ def by_record(problem: StepProblem, fit: Fitted) -> list[tuple[int, FloatArray]]
     """What is left of every record (A, C), load after load."""
     rests: list[tuple[int, FloatArray]] = []
     for component, rest in zip(problem.components, fit.solution.point.residuals, strict=True):
-        places = problem.places(component)
-        ends = np.cumsum([len(problem.records[i].samples.time_s) for i in places])[:-1]
-        rests += zip(places, np.split(rest, ends), strict=True)
+        start = 0
+        for i in problem.places(component):
+            part = problem.records[i].shown(fit.poles, fit.releases[i])
+            rests.append((i, part.basis @ rest[start : start + len(part.told)] + part.beside))
+            start += len(part.told)
     return rests
 
 

@@ -190,7 +190,7 @@ def projected(decay: FreeDecay, poles: ComplexArray) -> tuple[FloatArray, FloatA
     derivatives in Kaufman's form).
     """
     point = free_modes(decay, poles)
-    return point.residuals[0][:, 0], -point.solved[0].beside(point.slopes[0][1])[:, :, 0]
+    return point.residuals[0][:, 0], -point.solved[0].beside(point.slopes[0].rows)[:, :, 0]
 
 
 def free_modes(decay: FreeDecay, poles: ComplexArray) -> Separable:

@@ -195,7 +195,7 @@ def fit_beginning(window: Window, start: Beginning) -> Beginning:
 
     best = levenberg_marquardt(at, solved(window, start), rules).point
     fit, columns = best.fit, best.projected.blocks[0].design
-    jacobian = np.concatenate([best.projected.slopes[0][1][:, :, 0], columns], axis=1)
+    jacobian = np.concatenate([best.projected.slopes[0].rows[:, :, 0], columns], axis=1)
     scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
     inverse = np.linalg.pinv((jacobian / scale).T @ (jacobian / scale), rcond=1e-13, hermitian=True)
     variance = fit.squares / max(fit.rows - jacobian.shape[1], 1)

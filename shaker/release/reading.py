@@ -207,8 +207,8 @@ def read_force(force: FloatArray, sample_rate_hz: float, start_s: float) -> Forc
         begin = at(np.array([0.5 * (place.low + place.high), length]), shape)
         assert begin is not None
         point = levenberg_marquardt(lambda times: at(times, shape), begin, Rules()).point
-        part, (_, change) = point.solved[0], point.slopes[0]
-        jacobian = np.concatenate([point.blocks[0].design, change[:, :, 0]], axis=1)
+        part = point.solved[0]
+        jacobian = np.concatenate([point.blocks[0].design, point.slopes[0].rows[:, :, 0]], axis=1)
         variance = point.loss / max(len(number) - 4, 1) * correlation_factor(part.residual[:, 0])
         covariance = variance * np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
         half, u = np.array([0.0, 0.0, 1.0, -0.5]), np.sqrt(np.diagonal(covariance))
