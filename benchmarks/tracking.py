@@ -23,9 +23,9 @@ docs/performance.md; with all programs a quarter of an hour.
 The second table shows what interpolation leaves without noise, stored in 16 bit, for dots of several sizes.
 
 --rounding writes the table of what float32 grey values do instead: pairs of frames shifted by tenths of a pixel,
-registered by the compiled engine and by the batched one in float64 (references
-are float32 in both). bias: mean error of a shift over all subsets, largest of ten shifts and of x and y; bound as
-above; a subset: largest difference of one subset's places.
+registered by the compiled engine and by the batched one in float64 (references are float32 in both). bias: mean error
+of a shift over all subsets, largest of ten shifts and of x and y; bound as above; a subset: largest difference of one
+subset's places.
 """
 
 from __future__ import annotations

@@ -242,7 +242,7 @@ class Block:
 
     design: FloatArray
     data: FloatArray
-    changes: Callable[[FloatArray], tuple[IntArray, FloatArray] | Changes]
+    changes: Callable[[FloatArray], Changes]
     squares: float = 0.0
     more: int = 0
 
@@ -287,7 +287,7 @@ class Separable:
     def slopes(self) -> tuple[Changes, ...]:
         """Changes of every block at its best coefficients."""
         pairs = zip(self.blocks, self.solved, strict=True)
-        return tuple(Changes(*block.changes(part.coefficients)) for block, part in pairs)
+        return tuple(block.changes(part.coefficients) for block, part in pairs)
 
     @cached_property
     def normal(self) -> tuple[FloatArray, FloatArray]:

@@ -28,18 +28,20 @@ if TYPE_CHECKING:
 HELD = 1 << 26
 
 
-Foretelling = tuple[FloatArray, int | None]
+Foretelling = tuple[FloatArray | None, int | None]
 """What known lines tell of a body: the terms (F, m) of its motion, and in how many frames subsets are looked for."""
+UNTOLD: Foretelling = (None, None)
 
 
-def follow(
-    scene: BodyScene, frames: range, device: str, told: Foretelling | None = None
-) -> FollowedBlock:  # a task, so of this module
-    """Follow a body through a block of frames on the device that a choice means, as known lines foretell it."""
+def follow(scene: BodyScene, frames: range, device: str, told: Foretelling = UNTOLD) -> FollowedBlock:
+    """Follow a body through a block of frames on the device that a choice means, as known lines foretell it.
+
+    A task, so of this module.
+    """
     from photogram.measure.follow import follow_block
     from photogram.subsets.track import resolve_device
 
-    return follow_block(scene if told is None else scene.foretold(*told), frames, resolve_device(device))
+    return follow_block(scene.foretold(*told), frames, resolve_device(device))
 
 
 class Followed:
@@ -51,15 +53,8 @@ class Followed:
     again. A pickle holds all blocks, of whatever size, and is opened in memory and the system's folder.
     """
 
-    def __init__(
-        self,
-        images: OpenImages,
-        scene: BodyScene,
-        device: str,
-        kept: Keeper | None,
-        told: Foretelling | None = None,
-    ) -> None:
-        self.scene = scene if told is None else scene.foretold(*told)
+    def __init__(self, images: OpenImages, scene: BodyScene, device: str, kept: Keeper | None) -> None:
+        self.scene = scene
         self._device, self._kept = device, kept if len(scene.blocks) > 1 else None
         pair = "\n".join([images.sight.name, *images.left.names[:1]])  # the first image tells it from that of a take
         self._sight, self._pair = images.sight.name, hashlib.sha256(pair.encode()).hexdigest()[:12]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -28,9 +28,9 @@ from fusion.base import (
     as_input_error,
 )
 from fusion.instruments.transducer import ROOM
-from fusion.phasors.followed import Followed, Foretelling, follow
+from fusion.phasors.followed import UNTOLD, Followed, Foretelling, follow
 from fusion.phasors.shutter import Turned
-from fusion.phasors.timing import Sight, TimeBase, see
+from fusion.phasors.timing import Sight, TimeBase, pair_of, see
 from fusion.recording.files import AlreadyRead
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import Images, PointFiles
@@ -77,8 +77,8 @@ NO_MOTION = "no frame has enough points for a rigid motion"
 class Pictures:
     """The images of one stereo pair, opened and checked, before it is known when they were exposed.
 
-    `pair`: as the rig has it, its pose as with an exact calibration; `cameras`: the images of each; `first`: the first
-    left one. `notices`: what the files do to the grey values, and what they say against the manifest.
+    `pair`: as its sight will have it, its pose as with an exact calibration; `cameras`: the images of each; `first`:
+    the first left one. `notices`: what the files do to the grey values, and what they say against the manifest.
     `depth_m`: nearest and farthest depth in the left camera where its body can be (`known_depth`), None if not known;
     `modes`: of an elastic load, whose amplitudes they tell. `entry`: as the manifest states them; `where`: file and key
     at which mistakes of theirs are told.
@@ -192,7 +192,7 @@ def open_pictures(manifest: Manifest, entry: Images, already: AlreadyRead | None
             raise InputError(manifest.path, f"{key}.right", found=found, expected=expected)
     if entry.exposure == FILE:
         entry = entry.model_copy(update={"exposure": _stated_exposure(manifest, entry, sequences)})
-    stereo = manifest.rig.stereo[entry.stereo]
+    stereo = pair_of(manifest, entry)
     rig = read_rig(stereo, sequences)
     first = []
     for (side, _), sequence in zip(entry.cameras, sequences, strict=True):
@@ -217,10 +217,8 @@ def with_sight(manifest: Manifest, base: TimeBase, pictures: Pictures) -> OpenIm
     """Return the images of one stereo pair with when they were exposed, and what their files say against that."""
     sight = see(manifest, base, pictures.entry, len(pictures.left), pictures.left.size_px[1])
     told = [told for images in pictures.cameras for told in _contradictions(sight, images)]
-    pair = pictures.pair.model_copy(update={"delay_uncertainty": sight.pair.delay_uncertainty})
-    known = {field.name: getattr(pictures, field.name) for field in fields(pictures)}
-    known |= {"pair": pair, "notices": (*pictures.notices, *told)}
-    return OpenImages(**known, sight=replace(sight, pair=pair))
+    known = vars(pictures) | {"notices": (*pictures.notices, *told)}
+    return OpenImages(**known, sight=replace(sight, pair=pictures.pair))
 
 
 def _stated_exposure(manifest: Manifest, entry: Images, sequences: Sequence[ImageSequence]) -> float:
@@ -302,10 +300,14 @@ def followed_pairs(
         ) -> tuple[StereoMotion | LeftOut, ...]:
             begun, moved = [], list[LeftOut | Pending]()
             for item, pending in zip(images, prepared, strict=True):
-                told = None if lines is None else _foretelling(item, settings, lines)
+                told = UNTOLD if lines is None else _foretelling(item, settings, lines)
                 scene: BodyScene | LeftOut = _attempted(item, partial(_answer, item, pending))
-                followed = scene if isinstance(scene, LeftOut) else Followed(item, scene, settings.device, kept, told)
-                shares = () if isinstance(followed, LeftOut) else followed.missing()
+                followed: Followed | LeftOut
+                if isinstance(scene, LeftOut):
+                    followed, shares = scene, list[range]()
+                else:
+                    followed = Followed(item, scene.foretold(*told), settings.device, kept)
+                    shares = followed.missing()
                 asked = {share: crew.submit(1, follow, pending, share, settings.device, told) for share in shares}
                 begun.append((item, followed, asked))
             for item, followed, asked in begun:  # so that no block waits in memory for the motion of another pair

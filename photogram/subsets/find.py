@@ -126,7 +126,7 @@ def moved_together(
     )
     if len(ready) < FEWEST_LED:
         return start
-    few = np.random.default_rng(0).choice(ready, LEADERS, replace=False)
+    few = np.random.default_rng(0).choice(ready, LEADERS, replace=False)  # every n-th of a grid may lie on a line
     sought = np.full_like(start, np.nan)
     sought[few] = start[few]
     found = register(reference, target, sought, settings)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from math import isqrt
 from typing import Any
 
 import numpy as np
@@ -295,7 +294,7 @@ def prepare_reference(spline: Spline, centre_px: FloatArray, radius_px: int, ord
         status[part[energy[part] <= size * (SMALLEST_CONTRAST * np.abs(mean[part])) ** 2]] = TrackStatus.FLAT
         usable = part[status[part] == TrackStatus.OK]
         floor = np.maximum(slope_noise_gain(spline.degree) * noise2[usable], SMALLEST_NOISE * energy[usable] / size)
-        hessian, removed[usable] = _hessians(square[status[part] == TrackStatus.OK], energy[usable], order)
+        hessian, removed[usable] = _hessians(square[status[part] == TrackStatus.OK], energy[usable], radius_px, order)
         if order < 2:
             known, inverse[usable], variance[usable] = _invert(hessian, floor, extent)
         else:
@@ -348,12 +347,12 @@ def _parts(which: IntArray) -> list[IntArray]:
     return np.array_split(which, range(CHUNK, len(which), CHUNK))
 
 
-def _hessians(pixels: FloatArray, energy: FloatArray, order: int) -> tuple[FloatArray, FloatArray]:
+def _hessians(pixels: FloatArray, energy: FloatArray, radius_px: int, order: int) -> tuple[FloatArray, FloatArray]:
     """Hessians (n,m,m) of the steepest-descent images without their mean and part along f̃, and these (n,2,m)."""
     count, size, half = len(pixels), pixels.shape[2], PARAMETERS[order] // 2
     shapes, powers = _powers(max(order, 1)), _powers(2 * max(order, 1))
     sums = np.empty((count, 3 * len(powers) + 4 * len(shapes)))
-    offsets = np.ascontiguousarray(subset_offsets(isqrt(size) // 2).T)
+    offsets = np.ascontiguousarray(subset_offsets(radius_px).T)
     _moments(pixels, offsets, order == 2, sums)
     affine_first = np.argsort(np.tile(np.arange(half) // 3, 2), kind="stable")
     factor = np.array([1.0, 1.0, 1.0, 0.5, 1.0, 0.5])[:half]

@@ -8,10 +8,10 @@ from typing import TypeAlias
 
 import numpy as np
 
-from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray, Notice, check_shape
+from shaker.arrays import Brief, ComplexArray, FloatArray, Notice, check_shape
 from shaker.decoupling.model import MultiModel, Poles
 from shaker.decoupling.problem import covariances, model_covariance, rules
-from shaker.fitting import Block, Separable, levenberg_marquardt
+from shaker.fitting import Block, Changes, Separable, levenberg_marquardt
 
 _UNEXPLAINED = 1.5
 _WORSE = 2  # numbers of modes tried beyond the best
@@ -121,10 +121,10 @@ def _point(measured: Responses, poles: Poles) -> Point:
     for d, c in np.ndindex(measured.value.shape[:0:-1]):
         weight = measured.whitener[:, c, d]
 
-        def changes(own: FloatArray, weight: FloatArray = weight) -> tuple[IntArray, FloatArray]:
+        def changes(own: FloatArray, weight: FloatArray = weight) -> Changes:
             residues = np.concatenate([own[:m, 0] + 1j * own[m : 2 * m, 0], own[2 * m :, 0]])
             slopes = poles.response_slopes(measured.frequency_hz, residues)
-            return np.arange(poles.count), _whitened(weight, slopes)[:, :, None]
+            return Changes(np.arange(poles.count), _whitened(weight, slopes)[:, :, None])
 
         blocks.append(Block(_whitened(weight, basis), _whitened(weight, measured.value[:, c, d][:, None]), changes))
     return poles, Separable(poles.vector, tuple(blocks))

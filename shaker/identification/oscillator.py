@@ -8,8 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, IntArray, check_shape
-from shaker.fitting import Block, Rules, Separable, levenberg_marquardt
+from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, check_shape
+from shaker.fitting import Block, Changes, Rules, Separable, levenberg_marquardt
 from shaker.identification.measured import (
     CurveResidual,
     MeasuredCurve,
@@ -194,10 +194,10 @@ def _adjusted(
         vector[~linear] = parameters
         design = _real(whitening, _evaluate(kind, names, s, vector)[1][:, linear]).reshape(len(measured), -1)
 
-        def changes(coefficients: FloatArray) -> tuple[IntArray, FloatArray]:
+        def changes(coefficients: FloatArray) -> Changes:
             vector[linear] = coefficients[:, 0]
             slopes = _real(whitening, _evaluate(kind, names, s, vector)[1][:, ~linear])
-            return np.arange(len(parameters)), slopes.reshape(len(measured), -1, 1)
+            return Changes(np.arange(len(parameters)), slopes.reshape(len(measured), -1, 1))
 
         return Separable(parameters, [Block(design, measured, changes)])
 

@@ -252,17 +252,18 @@ def _sum(
     Of `known` (2, F), frequencies and their uncertainties, each is taken as f1, and f2 looked for among all in order.
     """
     f, u = known
-    nyquist = state.lines.rate_hz / 2.0
+    rate_hz = state.lines.rate_hz
     terms = np.array([(m, sign * (order - m)) for m in range(1, order) for sign in (1, -1)], dtype=np.float64)
     seen = float(state.lines.frequency_hz[i])
     # Where the line may come from; m·f1 + n·f2 may be negative.
-    turns = range(1, round(order * float(f.max()) / (2.0 * nyquist)) + 1) if folded else ()
-    origin = [turn * 2.0 * nyquist + part for turn in turns for part in (seen, -seen)] if folded else [seen]
+    turns = range(1, round(order * float(f.max()) / rate_hz) + 1) if folded else ()
+    origin = [turn * rate_hz + part for turn in turns for part in (seen, -seen)] if folded else [seen]
     origin += [-place for place in origin]
     ascending = np.argsort(f)
     m, n = terms.T[..., None, None]
     partner = (np.array(origin)[:, None] - m * f) / n
-    reach = (float(state.tolerance(i, order * float(u.max()))) + 1e-9 * nyquist) / np.abs(n)
+    # As wide as the least certain pair asks for, and rounding: what is found is looked at exactly.
+    reach = (float(state.tolerance(i, order * float(u.max()))) + 1e-9 * rate_hz) / np.abs(n)
     low, high = (np.searchsorted(f[ascending], partner + sign * reach) for sign in (-1, 1))
     here = np.argwhere(high > low)
     count = (high - low)[high > low]
@@ -271,7 +272,7 @@ def _sum(
     other = ascending[np.repeat(low[high > low], count) + within]
     m, n = terms[term].T
     wanted = np.abs(m * f[one] + n * f[other])
-    fits = (other > one) & (wanted > 0.0) & ((wanted >= nyquist) == folded)
+    fits = (other > one) & (wanted > 0.0) & ((wanted >= rate_hz / 2.0) == folded)
     fits &= state.fits(i, wanted, np.hypot(m * u[one], n * u[other]))
     if not np.any(fits):
         return None

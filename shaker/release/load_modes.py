@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, IntArray, check_shape, check_shapes
-from shaker.fitting import Block, Rules, Separable, levenberg_marquardt
+from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, check_shape, check_shapes
+from shaker.fitting import Block, Changes, Rules, Separable, levenberg_marquardt
 from shaker.labels import mechanical_units, typeset
 from shaker.release.record import Reading, StepRecord
 
@@ -198,11 +198,11 @@ def free_modes(decay: FreeDecay, poles: ComplexArray) -> Separable:
     t = decay.time_s - decay.time_s[0]
     waves = np.exp(t[:, None] * poles)
 
-    def changes(own: FloatArray) -> tuple[IntArray, FloatArray]:
+    def changes(own: FloatArray) -> Changes:
         amplitude = own[1:, 0].reshape(2, -1)
         swing = t[:, None] * waves * (amplitude[0] + 1j * amplitude[1])
         change = np.stack([swing.real, -swing.imag], axis=2).reshape(len(t), -1, 1)
-        return np.arange(change.shape[1]), change
+        return Changes(np.arange(change.shape[1]), change)
 
     design = np.hstack([np.ones((len(t), 1)), waves.real, -waves.imag])
     parameters = np.stack([poles.real, poles.imag], axis=1).ravel()

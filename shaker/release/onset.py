@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray
-from shaker.fitting import Block, Rules, Separable, levenberg_marquardt
+from shaker.arrays import Brief, ComplexArray, FloatArray
+from shaker.fitting import Block, Changes, Rules, Separable, levenberg_marquardt
 from shaker.lti.system import modal_poles
 from shaker.release.poles import ringing_poles
 from shaker.release.record import Location, Shape
@@ -207,8 +207,8 @@ def solved(window: Window, start: Beginning) -> Trial:
     columns, target = _rows(window, start.columns(window.time_s))
     count = 3 + 2 * len(start.frequency_hz)
 
-    def changes(own: FloatArray) -> tuple[IntArray, FloatArray]:
-        return np.arange(count), _slopes(window, replace(start, linear=own[:, 0]), columns)[:, :, None]
+    def changes(own: FloatArray) -> Changes:
+        return Changes(np.arange(count), _slopes(window, replace(start, linear=own[:, 0]), columns)[:, :, None])
 
     point = Separable(start.vector[:count], (Block(columns, target[:, None], changes),))
     linear = point.coefficients[0][:, 0]

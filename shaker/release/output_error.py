@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray
-from shaker.fitting import Block, Prior, Rules, Separable, eliminate, levenberg_marquardt
+from shaker.arrays import Brief, ComplexArray, FloatArray
+from shaker.fitting import Block, Changes, Prior, Rules, Separable, eliminate, levenberg_marquardt
 from shaker.lti.system import ModalModel, modal_poles
 from shaker.release.response import Answers, Load, Samples, answers, responses
 
@@ -210,9 +210,9 @@ def solve(problem: Problem, start: FloatArray) -> Solution:
             matrix, answered = columns(problem, vector, problem.samples)
             weighted = matrix * weight
 
-        def changes(own: FloatArray) -> tuple[IntArray, FloatArray]:
+        def changes(own: FloatArray) -> Changes:
             change = slopes(problem, vector, own[:, 0], answered) * weight
-            return np.arange(change.shape[1]), change[:, :, None]
+            return Changes(np.arange(change.shape[1]), change[:, :, None])
 
         return Separable(vector, (Block(weighted, data, changes),))
 

@@ -9,8 +9,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from shaker.arrays import BoolArray, FloatArray, IntArray, Notice, Severity
-from shaker.fitting import Block, Rules, Separable, levenberg_marquardt
+from shaker.arrays import BoolArray, FloatArray, Notice, Severity
+from shaker.fitting import Block, Changes, Rules, Separable, levenberg_marquardt
 from shaker.release.onset import Beginning, Window, find_beginning, longest_lag_s, moved, rise_time, solved
 from shaker.release.record import (
     Level,
@@ -198,8 +198,8 @@ def read_force(force: FloatArray, sample_rate_hz: float, start_s: float) -> Forc
         slopes = np.stack([-rate, -rate * (number - middle) / long], axis=1)
         design = np.stack([np.ones(len(number)), share], axis=1)
 
-        def changes(own: FloatArray) -> tuple[IntArray, FloatArray]:
-            return np.arange(2), (own[1, 0] * slopes)[:, :, None]
+        def changes(own: FloatArray) -> Changes:
+            return Changes(np.arange(2), (own[1, 0] * slopes)[:, :, None])
 
         return Separable(times, (Block(design, data, changes),))
 

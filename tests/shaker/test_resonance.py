@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from scipy import linalg
 from scipy.optimize import brentq, least_squares, minimize_scalar
 
-from shaker.arrays import ComplexArray, FloatArray, IntArray
-from shaker.fitting import Block, Prior, Residuals, Rules, Separable, eliminate, levenberg_marquardt
+from shaker.arrays import ComplexArray, FloatArray
+from shaker.fitting import Block, Changes, Prior, Residuals, Rules, Separable, eliminate, levenberg_marquardt
 from shaker.identification.measured import MeasuredCurve
 from shaker.identification.oscillator import (
     Kind,
@@ -392,8 +392,8 @@ def _decays(rates: FloatArray, data: FloatArray) -> Separable:
     """A level and two decays with free amplitudes, in two outputs (60, 2)."""
     waves = np.exp(-TIME[:, None] * rates)
 
-    def changes(own: FloatArray) -> tuple[IntArray, FloatArray]:
-        return np.arange(2), (-TIME[:, None] * waves)[:, :, None] * own[1:]
+    def changes(own: FloatArray) -> Changes:
+        return Changes(np.arange(2), (-TIME[:, None] * waves)[:, :, None] * own[1:])
 
     return Separable(rates, (Block(np.hstack([np.ones((60, 1)), waves]), data, changes),))
 
