@@ -8,7 +8,7 @@ recording of the same preset state. 160 frames take seconds instead of minutes.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -95,8 +95,8 @@ def unrendered(template: Template, world: World, draws: Draws) -> Iterator[None]
                     (series / f"{frame:04d}.tif").hardlink_to(template.recording / series.name / "0000.tif")
 
     @contextmanager
-    def drawn(*_: object) -> Iterator[Motions]:
-        yield lambda images, *_: tuple(_seen(one, template.pairs[one.sight.name], world, draws) for one in images)
+    def drawn(images: Sequence[OpenImages], *_: object) -> Iterator[Motions]:
+        yield lambda _: tuple(_seen(one, template.pairs[one.sight.name], world, draws) for one in images)
 
     with patch.object(sines, "_write_images", linked), patch.object(setup, "followed_pairs", drawn):
         yield

@@ -140,9 +140,7 @@ def large_pair(folder: Path, sample: OpenImages, frames: int) -> tuple[OpenImage
     left, right = (open_sequence([own[k % len(own)] for k in range(frames)], setup.bit_depth) for own in files)
     where = {"rotation": placed.rotation.tolist(), "translation": placed.translation_m.tolist()}
     sight = replace(sample.sight, pair=sample.sight.pair.model_copy(update=where))
-    images = replace(
-        sample, sight=sight, pair=sight.pair, cameras=(left, right), rig=rig, first=left.read(0), depth_m=None
-    )
+    images = replace(sample, sight=sight, cameras=(left, right), rig=rig, first=left.read(0), depth_m=None)
     return images, prepare_body(*body_inputs(images, Settings()))
 
 

@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fusion.base import ComputeError, Keeper
-from photogram.arrays import FloatArray
 from photogram.geometry import RigidTransform
 
 if TYPE_CHECKING:
@@ -28,20 +27,12 @@ if TYPE_CHECKING:
 HELD = 1 << 26
 
 
-Foretelling = tuple[FloatArray | None, int | None]
-"""What known lines tell of a body: the terms (F, m) of its motion, and in how many frames subsets are looked for."""
-UNTOLD: Foretelling = (None, None)
-
-
-def follow(scene: BodyScene, frames: range, device: str, told: Foretelling = UNTOLD) -> FollowedBlock:
-    """Follow a body through a block of frames on the device that a choice means, as known lines foretell it.
-
-    A task, so of this module.
-    """
+def follow(scene: BodyScene, frames: range, device: str) -> FollowedBlock:  # a task, so of this module
+    """Follow a body through a block of frames on the device that a choice means."""
     from photogram.measure.follow import follow_block
     from photogram.subsets.track import resolve_device
 
-    return follow_block(scene.foretold(*told), frames, resolve_device(device))
+    return follow_block(scene, frames, resolve_device(device))
 
 
 class Followed:

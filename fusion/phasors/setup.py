@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,17 +29,15 @@ from fusion.phasors.steadiness import distortions, doubted, line_stationarity
 from fusion.phasors.stereo_motion import (
     LeftOut,
     OpenImages,
-    Pictures,
     StereoMotion,
     followed_pairs,
     measure_points,
     motion_lines,
-    open_pictures,
+    open_images,
     still_calibrated,
-    with_sight,
 )
 from fusion.phasors.timing import TimeBase, tie_daqs
-from fusion.recording.files import AlreadyRead, SetUpRecords, read_set_ups, told_in
+from fusion.recording.files import AlreadyRead, read_set_ups, told_in
 from fusion.recording.load import Manifest
 from shaker.arrays import Notice
 from shaker.lines.frequencies import Lines
@@ -112,39 +110,17 @@ def open_set_ups(manifest: Manifest, already: AlreadyRead | None = None) -> tupl
 
     Clocks are tied, images opened, points read; what was `already` read of the files is not read again.
     """
-    return _opened(_read(manifest, already))
-
-
-class _Read(NamedTuple):
-    """What was recorded at once, read and no more: its place in the recording, its name, its pictures."""
-
-    recorded: SetUpRecords
-    name: str
-    pictures: tuple[Pictures, ...]
-
-
-def _read(manifest: Manifest, already: AlreadyRead | None = None) -> list[_Read]:
-    """Read the channels of all set-ups and open their pictures."""
-    parts, read = read_set_ups(manifest, already), []
+    parts = read_set_ups(manifest, already)
+    tied = []
     for number, recorded in enumerate(parts, 1):
         name, part = f"take {number}" if len(parts) > 1 else "", recorded.manifest
         with told_in(part.path, recorded.where, name):
-            pictures = tuple(open_pictures(part, entry, already) for entry in part.images)
-        read.append(_Read(recorded, name, pictures))
-    return read
-
-
-def _opened(read: Sequence[_Read]) -> tuple[OpenSetUp, ...]:
-    """Tie the clocks of all set-ups and find their lines; images get their times, points are read."""
-    tied, fitted = [], []
-    for recorded, name, _ in read:
-        part = recorded.manifest
-        with told_in(part.path, recorded.where, name):
             tied.append(OpenSetUp(name, recorded.where, part, tie_daqs(part, recorded.records), (), ()))
-    for one, found, (_, _, pictures) in zip(tied, _lines(tied), read, strict=True):
+    fitted = []
+    for one, found in zip(tied, _lines(tied), strict=True):
         with told_in(one.manifest.path, one.where, one.name):
             base, lines = (one.base, None) if found is None else refine_ties(one.base, found)
-            images = tuple(with_sight(one.manifest, base, each) for each in pictures)
+            images = tuple(open_images(one.manifest, base, entry, already) for entry in one.manifest.images)
             points = tuple(measure_points(one.manifest, base, entry) for entry in one.manifest.points)
             fitted.append(replace(one, base=base, images=images, points=points, lines=lines))
     return tuple(fitted)
@@ -160,25 +136,23 @@ def with_channels(opened: OpenSetUp, *, shown: bool = True) -> OpenSetUp:
 
 
 def measure_set_ups(
-    manifest: Manifest,
+    set_ups: Sequence[OpenSetUp],
     settings: Settings,
     progress: ProgressCallback,
     executor: Executor | None = None,
     kept: Keeper | None = None,
 ) -> list[SetUp]:
-    """Read everything that was recorded, follow its images, here or by an executor, and fit the lines to all of it.
+    """Follow the images of all set-ups, here or by an executor, and fit the lines to channels and motions.
 
-    Clocks are tied, lines found and all channels fitted while the bodies of the first set-up are prepared: what is
-    wrong with one is told early.
+    All channels are fitted while the bodies of the first set-up are prepared: what is wrong with one is told early.
     """
-    read, fitted, measured = _read(manifest), list[OpenSetUp](), list[SetUp]()
-    for number, (_, _, pictures) in enumerate(read):
-        with followed_pairs(pictures, settings, executor, kept) as motions:
-            fitted = fitted or [with_channels(each) for each in _opened(read)]
-            opened = fitted[number]
+    fitted, measured = list[OpenSetUp](), list[SetUp]()
+    for opened in set_ups:
+        with followed_pairs(opened.images, settings, executor, kept, opened.lines) as motions:
+            fitted = fitted or [with_channels(each) for each in set_ups]
             opened.base.pulses()  # kept by the records, which are asked for them in the end
             with told_in(opened.manifest.path, opened.where, opened.name):
-                measured.append(_measured(opened, motions(opened.images, opened.lines, progress)))
+                measured.append(_measured(fitted[len(measured)], motions(progress)))
     return measured
 
 

@@ -28,9 +28,9 @@ from fusion.base import (
     as_input_error,
 )
 from fusion.instruments.transducer import ROOM
-from fusion.phasors.followed import UNTOLD, Followed, Foretelling, follow
+from fusion.phasors.followed import Followed, follow
 from fusion.phasors.shutter import Turned
-from fusion.phasors.timing import Sight, TimeBase, pair_of, see
+from fusion.phasors.timing import Sight, TimeBase, see
 from fusion.recording.files import AlreadyRead
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import Images, PointFiles
@@ -74,17 +74,15 @@ NO_MOTION = "no frame has enough points for a rigid motion"
 
 
 @dataclass(frozen=True)
-class Pictures:
-    """The images of one stereo pair, opened and checked, before it is known when they were exposed.
+class OpenImages:
+    """The images of one stereo pair, opened and checked: its sight, those of each camera, its rig, the first left one.
 
-    `pair`: as its sight will have it, its pose as with an exact calibration; `cameras`: the images of each; `first`:
-    the first left one. `notices`: what the files do to the grey values, and what they say against the manifest.
+    `notices`: what the files do to the grey values, and what they say against the manifest.
     `depth_m`: nearest and farthest depth in the left camera where its body can be (`known_depth`), None if not known;
-    `modes`: of an elastic load, whose amplitudes they tell. `entry`: as the manifest states them; `where`: file and key
-    at which mistakes of theirs are told.
+    `modes`: of an elastic load, whose amplitudes they tell. `entry`: as the manifest states them.
     """
 
-    pair: Stereo
+    sight: Sight
     cameras: tuple[ImageSequence, ...]
     rig: Rig
     first: GreyImage
@@ -92,19 +90,11 @@ class Pictures:
     depth_m: tuple[float, float] | None
     modes: ModeShapes | None
     entry: Images
-    where: tuple[Path, str]
 
     @property
     def left(self) -> ImageSequence:
         """The images of the left camera, or of the only one."""
         return self.cameras[0]
-
-
-@dataclass(frozen=True)
-class OpenImages(Pictures):
-    """The images of one stereo pair with its sight: when they were exposed."""
-
-    sight: Sight
 
 
 @dataclass(frozen=True)
@@ -170,13 +160,8 @@ def sensor_from_camera(stereo: Stereo) -> RigidTransform:
     return RigidTransform(np.array(stereo.rotation), np.array(stereo.translation))
 
 
-def open_images(manifest: Manifest, base: TimeBase, entry: Images) -> OpenImages:
-    """Open the images of one stereo pair, and tell when they were exposed."""
-    return with_sight(manifest, base, open_pictures(manifest, entry))
-
-
-def open_pictures(manifest: Manifest, entry: Images, already: AlreadyRead | None = None) -> Pictures:
-    """Open the images of one stereo pair and check all that can be checked before the work begins, without their times.
+def open_images(manifest: Manifest, base: TimeBase, entry: Images, already: AlreadyRead | None = None) -> OpenImages:
+    """Open the images of one stereo pair and check all that can be checked before the work begins.
 
     A saturated image is refused when it is read; the first ones are read here.
     """
@@ -192,14 +177,15 @@ def open_pictures(manifest: Manifest, entry: Images, already: AlreadyRead | None
             raise InputError(manifest.path, f"{key}.right", found=found, expected=expected)
     if entry.exposure == FILE:
         entry = entry.model_copy(update={"exposure": _stated_exposure(manifest, entry, sequences)})
-    stereo = pair_of(manifest, entry)
-    rig = read_rig(stereo, sequences)
+    sight = see(manifest, base, entry, len(left), left.size_px[1])
+    rig = read_rig(sight.pair, sequences)
     first = []
     for (side, _), sequence in zip(entry.cameras, sequences, strict=True):
         with as_input_error(manifest.path, f"{key}.{side}"):
             first.append(sequence.read(0))
-    pair = _without_calibration_share(stereo, rig)
-    told = tuple(told for images in sequences for told in images.notices)
+    pair = _without_calibration_share(sight.pair, rig)
+    told: list[AnyNotice] = [told for images in sequences for told in images.notices]
+    told += [told for images in sequences for told in _contradictions(sight, images)]
     x, y, *_ = entry.region or (0, 0)
     if x >= left.size_px[0] or y >= left.size_px[1]:
         expected = f"a part of pictures of {left.size_px[0]} x {left.size_px[1]} px"
@@ -208,17 +194,8 @@ def open_pictures(manifest: Manifest, entry: Images, already: AlreadyRead | None
     if pair.body == "load" and load is not None and any(part.measured_by for part in load.elastic):
         from fusion.sensitivity.mode_shapes import mode_shapes
 
-        modes = mode_shapes(load, entry.stereo)
-    where = manifest.path, f"images.{entry.stereo}"
-    return Pictures(pair, tuple(sequences), rig, first[0], told, known, modes, entry, where)
-
-
-def with_sight(manifest: Manifest, base: TimeBase, pictures: Pictures) -> OpenImages:
-    """Return the images of one stereo pair with when they were exposed, and what their files say against that."""
-    sight = see(manifest, base, pictures.entry, len(pictures.left), pictures.left.size_px[1])
-    told = [told for images in pictures.cameras for told in _contradictions(sight, images)]
-    known = vars(pictures) | {"notices": (*pictures.notices, *told)}
-    return OpenImages(**known, sight=replace(sight, pair=pictures.pair))
+        modes = mode_shapes(load, sight.name)
+    return OpenImages(replace(sight, pair=pair), tuple(sequences), rig, first[0], tuple(told), known, modes, entry)
 
 
 def _stated_exposure(manifest: Manifest, entry: Images, sequences: Sequence[ImageSequence]) -> float:
@@ -268,21 +245,21 @@ def known_depth(manifest: Manifest, pair: Stereo) -> tuple[float, float] | None:
     return float(depth.min()) - reach, float(depth.max()) + reach
 
 
-Motions = Callable[[Sequence[OpenImages], Lines | None, ProgressCallback], tuple[StereoMotion | LeftOut, ...]]
+Motions = Callable[[ProgressCallback], tuple[StereoMotion | LeftOut, ...]]
 
 
 @contextmanager
 def followed_pairs(
-    pictures: Sequence[Pictures],
+    images: Sequence[OpenImages],
     settings: Settings,
     executor: Executor | None = None,
     kept: Keeper | None = None,
+    lines: Lines | None = None,
 ) -> Iterator[Motions]:
-    """Begin to track the images of stereo pairs: their bodies are prepared. What is yielded goes on, told when they
-    were exposed, and returns the rigid motion of the body that each sees, or why there is none. In between the caller
-    may do something else, such as find the lines.
+    """Begin to track the images of stereo pairs; what is yielded goes on, and returns the rigid motion of the body that
+    each sees, or why there is none. In between the caller may do something else.
 
-    Subsets are looked for in as many frames as tell the lines apart, in all where none are known.
+    Subsets are looked for in as many frames as tell the `lines` apart, in all where none are known.
 
     Files that cannot be read are refused. An executor opens the images itself, by the same paths; without one, threads
     of this process follow them, and whoever does finds the same to the last bit. Blocks of frames that were `kept` are
@@ -291,24 +268,17 @@ def followed_pairs(
     from photogram.subsets.track import resolve_device
 
     on_gpu = executor is None and resolve_device(settings.device) != "cpu"
-    with Threads(max(1, len(pictures)) if on_gpu else None) as here:  # a GPU holds one block of each body at a time
+    with Threads(max(1, len(images)) if on_gpu else None) as here:  # a GPU holds one block of each body at a time
         crew = here if executor is None else executor
-        prepared = [crew.submit(0, _prepared, item, settings) for item in pictures]
+        prepared = [crew.submit(0, _prepared, item, settings, lines) for item in images]
 
-        def motions(
-            images: Sequence[OpenImages], lines: Lines | None, progress: ProgressCallback
-        ) -> tuple[StereoMotion | LeftOut, ...]:
+        def motions(progress: ProgressCallback) -> tuple[StereoMotion | LeftOut, ...]:
             begun, moved = [], list[LeftOut | Pending]()
             for item, pending in zip(images, prepared, strict=True):
-                told = UNTOLD if lines is None else _foretelling(item, settings, lines)
                 scene: BodyScene | LeftOut = _attempted(item, partial(_answer, item, pending))
-                followed: Followed | LeftOut
-                if isinstance(scene, LeftOut):
-                    followed, shares = scene, list[range]()
-                else:
-                    followed = Followed(item, scene.foretold(*told), settings.device, kept)
-                    shares = followed.missing()
-                asked = {share: crew.submit(1, follow, pending, share, settings.device, told) for share in shares}
+                followed = scene if isinstance(scene, LeftOut) else Followed(item, scene, settings.device, kept)
+                shares = () if isinstance(followed, LeftOut) else followed.missing()
+                asked = {share: crew.submit(1, follow, pending, share, settings.device) for share in shares}
                 begun.append((item, followed, asked))
             for item, followed, asked in begun:  # so that no block waits in memory for the motion of another pair
                 if isinstance(followed, LeftOut):
@@ -352,50 +322,46 @@ def _moved(images: OpenImages, followed: Followed) -> StereoMotion:
 def _answer(images: OpenImages, pending: Pending) -> Any:
     """What a task about some images found; what it refused is told as wrong input."""
     answer = pending.result()
-    with as_input_error(*images.where):
+    with as_input_error(*images.sight.where):
         return answer.opened()
 
 
-def _prepared(pictures: Pictures, settings: Settings) -> BodyScene:  # a task, so of this module
-    from photogram.measure.follow import KnownBody, prepare_body
+def _prepared(images: OpenImages, settings: Settings, lines: Lines | None) -> BodyScene:  # a task, so of this module
+    from photogram.measure.follow import KnownBody, prepare_body, sine_terms
     from photogram.subsets.track import resolve_device
 
-    known = KnownBody(pictures.depth_m, pictures.modes, any(pictures.pair.row_time))
-    return prepare_body(*body_inputs(pictures, settings), resolve_device(settings.device), known=known)
-
-
-def _foretelling(images: OpenImages, settings: Settings, lines: Lines) -> Foretelling:
-    """What known lines tell of a body that is followed.
-
-    Where points are not saved, a part of the frames tells what subsets are for beside the motion: deformation, and
-    whether the calibration holds.
-    """
-    from photogram.measure.follow import sine_terms
-
-    strongest, frames = np.argsort(lines.multiple, kind="stable"), None  # mostly
-    if not settings.save_points and not any(images.pair.row_time):
-        frames = max(FEWEST_SOUGHT, len(images.left) // SPARED, TIMES_UNKNOWNS * (2 * len(strongest) + 1))
-    return sine_terms(images.sight.time_s, lines.frequency_hz[strongest]), frames
+    inputs, terms = body_inputs(images, settings, None if lines is None else len(lines.frequency_hz)), None
+    if lines is not None:
+        strongest = np.argsort(lines.multiple, kind="stable")  # mostly
+        terms = sine_terms(images.sight.time_s, lines.frequency_hz[strongest])
+    known = KnownBody(images.depth_m, images.modes, any(images.sight.pair.row_time), terms)
+    return prepare_body(*inputs, resolve_device(settings.device), known=known)
 
 
 def measure_images(images: OpenImages, settings: Settings, progress: ProgressCallback) -> StereoMotion:
     """Track the image pairs of one stereo pair and fit the rigid motion of the body it sees."""
     with followed_pairs((images,), settings) as motions:
-        (found,) = motions((images,), None, progress)
+        (found,) = motions(progress)
     if isinstance(found, LeftOut):
         raise found.error
     return found
 
 
-def body_inputs(pictures: Pictures, settings: Settings) -> BodyInputs:
-    """Return what `photogram.measure` has to know of a stereo pair: its images, rig, pose, and how to track."""
+def body_inputs(images: OpenImages, settings: Settings, lines: int | None = None) -> BodyInputs:
+    """Return what `photogram.measure` has to know of a stereo pair: its images, rig, pose, and how to track.
+
+    Where so many `lines` are known, and points are not saved, a part of the frames tells what subsets are for beside
+    the motion: deformation, and whether the calibration holds.
+    """
     from photogram.subsets.icgn import TrackSettings
     from photogram.subsets.texture import suggested_radius_px
 
-    radius = settings.subset_radius_px or suggested_radius_px(pictures.first)
-    entry = pictures.entry
-    options = TrackSettings(radius, degree=settings.spline_degree, region=entry.region, mask=entry.mask)
-    return pictures.cameras, pictures.rig, sensor_from_camera(pictures.pair), options
+    radius = settings.subset_radius_px or suggested_radius_px(images.first)
+    entry, frames = images.entry, None
+    if lines is not None and not settings.save_points and not any(images.sight.pair.row_time):
+        frames = max(FEWEST_SOUGHT, len(images.left) // SPARED, TIMES_UNKNOWNS * (2 * lines + 1))
+    options = TrackSettings(radius, degree=settings.spline_degree, region=entry.region, mask=entry.mask, frames=frames)
+    return images.cameras, images.rig, sensor_from_camera(images.sight.pair), options
 
 
 def seen_motion(images: OpenImages, body: BodyMotion) -> StereoMotion:

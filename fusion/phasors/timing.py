@@ -380,13 +380,9 @@ def see(manifest: Manifest, base: TimeBase, entry: Images | PointFiles, frames: 
         found, expected = f"{read_s:g} s for {rows} rows", f"less than the {trigger.period_s:.4g} s from frame to frame"
         raise InputError(manifest.rig_path, f"stereo.{entry.stereo}.row_time", found=found, expected=expected)
     middle_s = base.to_base_s(daq, edges.time_s) + entry.delay + exposure.length_s / 2.0
+    pair = manifest.rig.stereo[entry.stereo].model_copy(update={"delay_uncertainty": entry.delay_uncertainty})
     share = float(np.mean(edges.model_share))
-    return Sight(entry.stereo, pair_of(manifest, entry), exposure, np.asarray(middle_s), share, (manifest.path, key))
-
-
-def pair_of(manifest: Manifest, entry: Frames) -> Stereo:
-    """Return the stereo pair of some frames as the rig has it, with what the recording overrides."""
-    return manifest.rig.stereo[entry.stereo].model_copy(update={"delay_uncertainty": entry.delay_uncertainty})
+    return Sight(entry.stereo, pair, exposure, np.asarray(middle_s), share, (manifest.path, key))
 
 
 def _exposure_key(manifest: Manifest, entry: Frames, stated: float | str) -> tuple[Path, str]:

@@ -10,7 +10,7 @@ import numpy as np
 from fusion.base import Executor, Keeper, ProgressCallback, Settings, no_progress, versions
 from fusion.instruments.channel import sensor_outputs
 from fusion.instruments.vibrometer import beam_notices, point_spreads
-from fusion.phasors.setup import measure_set_ups
+from fusion.phasors.setup import measure_set_ups, open_set_ups
 from fusion.phasors.setups import join_set_ups
 from fusion.phasors.stereo_phasors import unseen_fundamentals
 from fusion.recording.load import Manifest
@@ -51,7 +51,7 @@ def evaluate_recording(
     """
     started, settings = time.monotonic(), settings or Settings()
     manifest.check_command("run")
-    set_ups = measure_set_ups(manifest, settings, progress, executor, kept)
+    set_ups = measure_set_ups(open_set_ups(manifest), settings, progress, executor, kept)
     joined = join_set_ups(set_ups)
     sensor, surroundings, body = manifest.rig.sensor, manifest.rig.surroundings, load_body(manifest.rig, manifest.part)
     observations = joined.observed(surroundings.free_fall_mps2[0])

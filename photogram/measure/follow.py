@@ -114,15 +114,6 @@ class BodyScene(Arrays, shapes="rest_m N 3; sought F"):
         """In which the body may deform."""
         return self.body.shapes or PlainShapes.of(self.rest_m)
 
-    def foretold(self, terms: FloatArray | None, wanted: int | None) -> BodyScene:
-        """The scene with the `terms` (F, m) of the body's motion, and subsets looked for in about `wanted` frames.
-
-        For what becomes known while the body is prepared; None: as before.
-        """
-        body = self.body if terms is None else replace(self.body, terms=terms)
-        sought = self.sought if wanted is None else _sought(range(1 + len(self.lead), len(self.sought)), wanted)
-        return replace(self, body=body, sought=sought)
-
 
 def prepare_body(
     images: tuple[ImageSequence, ...],
