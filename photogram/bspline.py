@@ -1,8 +1,8 @@
 """B-spline interpolation of images: coefficients, values and gradients, and values along lines of points.
 
 Lines are the inner loop of every registration. Neighbouring points of a line read neighbouring coefficients as long as
-it does not pass into another row or drift by a column. Such runs are computed with vectors of sixteen points, written
-out here: compilers cannot know that the grey values written are no coefficients.
+it does not pass into another row or drift by a column. Such runs are computed with vectors of points, written out
+here: compilers cannot know that the grey values written are no coefficients.
 
 Coefficients and grey values along lines are float32, whose rounding is 10⁻⁷ of full scale against the 10⁻⁵ of a pixel
 of 16 bit. Places are split into whole pixels and fraction before they are rounded.
@@ -373,7 +373,7 @@ def _evaluate(coefficients, degree, points, values, gradients):  # type: ignore[
         gradients[m, 1] = down
 
 
-# Spline values along straight lines of points, sixteen points at a time: the inner loop of every registration.
+# Spline values along straight lines of points, a vector of them at a time: the inner loop of every registration.
 
 SMALLEST_DRIFT = 1e-30
 
@@ -394,7 +394,7 @@ def sample_line(c, degree, first, step, grey, span):  # type: ignore[no-untyped-
     """Fill grey[begin:end], float32, with spline values at (x, y) + i·(step_x, step_y), i = 0, 1 …, all in the image.
 
     c (H+8,W+8): `Spline.coefficients` of degree 3, 5 or 7; pairs first: x, y, and span: begin, end. Runs in which
-    int(x)−i and int(y) stay the same are computed sixteen points at a time; the polynomials of two runs agree where
+    int(x)−i and int(y) stay the same are computed a vector of points at a time; the polynomials of two runs agree where
     they meet, so that it does not matter to which run a point is given. A span, not a slice: numba counts who holds a
     slice, which keeps the processor from going on to the next line.
     """

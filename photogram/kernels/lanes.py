@@ -1,4 +1,4 @@
-"""Sixteen floats or eight doubles at a time in generated code, with arithmetic that leaves a compiler no choice.
+"""As many floats or doubles at a time as a register holds, with arithmetic that leaves a compiler no choice.
 
 A product that goes into a sum is fused with it, and lanes are added in pairs.
 """
@@ -10,11 +10,21 @@ from dataclasses import dataclass
 from typing import Any
 
 from llvmlite import ir
+from llvmlite.binding import get_host_cpu_features
 from numba import types
 from numba.core import cgutils
 
+
+def _register_bytes() -> int:
+    """64 where the processor has AVX-512, else 32: AVX2 has too few registers for values that take two of them."""
+    try:
+        return 64 if get_host_cpu_features().get("avx512f") else 32
+    except RuntimeError:  # LLVM does not know this system's way to ask
+        return 32
+
+
 FLOAT, DOUBLE = ir.FloatType(), ir.DoubleType()
-FLOATS, DOUBLES = ir.VectorType(FLOAT, 16), ir.VectorType(DOUBLE, 8)  # 64 bytes, one register of the widest machines
+FLOATS, DOUBLES = (ir.VectorType(kind, _register_bytes() // size) for kind, size in ((FLOAT, 4), (DOUBLE, 8)))
 INDEX = ir.IntType(64)
 _WORD = ir.IntType(32)
 _NAMES = {FLOAT: "f32", DOUBLE: "f64"}
