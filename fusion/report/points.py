@@ -5,9 +5,9 @@ from __future__ import annotations
 import base64
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from typing import Any
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,7 +59,7 @@ def save_points(folder: Path, stereo: StereoResult) -> list[str]:
     for frame in _frames(stereo, stereo.surface, known):
         names.append(f"{name}/{frame.number:04d}.vtp")
         write_file(folder / names[-1], _vtp(places, frame))
-        steps.append(f'<DataSet timestep="{frame.time_s!r}" file={quoteattr(names[-1])}/>')
+        steps.append(f'<DataSet timestep="{frame.time_s!r}" file="{escape(names[-1])}"/>')
     collection = ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="1.0">', "<Collection>", *steps]
     write_file(folder / names[1], "\n".join([*collection, "</Collection>", "</VTKFile>", ""]))
     return names

@@ -11,6 +11,7 @@ import io
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
+from functools import lru_cache
 from itertools import islice
 from operator import attrgetter
 from pathlib import Path
@@ -143,7 +144,7 @@ def csv_text(columns: Sequence[Column[R]], rows: Iterable[R]) -> str:
     written, stream = [column for column in columns if column.name], io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow([column.name for column in written])
-    writer.writerows([_text(column.value(row)) for column in written] for row in rows)
+    writer.writerows([_cell(column.value(row)) for column in written] for row in rows)
     return stream.getvalue()
 
 
@@ -151,16 +152,20 @@ FORMULA, QUOTED = re.compile(r"'*[=+\-@\t\r]"), re.compile(r"'+[=+\-@\t\r]")
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(inf|nan)")
 
 
-def _text(value: Any) -> str:
-    """Text of one cell of a file.
+def _cell(value: Any) -> Any:
+    """What csv writes of a value: texts as `_escaped`, floats in full, nothing for None.
 
     A text that a spreadsheet would take for a formula has an apostrophe in front, as has one that begins so already:
     names come from files of others. `read_rows` takes it away.
     """
-    if value is None:
-        return ""
-    text = repr(float(value)) if isinstance(value, float | np.floating) else str(value)
-    return f"'{text}" if isinstance(value, str) and FORMULA.match(text) and not NUMBER.fullmatch(text) else text
+    if isinstance(value, str):
+        return _escaped(value)
+    return float(value) if isinstance(value, np.floating) else value
+
+
+@lru_cache(1000)  # a table has few words, and many times
+def _escaped(text: str) -> str:
+    return f"'{text}" if FORMULA.match(text) and not NUMBER.fullmatch(text) else text
 
 
 def known(value: float | None) -> float | None:

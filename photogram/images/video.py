@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,6 +114,8 @@ def _stated(entries: dict[str, str], key: str) -> float | None:
 
 def _photron_entries(header: Path) -> dict[str, str]:
     """Entries by their .cih names: lines `key : value`, or in a .cihx the XML that stands between other bytes."""
+    from xml.etree import ElementTree
+
     with header.open("rb") as file:
         text = file.read(LARGEST_HEADER).decode("utf-8", "replace")
     if header.suffix.lower() == ".cih":

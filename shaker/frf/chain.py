@@ -13,6 +13,7 @@ from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shape, chec
 from shaker.labels import MOTION_UNITS
 from shaker.lti.system import paired
 from shaker.sine.phasor import derivative_factor
+from shaker.spline import cubic_spline
 
 FilterKind = Literal["butterworth", "bessel", "resonance"]
 PassBand = Literal["lowpass", "highpass"]
@@ -120,8 +121,8 @@ def table_response(table: ResponseTable, frequency_hz: FloatArray) -> ChainRespo
     logarithm = np.log(table.magnitude) + 1j * (phase + 2.0 * np.pi * knots * delay)
     if knots[0] > 0.0 and len(knots) >= 4 and _missed(np.log(knots), logarithm) < _missed(knots, logarithm):
         knots, wanted = np.log(knots), np.log(wanted)
-    fine = _spline(knots, logarithm, wanted)
-    changes = np.stack([_spline(knots[kept], logarithm[kept], wanted) - fine for kept in _halves(len(knots))])
+    fine = cubic_spline(knots, logarithm, wanted)
+    changes = np.stack([cubic_spline(knots[kept], logarithm[kept], wanted) - fine for kept in _halves(len(knots))])
     change = np.take_along_axis(changes, np.argmax(np.abs(changes), axis=0)[None], axis=0)[0]
     value = np.asarray(np.exp(fine - 2j * np.pi * np.asarray(frequency_hz) * delay), dtype=np.complex128)
     u_magnitude = np.interp(wanted, knots, table.u_magnitude / table.magnitude)
@@ -267,7 +268,7 @@ def _finite(value: np.ndarray, frequency_hz: Sequence[float] | FloatArray) -> np
 
 def _missed(knots: FloatArray, values: ComplexArray) -> float:
     """Return the sum of squared errors with which either half of the knots predicts the other."""
-    missed = [_spline(knots[kept], values[kept], knots[~kept]) - values[~kept] for kept in _halves(len(knots))]
+    missed = [cubic_spline(knots[kept], values[kept], knots[~kept]) - values[~kept] for kept in _halves(len(knots))]
     return float(np.sum(np.abs(np.concatenate(missed)) ** 2))
 
 
@@ -276,47 +277,3 @@ def _halves(count: int) -> tuple[BoolArray, BoolArray]:
     odd = np.arange(count) % 2 == 1
     ends = np.isin(np.arange(count), [0, count - 1])
     return odd | ends, ~odd | ends
-
-
-def _spline(knots: FloatArray, values: ComplexArray, wanted: FloatArray) -> ComplexArray:
-    """Return the not-a-knot cubic spline through values (N,) at wanted places; a constant for one knot.
-
-    The digits are those of `scipy.interpolate.CubicSpline`, whose package takes as long to import as everything else
-    that checking a recording needs of SciPy.
-    """
-    if len(knots) == 1:
-        return np.full(len(wanted), values[0])
-    step = np.diff(knots)
-    rise = np.diff(values) / step
-    slope = _slopes(knots, step, rise)
-    bend = (slope[:-1] + slope[1:] - 2.0 * rise) / step
-    curve = (rise - slope[:-1]) / step - bend
-    piece = np.clip(np.searchsorted(knots, wanted, side="right") - 1, 0, len(step) - 1)
-    x = wanted - knots[piece]
-    return np.asarray(values[piece] + slope[piece] * x + curve[piece] * (x * x) + (bend / step)[piece] * (x * x * x))
-
-
-def _slopes(knots: FloatArray, step: FloatArray, rise: ComplexArray) -> ComplexArray:
-    """Return the spline's slopes (N,) at the knots, which make its second derivative continuous there, and the third
-    one at the second and the last but one (de Boor 2001, A Practical Guide to Splines, chapter IV)."""
-    if len(knots) == 2:
-        return np.repeat(rise, 2)
-    inner = 2.0 * (step[:-1] + step[1:])
-    right = np.empty(len(knots), dtype=np.complex128)
-    right[1:-1] = 3.0 * (step[1:] * rise[:-1] + step[:-1] * rise[1:])
-    if len(knots) == 3:  # both ends state the same: a parabola
-        right[0], right[2] = 2.0 * rise
-        return np.asarray(np.linalg.solve([[1.0, 1.0, 0.0], [step[1], inner[0], step[0]], [0.0, 1.0, 1.0]], right))
-    first, last = knots[2] - knots[0], knots[-1] - knots[-3]
-    right[0] = ((step[0] + 2.0 * first) * step[1] * rise[0] + step[0] ** 2 * rise[1]) / first
-    right[-1] = (step[-1] ** 2 * rise[-2] + (2.0 * last + step[-1]) * step[-2] * rise[-1]) / last
-    # Three diagonals by elimination; as steps are positive, no middle one becomes zero.
-    above, middle, below = [first, *step[:-1]], [step[1], *inner, step[-2]], [*step[1:], last]
-    for i, element in enumerate(below):
-        share = element / middle[i]
-        middle[i + 1] -= share * above[i]
-        right[i + 1] -= share * right[i]
-    right[-1] /= middle[-1]
-    for i in range(len(below) - 1, -1, -1):
-        right[i] = (right[i] - above[i] * right[i + 1]) / middle[i]
-    return right

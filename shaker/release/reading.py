@@ -25,6 +25,7 @@ from shaker.release.record import (
     spectrum_peaks,
 )
 from shaker.release.response import MOMENTS, load_rate, load_share
+from shaker.spline import cubic_spline
 
 # Onset and length of a release with what noise, and an unknown lag behind the sensor, leave open of them.
 
@@ -69,14 +70,12 @@ def release_times(window: Window, fit: Beginning, correlation: float) -> tuple[I
     the residual enlarges variances. Added to the onset: an output that holds the force of the sensor's damper too,
     (2ζs/ω + 1), comes earlier by 2ζ/ω. None where the lags cannot be told apart at all.
     """
-    from scipy.interpolate import CubicSpline
-
     variance = fit.squares / max(fit.rows - len(fit.vector), 1) * correlation
     lags, nodes = _nodes(window, fit, variance)
     if len(nodes) < _FEWEST:
         return None
     lag = np.linspace(lags[0], lags[-1], _TIMES)
-    squares, length2, spread, centre, by_square, own = np.asarray(CubicSpline(lags, np.array(nodes))(lag)).T
+    squares, length2, spread, centre, by_square, own = (cubic_spline(lags, part, lag) for part in np.array(nodes).T)
     spread, own = np.maximum(spread, 1e-300), np.maximum(own, 0.0)
     u_square = np.sqrt(spread)
     low = np.sqrt(np.maximum(length2 - _NEAR * u_square, 0.0))

@@ -129,16 +129,17 @@ def static_u(evaluation: DecoupleEvaluation) -> FloatArray:
 def crosstalk_rows(evaluation: DecoupleEvaluation) -> Iterator[CrosstalkRow]:
     """Rows of crosstalk.csv: every reading of every load at every stage, in a step and over frequency."""
     for stage in evaluation.stages:
+        frequency = ["", *stage.frequency_hz.tolist()]
+        quantity = ["step_peak", *["response"] * len(stage.frequency_hz)]
         for (i, reading), (j, load) in product(enumerate(stage.components), repeat=2):
             unit = f"{load_unit(reading)}/{'N' if load_unit(load) == 'N' else '(N.m)'}"
-            ratio = float(evaluation.ratio[i, j])
-            places = ("step_peak", "", stage.peak[i, j], stage.u_peak[i, j])
-            over = zip(stage.frequency_hz.tolist(), stage.value[:, i, j], stage.u[:, i, j], strict=True)
-            for quantity, frequency, value, u in (places, *(("response", *entry) for entry in over)):
-                peak, U = quantity == "step_peak", K2 * float(u)
-                size, phase = (float(value), "") if peak else (float(abs(value)), float(np.angle(value)))
-                tail = (size, phase, U, K2, unit, ratio * size, ratio * U)
-                yield CrosstalkRow(stage.stage, quantity, frequency, reading, load, *tail)
+            size = np.append(stage.peak[i, j], np.abs(stage.value[:, i, j]))
+            phase = ["", *np.angle(stage.value[:, i, j]).tolist()]
+            U = K2 * np.append(stage.u_peak[i, j], stage.u[:, i, j])
+            rated = (float(evaluation.ratio[i, j]) * part for part in (size, U))
+            numbers = zip(size.tolist(), phase, U.tolist(), *(part.tolist() for part in rated), strict=True)
+            for what, at_hz, (own, angle, own_U, *of_rated) in zip(quantity, frequency, numbers, strict=True):
+                yield CrosstalkRow(stage.stage, what, at_hz, reading, load, own, angle, own_U, K2, unit, *of_rated)
 
 
 def largest(evaluation: DecoupleEvaluation) -> Iterator[tuple[str, float, float, str]]:
