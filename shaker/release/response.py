@@ -266,20 +266,23 @@ def _after(
 def _at_times(shape: Shape, p: ComplexArray, tau: FloatArray, length: float, rows: int) -> ComplexArray:
     """Return what single samples show (R, P, B), as `Answers`, `tau` (B,) after the onset; zero before it."""
     whole = np.zeros((rows, len(p), len(tau)), dtype=np.complex128)
-    after, during = (tau > 0) & (tau >= length), (tau > 0) & (tau < length)
-    if np.any(after):
-        late = np.empty((rows, len(p), np.count_nonzero(after)), dtype=np.complex128)
-        _after((shape, length), p, tau[after] - length, _means(p, 1, 0.0), late)
-        whole[:, :, after] = late
-    if np.any(during):
-        early, p = tau[during], p[:, None]
+    if np.any(tau[1:] < tau[:-1]):
+        order = np.argsort(tau)
+        whole[:, :, order] = _at_times(shape, p, tau[order], length, rows)
+        return whole
+    start = int(np.searchsorted(tau, 0.0, "right"))
+    stop = max(start, int(np.searchsorted(tau, length)))
+    if stop < len(tau):
+        _after((shape, length), p, tau[stop:] - length, _means(p, 1, 0.0), whole[:, :, stop:])
+    if start < stop:
+        early, p = tau[start:stop], p[:, None]
         share, value, by_pole = (_along_line if shape == "ramp" else _along_cosine)(p, early, length)
-        found = [value]
+        during = whole[:, :, start:stop]
+        during[0] = value
         if rows > 1:
             by_onset = -(p * value + share)
             # the answer is T·f(τ/T, pT), so that the derivative to the length follows from those to time and pole
-            found += [by_pole, by_onset, (value + early * by_onset + p * by_pole) / length - 0.5 * by_onset]
-        whole[:, :, during] = found
+            during[1:] = by_pole, by_onset, (value + early * by_onset + p * by_pole) / length - 0.5 * by_onset
     return whole
 
 
