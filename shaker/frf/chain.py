@@ -10,10 +10,10 @@ from typing import Literal
 import numpy as np
 
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shape, check_shapes
+from shaker.frf.spline import cubic_spline
 from shaker.labels import MOTION_UNITS
 from shaker.lti.system import paired
 from shaker.sine.phasor import derivative_factor
-from shaker.spline import cubic_spline
 
 FilterKind = Literal["butterworth", "bessel", "resonance"]
 PassBand = Literal["lowpass", "highpass"]

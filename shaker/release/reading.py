@@ -11,6 +11,7 @@ import numpy as np
 
 from shaker.arrays import BoolArray, FloatArray, Notice, Severity
 from shaker.fitting import Block, Changes, Rules, Separable, levenberg_marquardt
+from shaker.frf.spline import cubic_spline
 from shaker.release.onset import Beginning, Window, find_beginning, longest_lag_s, moved, rise_time, solved
 from shaker.release.record import (
     Level,
@@ -25,7 +26,6 @@ from shaker.release.record import (
     spectrum_peaks,
 )
 from shaker.release.response import MOMENTS, load_rate, load_share
-from shaker.spline import cubic_spline
 
 # Onset and length of a release with what noise, and an unknown lag behind the sensor, leave open of them.
 
