@@ -15,7 +15,7 @@ from scipy.special import ndtr
 from scipy.stats import chi2
 
 from shaker.timebase.edges import Edges, find_edges
-from shaker.timebase.intervals import Posterior, Slopes, line_posterior, normal_cdf
+from shaker.timebase.intervals import Posterior, Slopes, _log_likelihood, line_posterior, normal_cdf
 from shaker.timebase.tie import ClockTie, decide_shift, edge_instants, tie_clocks
 from shaker.timebase.trigger import TriggerFit, fit_trigger, pulse_width
 
@@ -310,6 +310,21 @@ def test_posterior_is_that_of_direct_integration():
         found = line_posterior(place, lower[None], upper[None], start, least)
         np.testing.assert_allclose(found.mean, corner.mean(axis=1), atol=0.25 * scale.min())
         np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), scale, rtol=wider)
+
+
+@pytest.mark.parametrize("jitter", [0.02, 0.3, 5.0])
+@pytest.mark.parametrize("wider", [np.zeros((1, 30)), np.linspace(0.0, 0.2, 30)[None], np.zeros((2, 30))])
+def test_the_likelihood_of_lines_is_the_product_of_their_edges(jitter, wider):
+    """Intervals of one record alike and unlike, and of two records, by SciPy's distribution."""
+    rng, place = np.random.default_rng(4), np.linspace(-1.0, 1.0, 30)
+    lower = rng.uniform(-0.6, -0.3, wider.shape)
+    upper = lower + 1.0 + wider
+    points = rng.normal(0.0, 0.3, (700, 2 * len(lower)))
+    lines = points[:, ::2, None] + points[:, 1::2, None] * place
+    below, above = (lower - lines).max(axis=1) / jitter, (upper - lines).min(axis=1) / jitter
+    wanted = np.log(np.maximum(ndtr(above) - ndtr(below), 0.0) + 1e-6).sum(axis=1)
+    found = _log_likelihood(points, jitter, (place, lower, upper, None))
+    np.testing.assert_allclose(found, wanted, rtol=0.0, atol=30 * 1.5e-6)
 
 
 def test_a_known_slope_cuts_the_polygon():
