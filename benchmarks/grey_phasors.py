@@ -25,11 +25,11 @@ from fusion.simulate.world import Draws, make_world
 from photogram.bspline import Spline, spline_of_image
 from photogram.direct.cells import compare_cells
 from photogram.direct.fit import BodyView, _rigid_cells, rest_information, without_noise
+from photogram.direct.surface import patch_warps
 from photogram.geometry import RigidTransform, pose_rate
 from photogram.images.sequence import ImageSequence
 from photogram.measure.body import body_motion
 from photogram.measure.follow import BodyScene, follow_block, prepare_body
-from photogram.motion import patch_warps
 from photogram.subsets.icgn import TrackSettings
 from photogram.synthetic.scene import render_exposure
 from shaker.labels import MOTION_COMPONENTS, component_units

@@ -14,8 +14,9 @@ from fusion.phasors.stereo_motion import ImageView, StereoMotion, sensor_from_ca
 from photogram.arrays import RunningMean, spread_choice
 from photogram.camera import CAMERA_PARAMETERS, FaceCamera, Rig, locate, principal_components
 from photogram.direct.shapes import Shapes
+from photogram.direct.surface import PlacedCamera, see_points
 from photogram.geometry import RigidTransform, rotation_from_vector
-from photogram.motion import PlacedCamera, RigidMotion, relative_to, see_points
+from photogram.motion import RigidMotion, relative_to
 from shaker.arrays import ComplexArray, FloatArray, Notice
 from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.sine.fit import fit_sines

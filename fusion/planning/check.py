@@ -469,8 +469,8 @@ def _seen_alone(name: str, pair: Stereo, images: ImageSequence) -> tuple[FloatAr
     from fusion.phasors.stereo_motion import read_rig, sensor_from_camera
     from fusion.planning.look.pictures import look_at_camera
     from photogram.camera import FaceCamera, locate
+    from photogram.direct.surface import PlacedCamera, see_points
     from photogram.geometry import RigidTransform
-    from photogram.motion import PlacedCamera, see_points
 
     face, (_, look) = read_rig(pair, (images,)), look_at_camera(name, images)
     if look is None or len(look.points_px) < FEWEST_SUBSETS or not isinstance(face, FaceCamera):

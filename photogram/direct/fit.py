@@ -22,10 +22,11 @@ from photogram.direct.cells import (
     reweighted,
 )
 from photogram.direct.shapes import Shapes, shape_rates
+from photogram.direct.surface import Patches, PlacedCamera, body_patches, patch_rates, patch_warps, warps_to
 from photogram.geometry import RigidTransform, rotation_vector_rate
 from photogram.images.noise import QUANTISATION, NoiseModel, fit_noise_model
 from photogram.kernels import njit
-from photogram.motion import MEDIAN_CHI2_OF_TWO, Patches, PlacedCamera, body_patches, patch_rates, patch_warps, warps_to
+from photogram.motion import MEDIAN_CHI2_OF_TWO
 
 REACH_CELLS = 4.0  # how far from the nearest known point a cell's surface may lie
 EVALUATIONS = 12

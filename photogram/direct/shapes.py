@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from photogram.arrays import Arrays, FloatArray, derivatives
-from photogram.motion import RATE_STEP, Patches, PlacedCamera, warps_to
+from photogram.direct.surface import RATE_STEP, Patches, PlacedCamera, warps_to
 
 
 class Shapes(Protocol):

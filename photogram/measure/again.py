@@ -22,11 +22,11 @@ from photogram.direct.fit import (
     row_information,
     turned_pose,
 )
+from photogram.direct.surface import motion_of_places, see_points
 from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.images.sequence import GreyImage
 from photogram.kernels import njit
 from photogram.measure.follow import UNIFORM, BodyScene, FollowedFrame, Found, body_views, cameras_about
-from photogram.motion import motion_of_places, see_points
 from photogram.subsets.find import identity
 from photogram.subsets.icgn import register
 from photogram.subsets.reference import Reference, TrackStatus, prepare_reference

@@ -23,10 +23,11 @@ from photogram.direct.fit import (
     view_body,
 )
 from photogram.direct.shapes import PlainShapes, Shapes
+from photogram.direct.surface import PlacedCamera, SeenPoints, motion_of_places, see_points
 from photogram.geometry import RigidTransform
 from photogram.images.noise import NoiseModel
 from photogram.images.sequence import GreyImage, ImageSequence
-from photogram.motion import PlacedCamera, SeenPoints, fit_motion, motion_of_places, see_points
+from photogram.motion import fit_motion
 from photogram.subsets.find import BodyNotFound, DepthRange, Follower, identity
 from photogram.subsets.icgn import Registration, TrackSettings
 from photogram.subsets.reference import Reference

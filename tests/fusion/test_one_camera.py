@@ -24,8 +24,9 @@ from fusion.sensitivity.evaluate import evaluate_recording
 from fusion.simulate import simulate
 from photogram.camera import Camera, FaceCamera, locate
 from photogram.direct.shapes import PlainShapes
+from photogram.direct.surface import PlacedCamera, motion_of_places, see_points
 from photogram.geometry import RigidTransform, rotation_from_vector
-from photogram.motion import PlacedCamera, RigidMotion, motion_of_places, see_points
+from photogram.motion import RigidMotion
 from shaker.sine.phasor import Phasors
 
 FACE = np.array([0.01, -0.005, 0.07])

@@ -25,6 +25,7 @@ from photogram.direct import fit_torch
 from photogram.direct.cells import LEAST_FILLED, compare_cells, lay_cells, pixel_residuals, prepare_cells
 from photogram.direct.fit import BodyView, DirectFit, approach, fit_direct, image_noise, rest_covariance, view_body
 from photogram.direct.fit_torch import fit_frames, torch_project, torch_view
+from photogram.direct.surface import PlacedCamera, body_patches, patch_rates, patch_warps
 from photogram.epipolar import check_epipolar
 from photogram.geometry import RigidTransform
 from photogram.images.noise import NoiseModel
@@ -34,7 +35,7 @@ from photogram.measure.again import Swing, prepare_again
 from photogram.measure.body import BodyMotion, body_motion, measure_body
 from photogram.measure.follow import Course, FollowedBlock, KnownBody, follow_block, prepare_body, sine_terms
 from photogram.measure.follow_torch import foretold_poses
-from photogram.motion import PlacedCamera, body_patches, deformation, patch_rates, patch_warps
+from photogram.motion import deformation
 from photogram.subsets.find import dropped
 from photogram.subsets.icgn import TrackSettings
 from photogram.subsets.icgn_torch import spline_frames

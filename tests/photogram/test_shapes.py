@@ -12,9 +12,9 @@ from photogram.bspline import spline_of_image
 from photogram.direct.fit import BodyView, DirectFit, fit_direct, rigid_share, view_body
 from photogram.direct.fit_torch import fit_frames, torch_view
 from photogram.direct.shapes import PlainShapes
+from photogram.direct.surface import PlacedCamera
 from photogram.geometry import RigidTransform
 from photogram.images.noise import NoiseModel
-from photogram.motion import PlacedCamera
 from photogram.subsets.icgn_torch import spline_frames
 from photogram.subsets.texture import textured_area
 from photogram.synthetic.scene import bent, motion_bound, render, view_of
