@@ -112,9 +112,13 @@ class Beginning(Brief):
         behind = omega**2 * self.lag_s / ((1.0 + self.lag_s * upper) * (1.0 + self.lag_s * upper.conj()))
         return np.concatenate([own, behind[None]])
 
-    def columns(self, time_s: FloatArray) -> FloatArray:
+    def responses(self, time_s: FloatArray) -> ComplexArray:
+        """Return what `poles` answer (N, P), which `columns` and `speed` may be given."""
+        return pole_responses(self.poles, time_s, self.onset_s, self.release_s, self.shape)
+
+    def columns(self, time_s: FloatArray, responses: ComplexArray | None = None) -> FloatArray:
         """Return what `linear` multiplies (N, 2 + M)."""
-        responses = pole_responses(self.poles, time_s, self.onset_s, self.release_s, self.shape)
+        responses = self.responses(time_s) if responses is None else responses
         if self.lag_s > 0:
             follows = responses[:, -1].real / self.lag_s
         else:
@@ -126,9 +130,9 @@ class Beginning(Brief):
         """Return y (N,)."""
         return np.asarray(self.columns(time_s) @ self.linear)
 
-    def speed(self, time_s: FloatArray) -> FloatArray:
+    def speed(self, time_s: FloatArray, responses: ComplexArray | None = None) -> FloatArray:
         """Return dy/dt (N,): of a response R of 1/(s - p) it is pR + load."""
-        responses = pole_responses(self.poles, time_s, self.onset_s, self.release_s, self.shape)
+        responses = self.responses(time_s) if responses is None else responses
         load = load_share(self.shape, time_s, self.onset_s, self.release_s)
         rates = responses * self.poles + load[:, None]
         if self.lag_s > 0:
@@ -204,11 +208,14 @@ def fit_beginning(window: Window, start: Beginning) -> Beginning:
 
 def solved(window: Window, start: Beginning) -> Trial:
     """Return a beginning with its linear parts solved."""
-    columns, target = _rows(window, start.columns(window.time_s))
+    responses = start.responses(window.time_s)
+    columns, target = _rows(window, start.columns(window.time_s, responses))
     count = 3 + 2 * len(start.frequency_hz)
 
     def changes(own: FloatArray) -> Changes:
-        return Changes(np.arange(count), _slopes(window, replace(start, linear=own[:, 0]), columns)[:, :, None])
+        return Changes(
+            np.arange(count), _slopes(window, replace(start, linear=own[:, 0]), columns, responses)[:, :, None]
+        )
 
     point = Separable(start.vector[:count], (Block(columns, target[:, None], changes),))
     linear = point.coefficients[0][:, 0]
@@ -223,11 +230,11 @@ def _rows(window: Window, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.concatenate([ahead, columns], axis=-2), np.concatenate([[weight * window.rest, 0.0], window.samples])
 
 
-def _slopes(window: Window, fit: Beginning, columns: FloatArray) -> FloatArray:
+def _slopes(window: Window, fit: Beginning, columns: FloatArray, responses: ComplexArray) -> FloatArray:
     """Return the derivatives (N + 2, K) of y by centre, squared length and lag, frequencies and damping ratios."""
     time = window.time_s
     slopes = np.zeros((len(time) + _AHEAD, len(fit.vector) - len(fit.linear)))
-    slopes[_AHEAD:, 0] = -fit.speed(time)
+    slopes[_AHEAD:, 0] = -fit.speed(time, responses)
     here = columns[_AHEAD:] @ fit.linear
     vector, modes = fit.vector, len(fit.frequency_hz)
     for place in (1, 2):
