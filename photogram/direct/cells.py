@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
 from photogram.bspline import (
@@ -35,18 +34,17 @@ class Cells(
     """The pixels of one reference image in C cells of side `side_px`, prepared once for a whole series.
 
     centre_px (C, 2); runs (R, 4): row, first column, length and place in `pixels` of every piece of a row; first
-    (C + 1,): the cells' first runs. pixels (4, P), float32: w, w·f̃, w·f_x, w·f_y with w = 1/noise variance and the grey
-    value f̃ without its weighted mean. mean (C,), weight (C,) = Σw, energy (C,) = Σw·f̃², count (C,) pixels. removed
-    (C, 2, 6): weighted mean of each steepest-descent image of the affine warp and its regression on f̃. hessian
-    (C, 6, 6): of what remains of them, gain and offset being free; hessian_noise (C, 6, 6): the part of it that is
-    noise of the gradients.
+    (C + 1,): the cells' first runs. pixels (4, P): w, w·f̃, w·f_x, w·f_y with w = 1/noise variance and the grey value f̃
+    without its weighted mean. mean (C,), weight (C,) = Σw, energy (C,) = Σw·f̃², count (C,) pixels. removed (C, 2, 6):
+    weighted mean of each steepest-descent image of the affine warp and its regression on f̃. hessian (C, 6, 6): of what
+    remains of them, gain and offset being free; hessian_noise (C, 6, 6): the part of it that is noise of the gradients.
     """
 
     side_px: int
     centre_px: FloatArray
     runs: IntArray
     first: IntArray
-    pixels: NDArray[np.float32]
+    pixels: FloatArray
     mean: FloatArray
     weight: FloatArray
     energy: FloatArray
@@ -134,8 +132,8 @@ def prepare_cells(spline: Spline, area: BoolArray, side_px: int, noise: NoiseMod
 
 def reweighted(cells: Cells, noise: NoiseModel, degree: int) -> Cells:
     """Return the cells, of a spline of that degree, with the weights of another noise model."""
-    pixels = cells.pixels.astype(np.float64)
-    pixels[1:] /= np.where(pixels[0] > 0.0, pixels[0], 1.0)
+    weight = np.where(cells.pixels[0] > 0.0, cells.pixels[0], 1.0)
+    pixels = np.concatenate([cells.pixels[:1] > 0.0, cells.pixels[1:] / weight])
     pixels[1] += cells.mean[cells.of_pixels]
     return _weighted((cells.side_px, cells.centre_px, cells.runs, cells.first), pixels, noise, degree)
 
@@ -173,7 +171,7 @@ def _weighted(
     gradient_noise = slope_noise_gain(degree) * np.concatenate([extent, extent], axis=1)[:, :, None] * np.eye(6)
     hessian[~solid], energy[~solid] = 0.0, np.nan
     return Cells(
-        *layout, pixels.astype(np.float32), mean, total, energy, count.astype(np.int64), removed, hessian,
+        *layout, pixels, mean, total, energy, count.astype(np.int64), removed, hessian,
         np.where(solid[:, None, None], gradient_noise, 0.0),
     )  # fmt: skip
 
@@ -199,8 +197,8 @@ def pixel_residuals(cells: Cells, target: Spline, warp: FloatArray) -> tuple[Flo
     _sample_cells(cells.layout, (target.coefficients, target.degree), np.ascontiguousarray(warp), grey)
     count = len(cells.centre_px)
     cell = cells.of_pixels
-    weight, weighted = cells.pixels[:2].astype(np.float64)
-    centred = np.where(weight > 0.0, weighted / np.where(weight > 0.0, weight, 1.0), 0.0)
+    weight = cells.pixels[0]
+    centred = np.where(weight > 0.0, cells.pixels[1] / np.where(weight > 0.0, weight, 1.0), 0.0)
     known = np.isfinite(grey) & (weight > 0.0)
     filled, used = np.where(known, grey, 0.0), np.where(known, weight, 0.0)
     total = np.bincount(cell, used, count)

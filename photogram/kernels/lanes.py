@@ -24,7 +24,8 @@ def _register_bytes() -> int:
 
 
 FLOAT, DOUBLE = ir.FloatType(), ir.DoubleType()
-FLOATS, DOUBLES = (ir.VectorType(kind, _register_bytes() // size) for kind, size in ((FLOAT, 4), (DOUBLE, 8)))
+_WIDTH = _register_bytes()
+FLOATS, DOUBLES = ir.VectorType(FLOAT, _WIDTH // 4), ir.VectorType(DOUBLE, _WIDTH // 8)
 INDEX = ir.IntType(64)
 _WORD = ir.IntType(32)
 _NAMES = {FLOAT: "f32", DOUBLE: "f64"}

@@ -750,7 +750,7 @@ def test_sums_of_a_cell_against_numpy(make_texture, degree):
     np.testing.assert_allclose(slope_off, 0.0, atol=1e-4)
     np.testing.assert_allclose(cells.hessian[0], hessian, rtol=1e-8, atol=1e-6)
     grey, squares = pixel_residuals(cells, second, warp)
-    np.testing.assert_allclose(grey, f, rtol=1e-7)
+    np.testing.assert_allclose(grey, f, rtol=1e-10)
     np.testing.assert_allclose(squares / squares.sum(), residual**2 / np.sum(residual**2), rtol=0.0, atol=1e-5)
 
 
