@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import legendre
-from scipy.linalg import eigh
 
 from fusion.estimation.uncertainty import Scope, Unknown, as_complex, real_stack
 from fusion.instruments.transducer import across
@@ -190,6 +189,8 @@ def ritz(strains: Rows, masses: Rows) -> tuple[FloatArray, FloatArray]:
 
     `strains`, `masses`: moduli and masses per unit of s, numbers or (Q,), with the rows (Q, P) that they belong to.
     """
+    from scipy.linalg import eigh
+
     stiffness, mass = (
         np.sum([(rows.T * (SHARE * size)) @ rows for size, rows in terms], axis=0) for terms in (strains, masses)
     )

@@ -119,7 +119,7 @@ def _gains(sensor: SensorDynamics, frequency_hz: FloatArray) -> Callable[[Target
 
     def denominator(poles: list[ComplexArray]) -> ComplexArray:
         """Π(1 - s/p) (K,) over all poles p."""
-        return np.asarray(np.prod(1.0 - s[:, None] / np.concatenate(poles), axis=1))
+        return np.asarray(np.prod(1.0 - s / np.concatenate(poles)[:, None], axis=0))
 
     rest = np.abs(sensor.system.at(s) / sensor.static_gain * denominator(cancelled_poles(sensor)))
 
@@ -218,8 +218,7 @@ def residual_ringing(compensation: Compensation, sensor: LinearSystem, after_s: 
         return float(np.abs(whole.step(np.array([after_s]))[0] / whole.static_gain - 1.0))
     span = PERIODS * 2 * np.pi / np.min(swinging)
     count = int(min(1 << 15, PERIODS * PER_PERIOD * np.max(swinging) / np.min(swinging)))
-    time = after_s + np.linspace(0.0, span, count)
-    return float(np.max(np.abs(whole.step(time) / whole.static_gain - 1.0)))
+    return float(np.max(np.abs(whole.step_between(after_s, after_s + span, count) / whole.static_gain - 1.0)))
 
 
 # How well a compensated signal is known: by frequency and sample by sample.

@@ -151,7 +151,7 @@ def indices(system: LinearSystem, nominal_gain: float = 1.0, sample_rate_hz: flo
         tuple(sorted(float(-p.real / (2 * np.pi)) for p in poles if p.imag == 0)),
         None if top is None else top[0],
         None if top is None or not usable or not np.isfinite(top[1]) else top[1] / abs(static),
-        quadrature(system) if usable else None,
+        quadrature(curve) if usable else None,
         half_power(curve) if usable else None,
         band_5,
         band_10,

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import count, pairwise
+from itertools import pairwise
 
 import numpy as np
 
 from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray
-from shaker.lti.system import LinearSystem
+from shaker.lti.system import LinearSystem, exponentials_between
 
 STEPS = 120
 TINY = 2.0 * float(np.finfo(np.float64).eps)
@@ -24,35 +24,36 @@ def sign_changes(value: FloatArray) -> IntArray:
 
 
 def roots_between(function: Callable[[FloatArray], FloatArray], low: FloatArray, high: FloatArray) -> FloatArray:
-    """Return a root (R,) of a function of (R,) between each `low` and `high`, at which its signs differ.
+    """Return a root (R,) of a function of (R,) between each `low` and `high`, at which its signs differ, or one place.
 
     Inverse quadratic interpolation where it is safe, else bisection (Chandrupatla, Adv. Eng. Softw. 28 (1997) 145-149),
     to the last digits.
     """
-    other, point = np.array(low, dtype=np.float64), np.array(high, dtype=np.float64)
-    if not len(point):
-        return point
-    at_other, value = function(other), function(point)
-    ahead = np.full(len(point), 0.5)
+    at_low, at_high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
+    if not len(at_high):
+        return at_high
+    other, point = np.array([at_low, function(at_low)]), np.array([at_high, function(at_high)])  # place and value
+    ahead = np.full(len(at_high), 0.5)
     with np.errstate(all="ignore"):
         for _ in range(STEPS):
-            new = point + ahead * (other - point)
-            at_new = function(new)
-            same = np.sign(at_new) == np.sign(value)
-            third, at_third = np.where(same, point, other), np.where(same, value, at_other)
-            other, at_other = np.where(same, other, point), np.where(same, at_other, value)
-            point, value = new, at_new
-            best = np.where(np.abs(value) < np.abs(at_other), point, other)
-            least = TINY * np.abs(best) / np.abs(other - point)
-            if np.all((least > 0.5) | (value == 0) | (at_other == 0)):
+            new = point[0] + ahead * (other[0] - point[0])
+            at_new = np.array([new, function(new)])
+            same = np.sign(at_new[1]) == np.sign(point[1])
+            third, other, point = np.where(same, point, other), np.where(same, other, point), at_new
+            span = other - point
+            least = TINY * np.abs(np.where(np.abs(point[1]) < np.abs(other[1]), point[0], other[0])) / np.abs(span[0])
+            found = ~(least <= 0.5) | (point[1] == 0) | (other[1] == 0)
+            if found.all():
                 break
-            where, level = (point - other) / (third - other), (value - at_other) / (at_third - at_other)
+            beyond, gap = third - point, other - third
+            where, level = span / gap
             safe = (level**2 < where) & ((1.0 - level) ** 2 < 1.0 - where)
-            place = value / (at_other - value) * at_third / (at_other - at_third)
-            far = (third - point) / (other - point)
-            place += far * value / (at_third - value) * at_other / (at_third - at_other)
-            ahead = np.clip(np.where(safe, place, 0.5), least, 1.0 - least)
-    return np.where(value == 0, point, np.where(at_other == 0, other, best))
+            place = third[1] / span[1] - beyond[0] / span[0] / beyond[1] * other[1]
+            place *= point[1] / gap[1]
+            ahead = np.minimum(np.maximum(np.where(safe, place, 0.5), least), 1.0 - least)
+            ahead[found] = 0.0
+    nearer = np.where(np.abs(point[1]) < np.abs(other[1]), point[0], other[0])
+    return np.where(point[1] == 0, point[0], np.where(other[1] == 0, other[0], nearer))
 
 
 # Where the gain of a system peaks, falls and leaves a band, over frequency.
@@ -67,12 +68,14 @@ class GainCurve(Brief):
     """|H| over frequency: `edges_hz` (E,), rising from 0, with `gain` (E,), between which |H| only rises or only falls.
 
     The last edge is half the sampling rate, or, of a continuous system, far above every pole and zero, where |H| has
-    come to its last slope.
+    come to its last slope. `points_hz` (G,), rising, with `response` (G,), lie as close as poles and zeros ask for.
     """
 
     system: LinearSystem
     edges_hz: FloatArray
     gain: FloatArray
+    points_hz: FloatArray
+    response: ComplexArray
     passed: dict[float, FloatArray] = field(default_factory=dict, compare=False)
 
     def crossings(self, *levels: float) -> list[float]:
@@ -81,16 +84,23 @@ class GainCurve(Brief):
         Each level is looked for once, those of one call together.
         """
         new = [level for level in dict.fromkeys(levels) if level not in self.passed]
-        changes = [sign_changes(self.gain - level) for level in new]
-        counts, places = [len(own) for own in changes], np.concatenate([np.zeros(0, dtype=np.int64), *changes])
+        if new:
+            self._search(new)
+        return [float(root) for root in np.sort(np.concatenate([self.passed[level] for level in levels]))]
+
+    def _search(self, new: Sequence[float]) -> None:
+        """Look for the frequencies at which |H| passes levels, all in one search."""
+        hertz, order = np.unique(np.concatenate([self.edges_hz, self.points_hz]), return_index=True)
+        gain = np.concatenate([self.gain, np.abs(self.response)])[order]
+        changes = [sign_changes(gain - level) for level in new]
+        counts, places = [len(own) for own in changes], np.concatenate(changes)
         level = np.repeat(new, counts)
 
-        def above(hertz: FloatArray) -> FloatArray:
-            return np.asarray(np.abs(self.system.response(hertz)) / level - 1.0)
+        def above(at: FloatArray) -> FloatArray:
+            return np.asarray(np.abs(self.system.response(at)) / level - 1.0)
 
-        roots = roots_between(above, self.edges_hz[places], self.edges_hz[places + 1])
-        self.passed.update(zip(new, np.split(roots, np.cumsum(counts)[:-1]), strict=True) if new else ())
-        return [float(root) for root in np.sort(np.concatenate([self.passed[level] for level in levels]))]
+        roots = roots_between(above, hertz[places], hertz[places + 1])
+        self.passed.update(zip(new, np.split(roots, np.cumsum(counts)[:-1]), strict=True))
 
     def inside(self, low: float, high: float) -> list[tuple[float, float]]:
         """Return the ranges of frequency in Hz in which low ≤ |H| ≤ high, rising; the last may be endless."""
@@ -116,7 +126,7 @@ def gain_curve(system: LinearSystem) -> GainCurve:
     places = sign_changes(log_slope(system, grid))
     turns = roots_between(lambda hertz: log_slope(system, hertz), grid[places], grid[places + 1])
     edges = np.concatenate([[0.0], turns, grid[-1:]])
-    return GainCurve(system, edges, np.abs(system.response(edges)))
+    return GainCurve(system, edges, np.abs(system.response(edges)), grid, system.response(grid))
 
 
 def places_rad(system: LinearSystem) -> tuple[ComplexArray, ComplexArray]:
@@ -188,18 +198,13 @@ def peak(curve: GainCurve) -> tuple[float, float] | None:
     return float(curve.edges_hz[place]), float(curve.gain[place])
 
 
-def quadrature(system: LinearSystem) -> float | None:
+def quadrature(curve: GainCurve) -> float | None:
     """Return the first frequency in Hz at which H is 90° from H(0), None if nowhere."""
-    gain, grid = system.static_gain, _grid(system)
-    if gain == 0:
+    first = sign_changes(curve.response.real)[:1]
+    if not len(first) or curve.gain[0] == 0:
         return None
-
-    def along(hertz: FloatArray) -> FloatArray:
-        return np.asarray(system.response(hertz).real / gain)
-
-    first = sign_changes(along(grid))[:1]
-    root = roots_between(along, grid[first], grid[first + 1])
-    return float(root[0]) if len(root) else None
+    ends = curve.points_hz[first], curve.points_hz[first + 1]
+    return float(roots_between(lambda hertz: np.asarray(curve.system.response(hertz).real), *ends)[0])
 
 
 # Overshoot, rise and settling of the response to a step.
@@ -243,17 +248,19 @@ def transient(system: LinearSystem) -> Transient:
     if system.sample_rate_hz is not None:
         return _sampled(system, system.sample_rate_hz)
     response = _Response(system)
-    first, last = response.first_passing(0.1), response.first_passing(0.9)
-    settled = [float(response.settling(tolerance)[0]) for tolerance in (0.02, 0.05)]
+    passings = [response.first_passing(0.1), response.first_passing(0.9), *map(response.settling, (0.02, 0.05))]
+    first, last, settled_2, settled_5 = response.places(passings).tolist()
     over, highest = response.overshoot()
-    return Transient(over, last - first, settled[0], settled[1], highest, (first, last))
+    return Transient(over, last - first, settled_2, settled_5, highest, (first, last))
 
 
 def settling_points(system: LinearSystem, tolerance: float) -> FloatArray | None:
     """Return times (3,) in s of a continuous system: settled, the turning points before and after; None if never."""
     if not system.stable or not system.static_gain or not len(system.poles):
         return None
-    return _Response(system).settling(tolerance)
+    response = _Response(system)
+    last = response.settling(tolerance)
+    return np.array([*response.places([last]), last.begin, last.end])
 
 
 def _sampled(system: LinearSystem, rate: float) -> Transient:
@@ -275,6 +282,15 @@ def _sampled(system: LinearSystem, rate: float) -> Transient:
 
     over = max(float(ratio.max()) - 1.0, 0.0)
     return Transient(over, (passing(0.9) - passing(0.1)) / rate, settled(0.02), settled(0.05))
+
+
+@dataclass(frozen=True)
+class _Passing:
+    """Where a response passes a share `level` of its final value: once between two times in s, at both if they agree."""
+
+    begin: float
+    end: float
+    level: float
 
 
 class _Response:
@@ -306,15 +322,19 @@ class _Response:
         return float(np.sum(self.size * np.exp(self.poles.real * time_s)))
 
     def quiet(self, level: float) -> float:
-        """Return a time from which on the envelope is below `level`."""
-        if self.envelope(0.0) <= level:
-            return 0.0
-        top = next(t for t in (2.0**k / self.slowest for k in count()) if self.envelope(t) < level)
+        """Return a time from which on the envelope is below `level`, within a millionth of the slowest time constant.
 
-        def above(time_s: FloatArray) -> FloatArray:
-            return np.array([np.log(self.envelope(float(t)) / level) for t in time_s])
-
-        return float(roots_between(above, np.zeros(1), np.array([top]))[0])
+        The logarithm of a sum of decays is convex: Newton's steps from before that time never pass it.
+        """
+        decay, time, step = -self.poles.real, 0.0, np.inf
+        while step > 1e-6 / self.slowest:
+            left = self.size * np.exp(-decay * time)
+            total = float(left.sum())
+            if total <= level:
+                break
+            step = total * np.log(total / level) / float(left @ decay)
+            time += step
+        return time + 1e-6 / self.slowest if time else 0.0
 
     def spacing(self, time_s: float) -> float:
         """Return how far apart points may lie from a time on."""
@@ -337,13 +357,18 @@ class _Response:
 
     def coarse(self, begin: float, end: float) -> FloatArray:
         """Return the response at the points of a piece, between which it exceeds them by less than `SHORT`."""
-        return self.ratio(np.linspace(begin, end, BLOCK + 1))
+        if not self.apart:
+            return self.ratio(np.linspace(begin, end, BLOCK + 1))
+        return 1.0 + exponentials_between(self.poles, self.terms, begin, end, BLOCK + 1)
 
     def extremes(self, begin: float, end: float) -> tuple[FloatArray, FloatArray]:
         """Return times, begin, every turning point and end, and the response there; looked for once."""
         if (begin, end) not in self.pieces:
             time = np.linspace(begin, end, BLOCK + 1)
-            places = sign_changes(self.slope(time))
+            slope = self.slope(time) if not self.apart else exponentials_between(
+                self.poles, self.terms * self.poles, begin, end, BLOCK + 1
+            )
+            places = sign_changes(slope)
             turns = np.concatenate([[begin], roots_between(self.slope, time[places], time[places + 1]), [end]])
             self.pieces[begin, end] = turns, self.ratio(turns)
         return self.pieces[begin, end]
@@ -361,18 +386,19 @@ class _Response:
                 break
         return best, when
 
-    def first_passing(self, level: float) -> float:
-        """Return when the response first reaches a share of the final value."""
+    def first_passing(self, level: float) -> _Passing:
+        """Return where the response first reaches a share of the final value."""
         begin = end = 0.0
         for begin, end in self.blocks():
             time, value = self.extremes(begin, end)
             above = np.flatnonzero(value >= level)
             if len(above):
-                return self._passing(time, int(above[0]) - 1, level)
-        return end
+                place = max(int(above[0]), 1)
+                return _Passing(float(time[place - 1]), float(time[place]), level)
+        return _Passing(end, end, level)
 
-    def settling(self, tolerance: float) -> FloatArray:
-        """Return times (3,): from when on it stays within a tolerance, the turning points before and after that."""
+    def settling(self, tolerance: float) -> _Passing:
+        """Return where it comes to stay within a tolerance: between the turning points before and after that."""
         period = 2 * np.pi / float(np.min(np.abs(self.poles)))
         end = min(self.quiet(tolerance) + period, self.quiet(0.05 * tolerance))
         while end > 0:
@@ -384,14 +410,12 @@ class _Response:
             outside = np.flatnonzero(np.abs(value - 1) > tolerance)
             if len(outside):
                 place = int(outside[-1])
-                settled = self._passing(time, place, float(1 + np.copysign(tolerance, value[place] - 1)))
-                return np.array([settled, time[place], time[min(place + 1, len(time) - 1)]])
+                level = float(1 + np.copysign(tolerance, value[place] - 1))
+                return _Passing(float(time[place]), float(time[min(place + 1, len(time) - 1)]), level)
             end = begin
-        return np.zeros(3)
+        return _Passing(0.0, 0.0, 1.0)
 
-    def _passing(self, time_s: FloatArray, place: int, level: float) -> float:
-        """Return where the response passes a level after turning point `place`, or at the end beside it."""
-        if place < 0 or place == len(time_s) - 1:
-            return float(time_s[place if place > 0 else 0])
-        ends = time_s[place : place + 1], time_s[place + 1 : place + 2]
-        return float(roots_between(lambda t: self.ratio(t) - level, *ends)[0])
+    def places(self, passings: Sequence[_Passing]) -> FloatArray:
+        """Return the times (N,) in s of passings, all in one search."""
+        begin, end, level = np.array([(one.begin, one.end, one.level) for one in passings]).T
+        return roots_between(lambda time: self.ratio(time) - level, begin, end)

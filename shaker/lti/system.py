@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -168,8 +169,6 @@ class LinearSystem(Brief):
 
     def _driven(self, time_s: FloatArray, step: bool) -> FloatArray:
         """Return a response by poles where they are apart, by the matrix exponential where they coincide."""
-        from scipy.signal import sosfilt
-
         time = np.asarray(time_s, dtype=np.float64)
         late = time >= 0
         response, t = np.zeros(len(time)), time[late]
@@ -177,6 +176,8 @@ class LinearSystem(Brief):
             return response
         terms, apart = (self.poles, False) if self.sample_rate_hz or np.any(self.poles == 0) else self.step_terms()
         if self.sample_rate_hz is not None:
+            from scipy.signal import sosfilt
+
             index = np.floor(t * self.sample_rate_hz + 1e-6).astype(np.int64)
             drive = np.ones(int(index.max()) + 1)
             drive[1:] = 1.0 if step else 0.0
@@ -188,6 +189,13 @@ class LinearSystem(Brief):
         else:
             response[late] = np.real(np.exp(t[:, None] * self.poles) @ (terms * self.poles))
         return response
+
+    def step_between(self, begin_s: float, end_s: float, count: int) -> FloatArray:
+        """Return the response (count,) of a continuous system to a unit step, at times evenly spaced after it."""
+        terms, apart = self.step_terms()
+        if not apart:
+            return self.step(np.linspace(begin_s, end_s, count))
+        return self.static_gain + exponentials_between(self.poles, terms, begin_s, end_s, count)
 
     def _by_matrix(self, time_s: FloatArray, step: bool) -> FloatArray:
         """Return a continuous response at times (N,) from a chain of first-order systems."""
@@ -469,14 +477,20 @@ class ModalModel(Brief):
         There what a record tells well stays as smooth and static as it is however far the move, and a lag that may be
         about zero does not turn its sign: it stays above `LEAST_LAG` of its own size.
         """
-        modes, reals, scale = len(self.frequency_hz), len(self.real_hz), scale_of(self)
-        coordinates, slope = self.jacobian(lambda at: to_coordinates(at, scale))
+        modes, reals = len(self.frequency_hz), len(self.real_hz)
+        scale, coordinates, slope = self._straight
         by = slope @ move
         by[np.abs(by) < 1e-9 * sizes(coordinates, reals)] = 0.0  # rounding, which would make a far zero
         far = coordinates + by
         lags = slice(2 * modes, 2 * modes + reals)
         far[lags] = coordinates[lags] * np.maximum(far[lags] / coordinates[lags], LEAST_LAG)
         return self.with_vector(from_coordinates(far, modes, reals, scale))
+
+    @cached_property
+    def _straight(self) -> tuple[float, FloatArray, FloatArray]:
+        """Scale, `to_coordinates` (2P,) and their derivatives (2P, P) by the parameters."""
+        scale = scale_of(self)
+        return scale, *self.jacobian(lambda at: to_coordinates(at, scale))
 
     def altered(self, frequency: float = 0.0, damping_ratio: float = 0.0, gain: float = 0.0) -> ModalModel:
         """Return the model of which all modes' frequencies, damping ratios, and the gain are changed by relative parts.
@@ -514,6 +528,20 @@ def differences(
         up, down = (np.asarray(function(parameters + sign * shift)) for sign in (1.0, -1.0))
         slopes[:, place] = (up - down) / (2.0 * moves[place])
     return value, slopes
+
+
+def exponentials_between(
+    rates: ComplexArray, weights: ComplexArray, begin_s: float, end_s: float, count: int
+) -> FloatArray:
+    """Return Re Σ weight·exp(rate·t) (count,) at evenly spaced times.
+
+    Each is the product of a coarse and a fine part, of which there are about √count each.
+    """
+    fine = int(np.sqrt(count)) + 1
+    spacing = (end_s - begin_s) / (count - 1)
+    coarse = begin_s + fine * spacing * np.arange(-(-count // fine))
+    parts = np.exp(coarse[:, None] * rates) * weights @ np.exp(rates[:, None] * (spacing * np.arange(fine)))
+    return np.asarray(parts.real.ravel()[:count])
 
 
 # Coordinates of models in which means and large moves are sound: what a record tells well is linear in them.
