@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib.metadata
 import logging
 import math
 import os
@@ -468,7 +467,8 @@ def prefix(values: ArrayLike, *, coarse: bool = False) -> tuple[float, str]:
 # The program and the libraries that compute with it.
 
 
-__version__ = importlib.metadata.version(PROGRAM)
+__version__ = "0.2.0"
+"""Stands here, and in the other packages, for the installed one takes parsing a file to find; a test compares them."""
 LIBRARIES = {
     "numpy": "numpy",
     "scipy": "scipy",
@@ -487,17 +487,22 @@ LIBRARIES = {
 }
 
 
-_version = cache(importlib.metadata.version)  # it searches a folder and parses a file, a millisecond each
+@cache
+def _version(distribution: str) -> str | None:
+    """Version of an installed distribution, None where there is none: a folder is searched and a file parsed."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    with contextlib.suppress(PackageNotFoundError):
+        return version(distribution)
+    return None
 
 
 def versions() -> dict[str, str]:
     """Versions of this program, of Python, of the system, and of the libraries that have been imported."""
     found = {PROGRAM: __version__, "python": platform.python_version()}
     for module, distribution in LIBRARIES.items():
-        if module not in sys.modules:
-            continue
-        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
-            found[distribution] = _version(distribution)
+        if module in sys.modules and (version := _version(distribution)) is not None:
+            found[distribution] = version
     found["platform"] = f"{platform.system()} {platform.machine()}"
     return found
 

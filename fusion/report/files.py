@@ -11,7 +11,6 @@ import contextlib
 import errno
 import os
 import re
-import secrets
 import shutil
 import sys
 import time
@@ -192,7 +191,7 @@ def _free(lock: Path, folders: Sequence[Path]) -> None:
 
 def _hidden(place: Path, kind: str) -> Path:
     """Return a name beside a place that nobody else has."""
-    return workshop(place) / f".{place.name}-{secrets.token_hex(6)}.{kind}"
+    return workshop(place) / f".{place.name}-{os.urandom(6).hex()}.{kind}"
 
 
 @contextmanager
@@ -207,7 +206,7 @@ def temporary(place: Path) -> Iterator[Path]:
 def _remove(path: Path) -> None:
     """Remove a file or a folder, if it is there; threads that still write into it find it no more."""
     if path.is_dir() and not path.is_symlink():
-        gone = path.with_name(re.sub(r"[0-9a-f]{12}\.[a-z]+$", f"{secrets.token_hex(6)}.part", path.name))
+        gone = path.with_name(re.sub(r"[0-9a-f]{12}\.[a-z]+$", f"{os.urandom(6).hex()}.part", path.name))
         with contextlib.suppress(OSError):
             os.replace(path, gone)
         for place in (path, gone):

@@ -20,7 +20,8 @@ SATURATION, AMOUNT, RADIUS = 3, 4, 5  # of the camera's response
 REACH = 3  # px over which noise may be correlated
 _ROUNDS = 30
 _MOST_PIXELS = 20_000  # of a window
-_CONVERGED_PX = 1e-5
+_CENTRED_PX, _CONVERGED_PX = 1e-3, 1e-4
+"""Steps of the centre that end a fit: of the one that places the window, and of the last, which errs by a thousandth."""
 _SMALLEST_WINDOW_PX = 4.0  # half width
 _SHARPEST_PX = 0.25  # smallest blur σ of the model
 _FARTHEST = 0.35  # of a square's side, that a corner may lie from where it was expected
@@ -198,10 +199,11 @@ def _start(image, pixels, centre, axes, p):  # type: ignore[no-untyped-def]
 
 
 @njit(error_model="numpy")
-def _fit(image, pixels, bend, response, weight, p, inverse):  # type: ignore[no-untyped-def]
+def _fit(image, pixels, bend, response, weight, least, p, inverse):  # type: ignore[no-untyped-def]
     """Improve the parameters by Levenberg's method; return the weighted sum of squares, NaN without convergence.
 
-    Fills inverse (2, 10), the centre's rows of the inverse of the normal matrix.
+    It ends with a step of the centre below `least` px. Fills inverse (2, 10), the centre's rows of the inverse of the
+    normal matrix.
     """
     matrix, factor = np.empty((PARAMETERS, PARAMETERS)), np.zeros((PARAMETERS, PARAMETERS))
     damped, vector = np.empty_like(matrix), np.empty(PARAMETERS)
@@ -219,7 +221,7 @@ def _fit(image, pixels, bend, response, weight, p, inverse):  # type: ignore[no-
         tried[:] = p + step
         tried[8], tried[9] = max(tried[8], _SHARPEST_PX), max(tried[9], _SHARPEST_PX)
         new_cost = _normal_equations(image, pixels, tried, bend, response, weight, matrix, vector)
-        converged = damping < 1.0 and abs(step[0]) + abs(step[1]) < _CONVERGED_PX
+        converged = damping < 1.0 and abs(step[0]) + abs(step[1]) < least
         if new_cost <= cost or converged:
             p[:] = tried
             cost, damping = new_cost, damping * 0.1
@@ -313,14 +315,14 @@ def fit_crossings(image, corners, response, fitted, lags):  # type: ignore[no-un
         out[FULL], out[STATUS] = full / count, NO_CROSSING
         _start(image, buffer[:count], start[n], axes[n], p)
         _weigh(buffer[:count], taper, p, bend[n], response, weight)
-        cost = _fit(image, buffer[:count], bend[n], response, weight, p, inverse)
+        cost = _fit(image, buffer[:count], bend[n], response, weight, _CENTRED_PX, p, inverse)
         if not (cost >= 0.0 and math.hypot(p[0] - start[n, 0], p[1] - start[n, 1]) < _FARTHEST * shorter):
             continue
         recount = _window(image, p[:2].copy(), axes[n], size, buffer, taper)
         count = recount if recount > 0 else _window(image, start[n], axes[n], size, buffer, taper)
         pixels = buffer[:count]
         _weigh(pixels, taper, p, bend[n], response, weight)
-        cost = _fit(image, pixels, bend[n], response, weight, p, inverse)
+        cost = _fit(image, pixels, bend[n], response, weight, _CONVERGED_PX, p, inverse)
         if not cost >= 0.0:
             continue
         wide = pixels[:, 0].max() - pixels[:, 0].min() + 1
