@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from fusion.cameras.quantities import (
     SIDES,
@@ -27,6 +26,7 @@ from fusion.report.figure import BLACK, BLUE, GREY, LIGHT, ORANGE, RED, Figure, 
 from fusion.report.table import signed
 from photogram.calibration.result import Calibration
 from photogram.camera import LEFT, RIG_PARAMETERS, RIGHT, ROTATION, TRANSLATION, Camera
+from photogram.targets.view import outline
 from shaker.arrays import FloatArray
 
 AROUND_IN, BAR_IN = 0.75, 0.45
@@ -196,12 +196,8 @@ def draw_distortion(calibration: Calibration, side: Side) -> Figure:
     """Displacement by the lens with its uncertainty over the picture, and the principal point."""
     camera, covariance = camera_of(calibration.rig, side)
     field = distortion(calibration, side)
-    seen = used_points(calibration, side)[0]
-    try:
-        corners = ConvexHull(seen).vertices
-        seen = seen[[*corners, corners[0]]]
-    except (QhullError, ValueError):
-        pass  # points that span no area are their own outline
+    seen = outline(used_points(calibration, side)[0])
+    seen = np.concatenate([seen, seen[:1]])
     drawn = picture_sheet(f"distortion-{side}", 3, camera.size_px.astype(np.float64), BAR_IN)
     panels = drawn.panels
     length = np.linalg.norm(field.displacement_px, axis=-1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,8 @@ from photogram.arrays import FloatArray, check_shape
 
 QUANTISATION = 1.0 / 12.0  # variance of rounding to whole grey values
 CUT = 9.0  # squared residuals beyond three standard deviations count as outliers
+_ENLARGED = 1.0 / (1.0 - math.sqrt(2.0 * CUT / math.pi) * math.exp(-CUT / 2.0) / math.erf(math.sqrt(CUT / 2.0)))
+"""F₁/F₃ at the cut, Fₙ the distribution of χ² with n degrees of freedom: what leaving out takes from a mean."""
 MEDIAN_CHI2 = 0.4549364231195724  # of χ² with one degree of freedom
 BINS = 32
 FEWEST_IN_BIN = 50
@@ -70,14 +73,12 @@ def fit_noise_model(grey: FloatArray, residual_grey2: FloatArray) -> NoiseModel:
 
 def _robust_variance(squares: FloatArray) -> float:
     """Mean of squares of normal deviates, those beyond three standard deviations left out and made up for."""
-    from scipy.special import gammainc
-
-    enlarged = float(gammainc(0.5, CUT / 2.0) / gammainc(1.5, CUT / 2.0))
-    ordered = np.sort(squares)
-    sums, variance = np.cumsum(ordered), float(np.median(ordered)) / MEDIAN_CHI2
+    ordered, middle = np.sort(squares), len(squares) // 2
+    median = 0.5 * float(ordered[middle] + ordered[-1 - middle])
+    sums, variance = np.cumsum(ordered), median / MEDIAN_CHI2
     for _ in range(ROUNDS):
         kept = np.searchsorted(ordered, CUT * variance, side="right")
-        before, variance = variance, enlarged * float(sums[kept - 1] / kept)
+        before, variance = variance, _ENLARGED * float(sums[kept - 1] / kept)
         if abs(variance - before) <= 1e-6 * before:
             break
     return variance

@@ -65,7 +65,7 @@ def corner_view(
     side = float(np.median(np.sqrt(np.abs(np.linalg.det(axes_px)))))
     soft = float(np.nanmedian(first.blur_px)) / side
     strip = float(np.clip(_CLEAR - 2 * soft, _NARROWEST, _WIDEST)) if markers else strip
-    corners = refine_corners(image, start, axes_px, response, bend, strip)
+    corners = refine_corners(image, start, axes_px, response, bend, strip, first)
     status, good = corners.status.copy(), corners.status == GOOD
     if good.any():
         check_blur(float(np.median(corners.blur_px[good])), side)

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,7 +22,7 @@ REACH = 3  # px over which noise may be correlated
 _ROUNDS = 30
 _MOST_PIXELS = 20_000  # of a window
 _CENTRED_PX, _CONVERGED_PX = 1e-3, 1e-4
-"""Steps of the centre that end a fit: of the one that places the window, and of the last, which errs by a thousandth."""
+"""Steps of the centre that end a fit: of the one that places the window, and of the last, which errs by far less."""
 _SMALLEST_WINDOW_PX = 4.0  # half width
 _SHARPEST_PX = 0.25  # smallest blur σ of the model
 _FARTHEST = 0.35  # of a square's side, that a corner may lie from where it was expected
@@ -60,46 +61,49 @@ def solve(factor: FloatArray, vector: FloatArray) -> None:
 
 
 @njit(error_model="numpy")
-def _edge(distance: float, sigma: float) -> tuple[float, float]:
-    """Return erf(d/(√2·σ)) and its derivative by d."""
-    scaled = distance / sigma
-    return math.erf(scaled / math.sqrt(2.0)), math.sqrt(2.0 / math.pi) / sigma * math.exp(-0.5 * scaled * scaled)
+def _edge(distance: float, sharpness: float) -> tuple[float, float]:
+    """Return erf(d/(√2·σ)) and its derivative by d, sharpness 1/σ; to 10⁻¹¹ both are at their limits beyond 7 σ."""
+    scaled = distance * sharpness
+    if abs(scaled) > 7.0:
+        return math.copysign(1.0, scaled), 0.0
+    return math.erf(math.sqrt(0.5) * scaled), math.sqrt(2.0 / math.pi) * sharpness * math.exp(-0.5 * scaled * scaled)
 
 
 @njit(error_model="numpy")
-def _crossing(p: FloatArray, d_1: float, d_2: float, wider: float) -> tuple[float, float, float, float, float]:
-    """Return E(d₁/s₁)·E(d₂/s₂) and its derivatives by d₁, d₂, σ₁, σ₂, with s² = σ² + wider²."""
-    s_1, s_2 = p[8], p[9]
-    if wider > 0.0:
-        s_1, s_2 = math.sqrt(s_1 * s_1 + wider * wider), math.sqrt(s_2 * s_2 + wider * wider)
-    e_1, by_1 = _edge(d_1, s_1)
-    e_2, by_2 = _edge(d_2, s_2)
+def _crossing(p, d_1, d_2, sharpness):  # type: ignore[no-untyped-def]
+    """Return E(d₁/s₁)·E(d₂/s₂) and its derivatives by d₁, d₂, σ₁, σ₂; `sharpness`: 1/s of both, s² = σ² or σ² + τ²."""
+    sharp_1, sharp_2 = sharpness
+    e_1, by_1 = _edge(d_1, sharp_1)
+    e_2, by_2 = _edge(d_2, sharp_2)
     by_1, by_2 = by_1 * e_2, e_1 * by_2
-    return e_1 * e_2, by_1, by_2, -by_1 * d_1 * p[8] / (s_1 * s_1), -by_2 * d_2 * p[9] / (s_2 * s_2)
+    return e_1 * e_2, by_1, by_2, -by_1 * d_1 * p[8] * sharp_1 * sharp_1, -by_2 * d_2 * p[9] * sharp_2 * sharp_2
 
 
 @njit(error_model="numpy")
-def _turn(p: FloatArray) -> tuple[float, float, float, float]:
-    """Return cosine and sine of both edges' directions."""
-    return math.cos(p[2]), math.sin(p[2]), math.cos(p[3]), math.sin(p[3])
+def _edges(p, response):  # type: ignore[no-untyped-def]
+    """Return cosine and sine of both edges' directions, and their sharpness, as they are and blurred by the radius."""
+    radius = response[RADIUS]
+    soft_1, soft_2 = 1.0 / math.sqrt(p[8] * p[8] + radius * radius), 1.0 / math.sqrt(p[9] * p[9] + radius * radius)
+    turn = math.cos(p[2]), math.sin(p[2]), math.cos(p[3]), math.sin(p[3])
+    return turn, (1.0 / p[8], 1.0 / p[9]), (soft_1, soft_2)
 
 
 @njit(error_model="numpy")
-def _model(p, turn, bend, response, x, y, slope):  # type: ignore[no-untyped-def]
-    """Return the grey value at (x, y) and fill its derivatives (10,) by the parameters; turn: see `_turn`.
+def _model(p, edges, bend, response, x, y, slope):  # type: ignore[no-untyped-def]
+    """Return the grey value at (x, y) and fill its derivatives (10,) by the parameters; edges: see `_edges`.
 
     (1 + g·r)·(a + b·Q), r from the centre, d_k = n_k·r + bend_k/2·(along the edge)². Q is E(d₁/σ₁)·E(d₂/σ₂), of a
     picture sharpened by A at the radius τ (1 + A)·Q less A times the same with √(σ² + τ²) for σ.
     """
     rx, ry = x - p[0], y - p[1]
-    cos_1, sin_1, cos_2, sin_2 = turn
+    (cos_1, sin_1, cos_2, sin_2), sharpness, softer = edges
     along_1, along_2 = cos_1 * ry - sin_1 * rx, cos_2 * ry - sin_2 * rx
     across_1, across_2 = cos_1 * rx + sin_1 * ry, cos_2 * rx + sin_2 * ry
     d_1, d_2 = across_1 + 0.5 * bend[0] * along_1 * along_1, across_2 + 0.5 * bend[1] * along_2 * along_2
-    q, q_1, q_2, q_3, q_4 = _crossing(p, d_1, d_2, 0.0)
+    q, q_1, q_2, q_3, q_4 = _crossing(p, d_1, d_2, sharpness)
     amount = response[AMOUNT]
     if amount > 0.0:
-        soft, soft_1, soft_2, soft_3, soft_4 = _crossing(p, d_1, d_2, response[RADIUS])
+        soft, soft_1, soft_2, soft_3, soft_4 = _crossing(p, d_1, d_2, softer)
         q, q_1, q_2 = q + amount * (q - soft), q_1 + amount * (q_1 - soft_1), q_2 + amount * (q_2 - soft_2)
         q_3, q_4 = q_3 + amount * (q_3 - soft_3), q_4 + amount * (q_4 - soft_4)
     light, pattern = 1.0 + p[6] * rx + p[7] * ry, p[4] + p[5] * q
@@ -122,30 +126,31 @@ def _clipped(value: float, expected: float, response: FloatArray) -> bool:
 @njit(error_model="numpy")
 def _normal_equations(image, pixels, p, bend, response, weight, matrix, vector):  # type: ignore[no-untyped-def]
     """Fill the weighted normal equations over the pixels (M, 2); return the weighted sum of squared residuals."""
-    turn, slope = _turn(p), np.empty(PARAMETERS)
+    edges, slope = _edges(p, response), np.empty(PARAMETERS)
     matrix[:] = 0.0
     vector[:] = 0.0
     total = 0.0
     for k in range(pixels.shape[0]):
         value = image[pixels[k, 1], pixels[k, 0]]
-        expected = _model(p, turn, bend, response, float(pixels[k, 0]), float(pixels[k, 1]), slope)
+        expected = _model(p, edges, bend, response, float(pixels[k, 0]), float(pixels[k, 1]), slope)
         if _clipped(value, expected, response):
             continue
         residual = value - expected
         total += weight[k] * residual * residual
         for i in range(PARAMETERS):
-            vector[i] += weight[k] * slope[i] * residual
-            for j in range(i + 1):
-                matrix[i, j] += weight[k] * slope[i] * slope[j]
+            weighted = weight[k] * slope[i]
+            vector[i] += weighted * residual
+            for j in range(PARAMETERS):  # all of them, for the compiler knows their number
+                matrix[i, j] += weighted * slope[j]
     return total
 
 
 @njit(error_model="numpy")
 def _weigh(pixels, taper, p, bend, response, weight):  # type: ignore[no-untyped-def]
     """Fill weights (M,), taper/variance of the noise at the modelled grey values."""
-    turn, slope = _turn(p), np.empty(PARAMETERS)
+    edges, slope = _edges(p, response), np.empty(PARAMETERS)
     for k in range(pixels.shape[0]):
-        expected = _model(p, turn, bend, response, float(pixels[k, 0]), float(pixels[k, 1]), slope)
+        expected = _model(p, edges, bend, response, float(pixels[k, 0]), float(pixels[k, 1]), slope)
         weight[k] = taper[k] / max(response[0] + response[1] * expected, response[2])
 
 
@@ -245,12 +250,12 @@ def _spread(image, pixels, taper, weight, p, bend, response, inverse, patch):  #
 
     The pull is what the centre moves by a residual of one standard deviation; all are 0 where no pixel counts.
     """
-    turn, slope = _turn(p), np.empty(PARAMETERS)
+    edges, slope = _edges(p, response), np.empty(PARAMETERS)
     patch[:] = 0.0
     left, top = pixels[:, 0].min() - REACH, pixels[:, 1].min()
     for k in range(pixels.shape[0]):
         column, row = pixels[k, 0], pixels[k, 1]
-        expected = _model(p, turn, bend, response, float(column), float(row), slope)
+        expected = _model(p, edges, bend, response, float(column), float(row), slope)
         if taper[k] == 0.0 or _clipped(image[row, column], expected, response):
             continue
         x, y = 0.0, 0.0
@@ -289,16 +294,19 @@ def _correlate(patch, out):  # type: ignore[no-untyped-def]
 def fit_crossings(image, corners, response, fitted, lags):  # type: ignore[no-untyped-def]
     """Fill fitted (N, 13) and lags (N, 4, 28) for corners expected at start (N, 2).
 
-    fitted: parameters (10), share of saturated pixels, status, χ² per pixel. lags: see `_correlate`, NaN without a
-    corner. axes (N, 2, 2): a square's two sides in px. bend (N, 2): curvature of both edges, 1/px. window (N, 3): see
-    `_window`. response (6,): variance of a black pixel, its rise per grey value, its least value; the grey value that
-    counts as saturated; amount and radius of the sharpening.
+    fitted: parameters (10), share of saturated pixels, status, χ² per pixel; parameters that are not NaN before are
+    where a fit begins, else it begins from the lattice, and a fit before it places the window. lags: see `_correlate`,
+    NaN without a corner. axes (N, 2, 2): a square's two sides in px. bend (N, 2): curvature of both edges, 1/px.
+    window (N, 3): see `_window`. response (6,): variance of a black pixel, its rise per grey value, its least value;
+    the grey value that counts as saturated; amount and radius of the sharpening.
     """
     start, axes, bend, window = corners
     buffer, weight, taper = np.empty((_MOST_PIXELS, 2), dtype=np.int32), np.empty(_MOST_PIXELS), np.empty(_MOST_PIXELS)
     inverse, p, size = np.empty((2, PARAMETERS)), np.empty(PARAMETERS), np.empty(3)
     for n in range(start.shape[0]):
         out = fitted[n]
+        p[:] = out[:PARAMETERS]
+        known = not math.isnan(p[0])
         out[:], lags[n] = math.nan, math.nan
         out[STATUS] = OUTSIDE
         shorter = math.sqrt(min(axes[n, 0, 0] ** 2 + axes[n, 0, 1] ** 2, axes[n, 1, 0] ** 2 + axes[n, 1, 1] ** 2))
@@ -312,10 +320,11 @@ def fit_crossings(image, corners, response, fitted, lags):  # type: ignore[no-un
         full = 0
         for k in range(count):
             full += image[buffer[k, 1], buffer[k, 0]] >= response[SATURATION]
-        out[FULL], out[STATUS] = full / count, NO_CROSSING
-        _start(image, buffer[:count], start[n], axes[n], p)
-        _weigh(buffer[:count], taper, p, bend[n], response, weight)
-        cost = _fit(image, buffer[:count], bend[n], response, weight, _CENTRED_PX, p, inverse)
+        out[FULL], out[STATUS], cost = full / count, NO_CROSSING, 0.0
+        if not known:
+            _start(image, buffer[:count], start[n], axes[n], p)
+            _weigh(buffer[:count], taper, p, bend[n], response, weight)
+            cost = _fit(image, buffer[:count], bend[n], response, weight, _CENTRED_PX, p, inverse)
         if not (cost >= 0.0 and math.hypot(p[0] - start[n, 0], p[1] - start[n, 1]) < _FARTHEST * shorter):
             continue
         recount = _window(image, p[:2].copy(), axes[n], size, buffer, taper)
@@ -376,11 +385,14 @@ class Response:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Corners(Arrays, shapes="position_px N 2; covariance_px2 N 2 2; blur_px N; half_contrast N; status N"):
+class Corners(
+    Arrays, shapes="position_px N 2; covariance_px2 N 2 2; blur_px N; half_contrast N; status N; parameters N P"
+):
     """Corners found: position_px (N, 2), covariance_px2 (N, 2, 2), NaN where `status` (N,) is not 0 (see `REASONS`).
 
     `blur_px` (N,): σ of the edges without the pixels' own width and the sharpening. `half_contrast` (N,): half the
     difference of the quadrants in grey values, positive where those between axes of equal sign are bright.
+    `parameters` (N, 10): all that was fitted, with which another fit may begin.
     """
 
     position_px: FloatArray
@@ -388,6 +400,7 @@ class Corners(Arrays, shapes="position_px N 2; covariance_px2 N 2 2; blur_px N; 
     blur_px: FloatArray
     half_contrast: FloatArray
     status: IntArray
+    parameters: FloatArray
 
 
 def refine_corners(
@@ -397,6 +410,7 @@ def refine_corners(
     response: Response,
     bend_per_px: FloatArray | None = None,
     strip: float = np.inf,
+    before: Corners | None = None,
 ) -> Corners:
     """Return the corners of squares near start_px (N, 2) in a picture (H, W).
 
@@ -408,13 +422,16 @@ def refine_corners(
     would have them within the range. Edges that the lens bends are not symmetric: bend_per_px (N, 2), the curvature of
     the edges along the second and the first direction, is taken as known (`lattice_bend`). The window ends 0.55 squares
     or 14 px from the corner; `strip`: in bright squares only pixels within so many squares of an edge count, the less
-    the farther (ChArUco: the markers lie beyond).
+    the farther (ChArUco: the markers lie beyond). Those found `before` begin where they were, the others at start_px.
 
     The covariance is that of the weighted fit for the noise that the residuals show, the other parameters unknown:
     where these are correlated over up to 3 px (sharpening, demosaicing, compression), for correlated noise.
     """
     check_shape("start_px", start_px, (None, 2))
-    fitted, lags = _fitted(image, (start_px, axes_px, bend_per_px), response, strip)
+    fitted = np.full((len(start_px), PARAMETERS + 3), np.nan)
+    if before is not None:
+        fitted[:, :PARAMETERS] = before.parameters
+    lags = _fit_all(image, (start_px, axes_px, bend_per_px), response, strip, fitted)
     status = fitted[:, STATUS].astype(np.int64)
     status[(status == NO_CROSSING) & (fitted[:, FULL] > _MOST_SATURATED)] = SATURATED
     sigma = np.sqrt(response.noise.variance(fitted[:, 4]))
@@ -427,18 +444,18 @@ def refine_corners(
         np.where(good, blur, np.nan),
         np.where(good, fitted[:, 5], np.nan),
         status,
+        np.where(good[:, None], fitted[:, :PARAMETERS], np.nan),
     )
 
 
-def _fitted(
+def _fit_all(
     image: NDArray[Any],
     corners: tuple[FloatArray, FloatArray, FloatArray | None],
     response: Response,
     strip: float,
-) -> tuple[FloatArray, FloatArray]:
-    """Return what `fit_crossings` fills, for start, axes and bend."""
-    from scipy.ndimage import map_coordinates
-
+    fitted: FloatArray,
+) -> FloatArray:
+    """Fill `fitted` (N, 13) for corners' start, axes and bend, and return the lags (N, 4, 28), as `fit_crossings`."""
     start_px, axes_px, bend_per_px = corners
     count = len(start_px)
     check_shape("axes_px", axes_px, (count, 2, 2))
@@ -451,11 +468,11 @@ def _fitted(
     window[:, 1] = strip
     if np.isfinite(strip):  # +1 where the quadrants between axes of equal sign are the brighter ones, else −1
         points = start_px[:, None, :] + 0.08 * np.array([[1, 1], [-1, -1], [1, -1], [-1, 1]]) @ axes_px
-        values = map_coordinates(grey, points.reshape(-1, 2).T[::-1], order=1, mode="nearest").reshape(-1, 4)
+        values = cv2.remap(grey, points.astype(np.float32), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         window[:, 2] = np.where(values[:, :2].sum(axis=1) > values[:, 2:].sum(axis=1), 1.0, -1.0)
-    fitted, lags = np.empty((count, PARAMETERS + 3)), np.empty((count, 4, (REACH + 1) * (2 * REACH + 1)))
+    lags = np.empty((count, 4, (REACH + 1) * (2 * REACH + 1)))
     fit_crossings(grey, (start_px, axes_px, bend, window), response.vector(), fitted, lags)
-    return fitted, lags
+    return lags
 
 
 def _covariance(lags: FloatArray, good: BoolArray, sharpened: bool) -> FloatArray:
@@ -487,8 +504,6 @@ def find_sharpening(
     image: NDArray[Any], start_px: FloatArray, axes_px: FloatArray, response: Response, strip: float = np.inf
 ) -> Response:
     """Return the camera's response with the unsharp mask under which some of the corners fit best, if any does."""
-    from scipy.optimize import minimize
-
     probes = np.unique(np.linspace(0, len(start_px) - 1, _PROBES).astype(int))
 
     def chi2(mask: FloatArray) -> float:
@@ -497,7 +512,8 @@ def find_sharpening(
         if not (low <= mask[0] <= high and near <= mask[1] <= far):
             return math.inf
         tried = replace(response, amount=float(mask[0]), radius_px=float(mask[1]))
-        fitted, _ = _fitted(image, (start_px[probes], axes_px[probes], None), tried, strip)
+        fitted = np.full((len(probes), PARAMETERS + 3), np.nan)
+        _fit_all(image, (start_px[probes], axes_px[probes], None), tried, strip, fitted)
         return float(np.median(np.where(fitted[:, STATUS] == GOOD, fitted[:, CHI2], math.inf)))
 
     least, start = chi2(np.array([0.0, 1.0])), None
@@ -510,6 +526,8 @@ def find_sharpening(
             break
     if start is None:
         return response
+    from scipy.optimize import minimize
+
     simplex = start + np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.4]])
     options = {"initial_simplex": simplex, "xatol": _PRECISION, "fatol": 1e-3}
     best = minimize(chi2, start, method="Nelder-Mead", options=options)

@@ -286,7 +286,7 @@ def _sampled(system: LinearSystem, rate: float) -> Transient:
 
 @dataclass(frozen=True)
 class _Passing:
-    """Where a response passes a share `level` of its final value: once between two times in s, at both if they agree."""
+    """Where a response passes a share `level` of its final value: between two times in s, or there if they agree."""
 
     begin: float
     end: float
@@ -365,9 +365,10 @@ class _Response:
         """Return times, begin, every turning point and end, and the response there; looked for once."""
         if (begin, end) not in self.pieces:
             time = np.linspace(begin, end, BLOCK + 1)
-            slope = self.slope(time) if not self.apart else exponentials_between(
-                self.poles, self.terms * self.poles, begin, end, BLOCK + 1
-            )
+            if self.apart:
+                slope = exponentials_between(self.poles, self.terms * self.poles, begin, end, BLOCK + 1)
+            else:
+                slope = self.slope(time)
             places = sign_changes(slope)
             turns = np.concatenate([[begin], roots_between(self.slope, time[places], time[places + 1]), [end]])
             self.pieces[begin, end] = turns, self.ratio(turns)
