@@ -18,7 +18,7 @@ from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from threading import Event
-from typing import Any, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 from urllib.parse import quote
 
 import h5py
@@ -37,8 +37,6 @@ from fusion.base import (
     usable_cores,
     warnings_first,
 )
-from fusion.recording.load import Manifest
-from fusion.recording.rig import Rig
 from fusion.report.figure import Figure
 from fusion.report.files import claimed, is_own, write_files, write_together
 from fusion.report.h5 import h5_content, opened_results, write_value
@@ -47,6 +45,10 @@ from fusion.report.still import still_svg
 from fusion.report.stored import TEXT, Group
 from fusion.report.table import Headline, Table, csv_rows, plain_text
 from fusion.report.terminal import AS_JSON, tell, working
+
+if TYPE_CHECKING:
+    from fusion.recording.load import Manifest
+    from fusion.recording.rig import Rig
 
 # What was run on what: hashes of the input files, versions, and whether a folder still answers to them.
 

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from itertools import count
 from pathlib import Path, PurePath
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import h5py
 import numpy as np
@@ -18,9 +18,11 @@ from fusion.base import InputError
 from fusion.estimation.uncertainty import Contribution, Distribution, Influence, Kind, Scope, Uncertainty
 from fusion.report.quantities import describe
 from fusion.report.stored import TEXT, Group, write_tree
-from fusion.sensitivity.evidence import Evidence
 from shaker.arrays import Notice
 from shaker.io.channel import check_inside, check_links, full_name, opened_hdf5
+
+if TYPE_CHECKING:
+    from fusion.sensitivity.evidence import Evidence
 
 LEFT_OUT = {"manifest", "reference_image", "surface", "settings", "versions", "input_hashes"}
 """Fields that are in the inputs, or stand in the group `provenance`."""
@@ -222,6 +224,8 @@ def read_notices(file: h5py.File) -> tuple[Notice, ...]:
 
 def read_evidence(file: h5py.File) -> tuple[Evidence, ...]:
     """Return which unknowns of open results certificates and files state; none where results do not say."""
+    from fusion.sensitivity.evidence import Evidence
+
     if EVIDENCE not in file:
         return ()
     group = file[EVIDENCE]

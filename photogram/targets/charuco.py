@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -29,14 +29,15 @@ def find_charuco(image: NDArray[Any], target: Target, name: str, full_scale: flo
     assert target.size is not None
     grey = eight_bit(image)
     dictionary = target.dictionary or _dictionary(grey, target.size)
-    board = None if dictionary is None else _search(grey, target.size, dictionary)
-    if board is None or dictionary is None:
+    markers = None if dictionary is None else _seen(grey, dictionary)
+    board = None if markers is None or dictionary is None else _search(grey, markers, target.size, dictionary)
+    if markers is None or board is None:
         raise TargetNotFound(_reason(image, grey, target, dictionary, full_scale))
     wanted = f"{target.size[0]} x {target.size[1]} squares"
     if len(board.place) < _FIT_SHARE * board.seen:
         fitting = f"{len(board.place)} of {board.seen} markers"
         raise TargetNotFound(f"another target: only {fitting} are where a ChArUco board of {wanted} has them")
-    another = _beside(grey, board, target.size, dictionary)
+    another = _beside(markers, board, target.size, grey.shape)
     if another is not None and len(another.place) >= max(_SECOND, _FIT_SHARE * another.seen):
         refuse_second(f"a ChArUco board of {wanted}")
     index, start, axes = _expected(board, target.size)
@@ -50,32 +51,29 @@ def _dictionary(grey: NDArray[np.uint8], size: tuple[int, int]) -> str | None:
     return name if name is not None or factor == 1 else find_dictionary(grey, size)
 
 
-def _search(grey: NDArray[np.uint8], size: tuple[int, int], dictionary: str) -> Board | None:
-    """Return the board seen, in a smaller picture or, if some markers are missing there, in the picture itself."""
+def _seen(grey: NDArray[np.uint8], dictionary: str) -> Markers:
+    """Return the markers seen in a smaller picture, in the pixels of the picture itself."""
     small, factor = reduced(grey, SEARCHED_PX)
-    board = find_board(find_markers(small, dictionary), size, small.shape)
-    if factor == 1:
+    found = find_markers(small, dictionary)
+    return Markers(found.number, (found.centre_px + 0.5) * factor - 0.5, found.upper_px * factor)
+
+
+def _search(grey: NDArray[np.uint8], markers: Markers, size: tuple[int, int], dictionary: str) -> Board | None:
+    """Return the board that markers `_seen` make or, if some are missing, those seen in the picture itself."""
+    board = find_board(markers, size, grey.shape)
+    if max(grey.shape) <= SEARCHED_PX or (board and len(board.place) == len(_places(size, board.legacy))):
         return board
-    if board is not None:  # in the pixels of the picture itself
-        small_from_px = np.array([[1, 0, 0.5 - factor / 2], [0, 1, 0.5 - factor / 2], [0, 0, factor]]) / factor
-        centre, homography = (board.centre_px + 0.5) * factor - 0.5, board.lattice_from_px @ small_from_px
-        board = replace(board, centre_px=centre, lattice_from_px=homography)
-        if len(board.place) == len(_places(size, board.legacy)):
-            return board
     whole = find_board(find_markers(grey, dictionary), size, grey.shape)
     both = [one for one in (whole, board) if one is not None]
     return max(both, key=lambda one: len(one.place), default=None)
 
 
-def _beside(grey: NDArray[np.uint8], board: Board, size: tuple[int, int], dictionary: str) -> Board | None:
-    """Return the board that markers beyond the outline of the one found make, None for none."""
-    small, factor = reduced(grey, SEARCHED_PX)
-    markers = find_markers(small, dictionary)
-    centre = (markers.centre_px + 0.5) * factor - 0.5
+def _beside(markers: Markers, board: Board, size: tuple[int, int], shape: tuple[int, ...]) -> Board | None:
+    """Return the board that markers `_seen` beyond the outline of the one found make, None for none."""
+    centre = markers.centre_px
     square = apply(board.lattice_from_px, centre) + 1.0 if len(centre) else centre
     beyond = ((square < -0.5) | (square > np.array(size) + 0.5)).any(axis=1)
-    rest = Markers(markers.number[beyond], centre[beyond], markers.upper_px[beyond])
-    return find_board(rest, size, grey.shape)
+    return find_board(Markers(markers.number[beyond], centre[beyond], markers.upper_px[beyond]), size, shape)
 
 
 def _expected(board: Board, size: tuple[int, int]) -> tuple[IntArray, FloatArray, FloatArray]:
@@ -113,7 +111,7 @@ def _reason(
     size = target.size or (0, 0)
     flipped = np.ascontiguousarray(grey[:, ::-1])
     mirrored = dictionary or _dictionary(flipped, size)
-    if mirrored is not None and _search(flipped, size, mirrored) is not None:
+    if mirrored is not None and _search(flipped, _seen(flipped, mirrored), size, mirrored) is not None:
         return "mirrored: the markers can be read in the picture's mirror image"
     seen = 0 if dictionary is None else len(find_markers(grey, dictionary).number)
     wanted = f"a ChArUco board of {size[0]} x {size[1]} squares"
