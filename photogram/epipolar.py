@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from photogram.arrays import Arrays, BoolArray, FloatArray, Notice, RunningMean, derivatives
 from photogram.camera import StereoRig, epipolar_residual, triangulate
 from photogram.geometry import RigidTransform, rotation_from_vector
-from photogram.subsets.track import StereoTracks
+
+if TYPE_CHECKING:
+    from photogram.subsets.track import StereoTracks
 
 FEWEST_POINTS = 8
 FEWEST_FRAMES = 4
@@ -101,7 +104,7 @@ def check_epipolar(
     >>> float(np.abs(check.mean_px).max()) < 0.01
     True
     """
-    blocks: Iterable[StereoTracks] = (tracks,) if isinstance(tracks, StereoTracks) else tracks
+    blocks: Iterable[StereoTracks] = tracks if isinstance(tracks, Iterable) else (tracks,)
     means, bias_px, frames = [RunningMean() for _ in range(3)], 0.0, 0
     for block in blocks:
         residual, *_ = epipolar_residual(rig, block.left.position_px, block.right.position_px)

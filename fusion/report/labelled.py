@@ -20,6 +20,8 @@ from shaker.arrays import ComplexArray, FloatArray, check_shape
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS
 
 CAMPAIGN_FILE = "campaign.h5"
+READ = ("sensor", "sensitivity", "element", "accelerations", "load", "curves", "matrices")
+"""Groups of a file that results are made of."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -144,7 +146,7 @@ def read_results(path: str | Path) -> Results:
     file = next((file for file in files if file.is_file() and h5py.is_hdf5(file)), None)
     if file is None:
         raise InputError(path, "", found="none of these", expected=f"{RESULT_FILE} or {CAMPAIGN_FILE} of a run")
-    with opened_results(file) as content:
+    with opened_results(file, *READ) as content:
         if content.attrs.get("format") != RESULT_FORMAT or not {"recording", "campaign"} & set(content.attrs):
             found = f"format {content.attrs['format']}" if "format" in content.attrs else "another file"
             raise InputError(file, "", found=found, expected=f"results of format {RESULT_FORMAT}; evaluate anew")

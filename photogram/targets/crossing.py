@@ -468,7 +468,8 @@ def _fit_all(
     window[:, 1] = strip
     if np.isfinite(strip):  # +1 where the quadrants between axes of equal sign are the brighter ones, else −1
         points = start_px[:, None, :] + 0.08 * np.array([[1, 1], [-1, -1], [1, -1], [-1, 1]]) @ axes_px
-        values = cv2.remap(grey, points.astype(np.float32), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        x, y = np.ascontiguousarray(np.moveaxis(points, -1, 0), dtype=np.float32)
+        values = np.asarray(cv2.remap(grey, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
         window[:, 2] = np.where(values[:, :2].sum(axis=1) > values[:, 2:].sum(axis=1), 1.0, -1.0)
     lags = np.empty((count, 4, (REACH + 1) * (2 * REACH + 1)))
     fit_crossings(grey, (start_px, axes_px, bend, window), response.vector(), fitted, lags)

@@ -53,7 +53,7 @@ def roots_between(function: Callable[[FloatArray], FloatArray], low: FloatArray,
             ahead = np.minimum(np.maximum(np.where(safe, place, 0.5), least), 1.0 - least)
             ahead[found] = 0.0
     nearer = np.where(np.abs(point[1]) < np.abs(other[1]), point[0], other[0])
-    return np.where(point[1] == 0, point[0], np.where(other[1] == 0, other[0], nearer))
+    return np.asarray(np.where(point[1] == 0, point[0], np.where(other[1] == 0, other[0], nearer)))
 
 
 # Where the gain of a system peaks, falls and leaves a band, over frequency.
