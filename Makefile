@@ -5,6 +5,8 @@ BIN := .venv/bin
 export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export OMP_WAIT_POLICY := passive
+# Processes that check types side by side, where mypy knows how to.
+export MYPY_NUM_WORKERS := auto
 
 .PHONY: demo test validate lint types platforms win32 darwin docs docs-pictures sample-images benchmark wheel clean
 
