@@ -12,7 +12,7 @@ import numpy as np
 
 from shaker.arrays import FloatArray, check_shape
 
-_POINTS, _LAST_POINTS = 500, 1000  # while the proposals settle, and afterwards
+_POINTS, _LAST_POINTS = 250, 1000  # while the proposals settle, and afterwards
 _WIDER = 1.35  # of the standard deviation: proposals reach over the corners of a polygon
 _ROUNDS = 30
 _SETTLED = 0.15  # relative change of the standard deviations below which the sampling has settled

@@ -319,9 +319,10 @@ def evaluate_compensation(
     """Design all filters, and run them over a recording if one is given; raises `InputError` for impossible wishes.
 
     >>> from fusion import evaluate_compensation
+    >>> from pathlib import Path
     >>> from fusion.sensor.compensate.source import Wish, read_sources  # doctest: +SKIP
     >>> wish = Wish(frequency_hz=3000.0, damping_ratio=0.6)  # doctest: +SKIP
-    >>> evaluation = evaluate_compensation(read_sources(["steps/step"]), wish, None, {})  # doctest: +SKIP
+    >>> evaluation = evaluate_compensation(read_sources([Path("steps/step")]), wish, None, {})  # doctest: +SKIP
     """
     started = time.monotonic()
     rate = None if record is None else record.sample_rate_hz
