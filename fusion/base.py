@@ -468,7 +468,7 @@ def prefix(values: ArrayLike, *, coarse: bool = False) -> tuple[float, str]:
 
 
 __version__ = "0.2.0"
-"""Stands here, and in the other packages, for the installed one takes parsing a file to find; a test compares them."""
+"""Written here, for to find that of the installed package a file has to be parsed; a test compares them."""
 LIBRARIES = {
     "numpy": "numpy",
     "scipy": "scipy",

@@ -394,8 +394,8 @@ class _Response:
             time, value = self.extremes(begin, end)
             above = np.flatnonzero(value >= level)
             if len(above):
-                place = max(int(above[0]), 1)
-                return _Passing(float(time[place - 1]), float(time[place]), level)
+                place = int(above[0])
+                return _Passing(float(time[max(place - 1, 0)]), float(time[place]), level)
         return _Passing(end, end, level)
 
     def settling(self, tolerance: float) -> _Passing:

@@ -174,7 +174,7 @@ class LinearSystem(Brief):
         response, t = np.zeros(len(time)), time[late]
         if not len(t):
             return response
-        terms, apart = (self.poles, False) if self.sample_rate_hz or np.any(self.poles == 0) else self.step_terms()
+        terms, apart = self._terms()
         if self.sample_rate_hz is not None:
             from scipy.signal import sosfilt
 
@@ -190,9 +190,13 @@ class LinearSystem(Brief):
             response[late] = np.real(np.exp(t[:, None] * self.poles) @ (terms * self.poles))
         return response
 
+    def _terms(self) -> tuple[ComplexArray, bool]:
+        """Return `step_terms`, and that poles are not far apart where there are none: of samples, with a pole at 0."""
+        return (self.poles, False) if self.sample_rate_hz or np.any(self.poles == 0) else self.step_terms()
+
     def step_between(self, begin_s: float, end_s: float, count: int) -> FloatArray:
-        """Return the response (count,) of a continuous system to a unit step, at times evenly spaced after it."""
-        terms, apart = self.step_terms()
+        """Return the response (count,) to a unit step at evenly spaced times, none before it."""
+        terms, apart = self._terms()
         if not apart:
             return self.step(np.linspace(begin_s, end_s, count))
         return self.static_gain + exponentials_between(self.poles, terms, begin_s, end_s, count)

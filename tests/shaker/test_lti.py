@@ -267,6 +267,24 @@ def test_equal_lags(count):
     assert found.half_power_hz == pytest.approx(100 / (2 * np.pi) * np.sqrt(2 ** (1 / count) - 1), rel=1e-10)
 
 
+def test_what_passes_at_once_is_reached_at_once():
+    """(s/2 + a)/(s + a) begins at one half: 10 % are there from the start, 90 % at ln 5/a, 2 % are left at ln 25/a."""
+    found = indices(lti([-200.0], 0.5, [-400.0]))
+    assert found.rise_s == pytest.approx(np.log(5.0) / 200.0, rel=1e-12)
+    assert found.settling_2_s == pytest.approx(np.log(25.0) / 200.0, rel=1e-12)
+    assert found.overshoot == 0.0
+
+
+@pytest.mark.parametrize(
+    "system",
+    [third_order(), lti([-5.0, -5.0], 25.0), lti([0.0, -40.0], 1.0), oscillator(900.0, 0.3).times(lti([-50], 5))],
+)
+def test_a_response_at_evenly_spaced_times_is_that_at_each(system):
+    even = system.step_between(1e-3, 0.2, 1500)
+    each = system.step(np.linspace(1e-3, 0.2, 1500))
+    assert np.allclose(even, each, rtol=1e-12, atol=1e-12 * np.abs(each).max())
+
+
 def test_a_band_left_and_entered_again():
     """A peak of 15 % and what comes behind it: two more ranges within ±10 %, one of them behind the peak."""
     system = oscillator(1000.0, 0.5)
