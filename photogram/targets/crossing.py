@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -456,6 +455,8 @@ def _fit_all(
     fitted: FloatArray,
 ) -> FloatArray:
     """Fill `fitted` (N, 13) for corners' start, axes and bend, and return the lags (N, 4, 28), as `fit_crossings`."""
+    import cv2
+
     start_px, axes_px, bend_per_px = corners
     count = len(start_px)
     check_shape("axes_px", axes_px, (count, 2, 2))
