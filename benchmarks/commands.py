@@ -6,7 +6,8 @@ Each command is a process of its own; of the repeats, taken in turn with those o
 times count. Kernels are compiled and modules read once before. The recordings are the demo in the repository and a
 simulated `nitsche2018` (844 pictures of 640 x 512 px, 12 bit, deflated, and as most cameras write them), which takes
 two minutes to render and is kept in --keep; `lines` reads 30 million samples; `step` and `decouple` fit the 19 releases
-of preset `steps`, `cameras` the pictures of preset `targets`. With --docs the table goes to performance.md there.
+of preset `steps`, `cameras` the pictures of preset `targets`, `compensate` takes the models of `elastomer`. With --docs
+the table goes to performance.md there.
 """
 
 from __future__ import annotations
@@ -55,12 +56,14 @@ def cases(kept: Path, results: Path) -> list[Case]:
     """Commands, from the shortest to the longest."""
     recording, run = kept / "nitsche2018" / "Fz-0106.25", ("-o", str(results), "--force", "-q")
     pictures, charuco = (str(kept / "targets" / side) for side in ("left", "right")), ("--target", "charuco")
+    models = kept / "elastomer" / "models.json"
     free = (*charuco, "--size", "11x8", "--spacing", "9e-3", "--shape", "free", "-o", f"{results}.json", *run[2:])
     return [
         Case("`--help`", "0.15 s of CPU", ("--help",)),
         Case("`check` of the demo", "0.6 s of CPU", ("check", str(DEMO), "-q")),
         Case("`run` of the demo's recording, 96 pictures", "4 s", ("run", str(DEMO / "Fz-0080"), *run)),
         Case("`lines`, 30 million samples", "5 s", ("lines", str(kept / "long.h5"), "-q")),
+        Case("`compensate`, six channels", "", ("compensate", str(models), "--frequency", "900", *run)),
         Case("`decouple`, 19 releases", "a third", ("decouple", str(kept / "steps"), *run)),
         Case("`step --method all`, 19 releases", "a third", ("step", str(kept / "steps"), "--method", "all", *run)),
         Case("`cameras --shape free`, 2 × 10 pictures", "a third", ("cameras", *pictures, *free)),
@@ -72,7 +75,7 @@ def cases(kept: Path, results: Path) -> list[Case]:
 
 def make_inputs(kept: Path) -> None:
     """Write what is not there yet."""
-    for preset in ("nitsche2018", "steps", "targets"):
+    for preset in ("nitsche2018", "steps", "targets", "elastomer"):
         if not (kept / preset).is_dir():
             shakercal(["simulate", str(kept / preset), "--preset", preset, "-q"])
     if not (kept / "plain").is_dir():  # as most cameras write them
