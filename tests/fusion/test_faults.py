@@ -536,8 +536,8 @@ def test_whoever_is_killed_when_the_next_run_gives_the_same_results(tmp_path):
     rng = random.Random(5)
     campaign = faults.make_campaign(tmp_path)
     for workers in (1, 2):
-        found = faults.kills(campaign, tmp_path, 2, rng, workers)
-        assert found.good == found.tried == 2, found
+        found = faults.kills(campaign, tmp_path, 1, rng, workers)
+        assert found.good == found.tried == 1, found
 
 
 @pytest.mark.slow

@@ -315,6 +315,7 @@ def test_repeats_of_one_load_make_a_model_of_two_masses(tmp_path, capsys, monkey
     assert float(stiffness["value"]) == pytest.approx(0.2 * (2 * 3.141592653589793 * 100) ** 2, rel=0.02)
 
 
+USUAL = 5
 EXAMPLES = {
     **dict.fromkeys(("rig", "loads", "loads rig", "element", "measured", "models"), 3),
     **dict.fromkeys(("options of decouple", "options of elastomer", "options of lines"), 3),
@@ -331,7 +332,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", fuzz_manifests.KINDS, ids=lambda kind: kind.name)
 def test_wrong_manifests_end_with_one_sentence(kind, inputs):
-    told = fuzz_manifests.fuzzed(kind, inputs, EXAMPLES.get(kind.name, 8))
+    told = fuzz_manifests.fuzzed(kind, inputs, EXAMPLES.get(kind.name, USUAL))
     assert not told.broken
     assert not told.unnoticed
 
@@ -339,4 +340,4 @@ def test_wrong_manifests_end_with_one_sentence(kind, inputs):
 @pytest.mark.slow
 @pytest.mark.parametrize("command", list(fuzz_manifests.OPTIONS))
 def test_wrong_options_end_with_one_sentence(command, inputs):
-    assert not fuzz_manifests.fuzzed_options(command, inputs, EXAMPLES.get(f"options of {command}", 8)).broken
+    assert not fuzz_manifests.fuzzed_options(command, inputs, EXAMPLES.get(f"options of {command}", USUAL)).broken
