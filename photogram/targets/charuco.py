@@ -29,9 +29,11 @@ def find_charuco(image: NDArray[Any], target: Target, name: str, full_scale: flo
     assert target.size is not None
     grey = eight_bit(image)
     dictionary = target.dictionary or _dictionary(grey, target.size)
-    markers = None if dictionary is None else _seen(grey, dictionary)
-    board = None if markers is None or dictionary is None else _search(grey, markers, target.size, dictionary)
-    if markers is None or board is None:
+    if dictionary is None:
+        raise TargetNotFound(_reason(image, grey, target, None, full_scale))
+    markers = _seen(grey, dictionary)
+    board = _search(grey, markers, target.size, dictionary)
+    if board is None:
         raise TargetNotFound(_reason(image, grey, target, dictionary, full_scale))
     wanted = f"{target.size[0]} x {target.size[1]} squares"
     if len(board.place) < _FIT_SHARE * board.seen:

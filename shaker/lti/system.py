@@ -534,18 +534,22 @@ def differences(
     return value, slopes
 
 
+def even_exponentials(rates: ComplexArray, begin_s: float, step_s: float, count: int) -> tuple[ComplexArray, ...]:
+    """Return coarse and fine (P, m) of exp(rate·(begin + kΔ)) = coarse[:, k // m]·fine[:, k % m], for k below `count`.
+
+    So many evenly spaced times take 2√count exponentials for each rate.
+    """
+    size = int(np.sqrt(count - 1)) + 1
+    places, p = np.arange(size), rates[:, None]
+    return np.exp(p * (size * step_s * places)), np.exp(p * (begin_s + step_s * places))
+
+
 def exponentials_between(
     rates: ComplexArray, weights: ComplexArray, begin_s: float, end_s: float, count: int
 ) -> FloatArray:
-    """Return Re Σ weight·exp(rate·t) (count,) at evenly spaced times.
-
-    Each is the product of a coarse and a fine part, of which there are about √count each.
-    """
-    fine = int(np.sqrt(count)) + 1
-    spacing = (end_s - begin_s) / (count - 1)
-    coarse = begin_s + fine * spacing * np.arange(-(-count // fine))
-    parts = np.exp(coarse[:, None] * rates) * weights @ np.exp(rates[:, None] * (spacing * np.arange(fine)))
-    return np.asarray(parts.real.ravel()[:count])
+    """Return Re Σ weight·exp(rate·t) (count,) at evenly spaced times."""
+    coarse, fine = even_exponentials(rates, begin_s, (end_s - begin_s) / (count - 1), count)
+    return np.asarray(((coarse.T * weights) @ fine).real.ravel()[:count])
 
 
 # Coordinates of models in which means and large moves are sound: what a record tells well is linear in them.

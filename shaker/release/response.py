@@ -15,6 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray, check_shape
+from shaker.lti.system import even_exponentials
 from shaker.release.record import Shape
 
 _SMALL = 1e-2  # |x| below which factors are taken from their series
@@ -157,7 +158,7 @@ def pole_responses(
 def exponentials(poles: ComplexArray, tau: FloatArray) -> ComplexArray:
     """Return exp(pτ) (P, N), poles (P,) in rad/s, at times `tau` (N,) in s, none below 0.
 
-    Times τ + (i + mj)Δ that rise evenly, i below m, make them exp(p(τ + iΔ))·exp(pmjΔ): 2√N exponentials for N.
+    At times that rise evenly they are products of two short series (`even_exponentials`).
     """
     count = len(tau)
     p = poles[:, None]
@@ -166,10 +167,8 @@ def exponentials(poles: ComplexArray, tau: FloatArray) -> ComplexArray:
     step = float(tau[-1] - tau[0]) / (count - 1)
     if not np.max(np.abs(tau - (tau[0] + step * np.arange(count)))) <= _EVEN * step:
         return np.asarray(np.exp(p * tau))
-    size = int(np.sqrt(count - 1)) + 1
-    places = np.arange(size)
-    fine, coarse = np.exp(p * (tau[0] + step * places)), np.exp(p * (size * step * places))
-    return np.asarray((coarse[:, :, None] * fine[:, None]).reshape(len(poles), size**2)[:, :count])
+    coarse, fine = even_exponentials(poles, float(tau[0]), step, count)
+    return np.asarray((coarse[:, :, None] * fine[:, None]).reshape(len(poles), -1)[:, :count])
 
 
 @dataclass(frozen=True, repr=False)
