@@ -15,6 +15,7 @@ from photogram.geometry import RigidTransform
 
 _RIG = len(RIG_PARAMETERS)
 _STEPS = 100  # steps allowed; five to ten are the rule, more with long focal lengths and large residuals
+_DAMPING, _DAMPING_NEAR = 1e-3, 1e-9  # of the first step
 _CONVERGED = 1e-3  # expected decrease of χ² that ends the iteration: parameters to 0.03 of their uncertainty
 
 
@@ -62,13 +63,14 @@ class Adjusted:
     normal: Normal
 
 
-def adjust(start: Bundle, pictures: Sequence[Picture], prior: Prior) -> Adjusted:
+def adjust(start: Bundle, pictures: Sequence[Picture], prior: Prior, near: bool = False) -> Adjusted:
     """Return the bundle that minimises Σ rᵀ·C⁻¹·r over all points plus the priors' squares.
 
-    Levenberg–Marquardt. All pictures have one radius of dots. Raises `ValueError` when the sum of squares cannot be
-    brought to a minimum.
+    Levenberg–Marquardt; from a start that is `near` the minimum, as one is that was adjusted with other weights, almost
+    undamped: along what the pictures hardly tell, damping makes many steps of one. All pictures have one radius of dots.
+    Raises `ValueError` when the sum of squares cannot be brought to a minimum.
     """
-    bundle, damping, sides = start, 1e-3, _sides(pictures)
+    bundle, damping, sides = start, _DAMPING_NEAR if near else _DAMPING, _sides(pictures)
     cost, seen = _looked(start, sides, prior)
     normal = _normal(start, sides, seen, prior)
     for _ in range(_STEPS):

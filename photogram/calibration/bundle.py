@@ -219,12 +219,18 @@ class Shape(Arrays, shapes="index P 2; value_m S; flat_m P 3; modes P 3 M; prior
     def with_prior_from(self, variance_m2: FloatArray) -> Shape:
         """Return the shape with each group's prior set to the spread of its values, known to `variance_m2` (S,).
 
-        One step of expectation and maximisation: σ² = mean of value² + variance (Dempster, Laird, Rubin 1977).
+        A step towards the most likely σ under a penalty log σ (Chung, Rabe-Hesketh, Dorie, Gelman, Liu 2013,
+        Psychometrika 78, 685), which is never 0: Σ value² + σ² = σ²·γ with the number γ = Σ (1 − variance/σ²) of values
+        that the pictures determine (MacKay 1992, Neural Computation 4, 415). Where σ is small γ grows as σ², where it is
+        large γ is constant; either way σ² = (Σ value² + σ²)/γ arrives in a few steps.
         """
         if not self.free:
             return self
-        second = self.value_m**2 + variance_m2
-        inside, across = (float(np.sqrt(second[self.group == group].mean())) for group in (0, 1))
+        determined = 1 - variance_m2 / self.prior_m**2
+        inside, across = (
+            float(np.sqrt(((self.value_m[own] ** 2).sum() + self.prior_m[own][0] ** 2) / determined[own].sum()))
+            for own in (self.group == 0, self.group == 1)
+        )
         return replace(self, prior_m=np.array([inside, across, _STRETCH * inside])[self.group])
 
 

@@ -109,5 +109,5 @@ def split_half(adjusted: Adjusted, pictures: Sequence[Picture], prior: Prior) ->
     for first in (0, 1):
         number = {view: place for place, view in enumerate(range(first, views, 2))}
         half = [replace(picture, view=number[picture.view]) for picture in pictures if picture.view in number]
-        rigs.append(adjust(bundle.of_views(list(number)), half, prior).bundle.rig)
+        rigs.append(adjust(bundle.of_views(list(number)), half, prior, near=True).bundle.rig)
     return rigs[0], rigs[1]

@@ -39,6 +39,7 @@ _VIEWS_FOR_MORE = 5
 _VIEWS_TO_HALVE = 8
 _CHANCE = 0.01  # that a drift is taken for one where there is none
 _SETTLED = 0.01  # relative change of the added noise that ends the rounds
+_SETTLED_SPREAD = 0.1  # and of the spread of free points: where it is small it matters little, and settles slowly
 
 
 def calibrate_pair(
@@ -139,7 +140,7 @@ def _drifting(fit: _Fit) -> bool:
     from scipy.special import stdtrit
 
     start = replace(fit.adjusted.bundle, drift=Drift.over(len(fit.adjusted.bundle.poses)))
-    adjusted = adjust(start, fit.session.weighted(), fit.model.prior(start.rig))
+    adjusted = adjust(start, fit.session.weighted(), fit.model.prior(start.rig), near=True)
     assert adjusted.bundle.drift is not None
     u = drift_u(adjusted, leave_out(adjusted), fit.factor)
     return bool((np.abs(adjusted.bundle.drift.value) > stdtrit(len(start.poses) - 1, 1 - _CHANCE / 4) * u).any())
@@ -257,22 +258,23 @@ class _Fit:
 
 def _settle(bundle: Bundle, session: _Session, model: _Model) -> _Fit:
     """Adjust, estimate the noise and leave points out until nothing changes any more."""
-    for _ in range(_ROUNDS):
-        fit = _fit(bundle, session, model)
+    for number in range(_ROUNDS):
+        fit = _fit(bundle, session, model, near=number > 0)
         bundle = fit.adjusted.bundle
-        bundle = replace(bundle, shape=bundle.shape.with_prior_from(fit.adjusted.shape_variance))
+        shape = bundle.shape.with_prior_from(fit.adjusted.shape_variance)
         after = _judged(fit)
         same = all(np.array_equal(a, b) for a, b in zip(after.used, session.used, strict=True))
         change = np.abs(np.subtract(after.added_px, session.added_px)) / np.maximum(session.added_px, 1e-3)
-        if same and (change < _SETTLED).all():
+        spread = np.abs(shape.prior_m / bundle.shape.prior_m - 1)
+        if same and (change < _SETTLED).all() and (spread < _SETTLED_SPREAD).all():
             return fit
-        session = after
-    return _fit(bundle, session, model)
+        bundle, session = replace(bundle, shape=shape), after
+    return _fit(bundle, session, model, near=True)
 
 
-def _fit(bundle: Bundle, session: _Session, model: _Model) -> _Fit:
+def _fit(bundle: Bundle, session: _Session, model: _Model, near: bool) -> _Fit:
     """Adjust once with the session's weights."""
-    adjusted = adjust(bundle, session.weighted(), model.prior(bundle.rig))
+    adjusted = adjust(bundle, session.weighted(), model.prior(bundle.rig), near)
     pictures = session.weighted(every=True)
     away = residuals(adjusted.bundle, pictures)
     both = zip(away, pictures, strict=True)

@@ -440,6 +440,16 @@ def test_points_off_the_lattice_are_found_where_asked_for():
     assert _largest(free) < 4.5
 
 
+@pytest.mark.parametrize("seed", [2, 4, 5])
+def test_offsets_that_points_do_not_have_cost_no_uncertainty(seed):
+    pairs = _session(seed, 10)
+    flat, free = (calibrate_pair(pairs, TARGET, shape, lens="polynomial") for shape in ("flat", "free"))
+    free_u, flat_u = free.judged.u_fit, flat.judged.u_fit
+    assert (free_u <= 1.12 * flat_u).all(), "the spread of points that lie on their lattice goes to the end of its fit"
+    assert (free_u[flat_u > 0] > 0.97 * flat_u[flat_u > 0]).all()
+    assert 0 < np.abs(free.shape_m - flat.shape_m).max() < 3e-6
+
+
 @settings(max_examples=20, deadline=None)
 @given(st.tuples(*[st.floats(-0.5, 0.5)] * 2), st.floats(-3, 3), st.floats(0.4, 0.6))
 def test_target_pose_comes_back(tilt, turn, depth):
