@@ -38,6 +38,7 @@ _WORTH = 1.0  # unexplained over own variance above which offsets of the target'
 _VIEWS_FOR_MORE = 5
 _VIEWS_TO_HALVE = 8
 _CHANCE = 0.01  # that a drift is taken for one where there is none
+_CHANCE_NORMAL = 2.8  # quantile of the normal distribution there; Student's are larger
 _SETTLED = 0.01  # relative change of the added noise that ends the rounds
 _SETTLED_SPREAD = 0.1  # and of the spread of free points: where it is small it matters little, and settles slowly
 
@@ -137,13 +138,16 @@ def _drifting(fit: _Fit) -> bool:
 
     Student's t of either drift, by what single views do to it, at a level of 1 % for both together.
     """
-    from scipy.special import stdtrit
-
     start = replace(fit.adjusted.bundle, drift=Drift.over(len(fit.adjusted.bundle.poses)))
     adjusted = adjust(start, fit.session.weighted(), fit.model.prior(start.rig), near=True)
     assert adjusted.bundle.drift is not None
     u = drift_u(adjusted, leave_out(adjusted), fit.factor)
-    return bool((np.abs(adjusted.bundle.drift.value) > stdtrit(len(start.poses) - 1, 1 - _CHANCE / 4) * u).any())
+    t = float((np.abs(adjusted.bundle.drift.value) / u).max())
+    if t < _CHANCE_NORMAL:
+        return False
+    from scipy.special import stdtrit
+
+    return bool(t > stdtrit(len(start.poses) - 1, 1 - _CHANCE / 4))
 
 
 def _predicts_better(fit: _Fit, other: _Fit) -> bool:

@@ -37,6 +37,7 @@ TIFF_CODES = ("NONE", "LZW", "ADOBE_DEFLATE", "DEFLATE", "PACKBITS", "JPEG", "OJ
 READ_AT_ONCE = 1 << 28  # bytes of a file
 PICTURE_BITS = (8, 10, 12, 14, 16)
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+PNG_TAIL = 64  # last bytes among which the end mark is looked for
 PNG_COLOURS = {2: "colour", 3: "palette colour", 4: "grey with transparency", 6: "colour with transparency"}
 
 
@@ -119,6 +120,8 @@ def read_picture(path: str | Path) -> tuple[GreyImage, int]:
     path = Path(path)
     with reading(path):
         data = np.fromfile(path, np.uint8)
+        if data[: len(PNG_SIGNATURE)].tobytes() == PNG_SIGNATURE:  # whose library writes to the terminal of its own
+            _refuse_truncated_png(path, data[-PNG_TAIL:].tobytes())
         image = cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE) if data.size else None
     if image is None:
         raise ValueError(f"{path}: not a readable picture")
@@ -261,18 +264,23 @@ def _png_header(path: Path) -> _Header:
     """Size and bits of a PNG file that has its end mark."""
     with path.open("rb") as file:
         head = file.read(26)
-        file.seek(max(0, path.stat().st_size - 64))
+        file.seek(max(0, path.stat().st_size - PNG_TAIL))
         tail = file.read()
     if len(head) < 26 or not head.startswith(PNG_SIGNATURE) or head[12:16] != b"IHDR":
         raise ValueError(f"{path}: not a readable PNG file")
-    if b"IEND" not in tail:
-        raise ValueError(f"{path}: truncated, the end mark of the PNG file is missing")
+    _refuse_truncated_png(path, tail)
     width, height, bits, colour = struct.unpack(">IIBB", head[16:26])
     if colour != 0:
         raise ValueError(f"{path}: expected a grey image, found {PNG_COLOURS.get(colour, 'unknown colours')}")
     if bits not in (8, 16):
         raise ValueError(f"{path}: expected 8 or 16 bits per pixel, found {bits}")
     return _Header((width, height), bits)
+
+
+def _refuse_truncated_png(path: Path, tail: bytes) -> None:
+    """Refuse a PNG file whose last bytes lack the end mark."""
+    if b"IEND" not in tail:
+        raise ValueError(f"{path}: truncated, the end mark of the PNG file is missing")
 
 
 def _bmp_header(path: Path) -> _Header:

@@ -244,6 +244,17 @@ def _fit(image, pixels, bend, response, weight, least, p, inverse):  # type: ign
 
 
 @njit(error_model="numpy")
+def _box(pixels):  # type: ignore[no-untyped-def]
+    """Return left, top, width and height of the box around pixels; numba's own minimum would import SciPy's algebra."""
+    left, top = pixels[0]
+    right, bottom = pixels[0]
+    for k in range(pixels.shape[0]):
+        left, right = min(left, pixels[k, 0]), max(right, pixels[k, 0])
+        top, bottom = min(top, pixels[k, 1]), max(bottom, pixels[k, 1])
+    return left, top, right - left + 1, bottom - top + 1
+
+
+@njit(error_model="numpy")
 def _spread(image, pixels, taper, weight, p, bend, response, inverse, patch):  # type: ignore[no-untyped-def]
     """Fill the patch (4, H, W) around the pixels: taper, residual in standard deviations times taper, pull in x and y.
 
@@ -251,7 +262,8 @@ def _spread(image, pixels, taper, weight, p, bend, response, inverse, patch):  #
     """
     edges, slope = _edges(p, response), np.empty(PARAMETERS)
     patch[:] = 0.0
-    left, top = pixels[:, 0].min() - REACH, pixels[:, 1].min()
+    left, top, _, _ = _box(pixels)
+    left -= REACH
     for k in range(pixels.shape[0]):
         column, row = pixels[k, 0], pixels[k, 1]
         expected = _model(p, edges, bend, response, float(column), float(row), slope)
@@ -333,8 +345,8 @@ def fit_crossings(image, corners, response, fitted, lags):  # type: ignore[no-un
         cost = _fit(image, pixels, bend[n], response, weight, _CONVERGED_PX, p, inverse)
         if not cost >= 0.0:
             continue
-        wide = pixels[:, 0].max() - pixels[:, 0].min() + 1
-        patch = np.empty((4, pixels[:, 1].max() - pixels[:, 1].min() + 1, wide + 2 * REACH))
+        _, _, wide, high = _box(pixels)
+        patch = np.empty((4, high, wide + 2 * REACH))
         _spread(image, pixels, taper, weight, p, bend[n], response, inverse, patch)
         _correlate(patch, lags[n])
         out[:PARAMETERS], out[STATUS], out[CHI2] = p, GOOD, cost / count

@@ -64,6 +64,14 @@ def test_pictures_larger_than_any_camera_are_refused(tmp_path):
     refused("a.cine: expected at most 268435456 pixels", open_sequence, [tmp_path / "a.cine"])
 
 
+def test_a_picture_cut_short_is_refused_and_nothing_else_is_said(tmp_path, capfd):
+    whole = _png(tmp_path / "whole.png", 64, 64).read_bytes()
+    (tmp_path / "cut.png").write_bytes(whole[:-12])
+    for read in (read_picture, lambda path: open_sequence([path])):
+        refused("cut.png: truncated, the end mark of the PNG file is missing", read, tmp_path / "cut.png")
+    assert capfd.readouterr() == ("", ""), "what decodes PNG files has a terminal of its own"
+
+
 def test_parts_of_a_tiff_have_to_be_as_long_as_their_pixels(tmp_path):
     """A deflated strip of 100 kB that inflates to 100 MB is not inflated; what is missing is not made up."""
     grey = np.random.default_rng(1).integers(0, 4096, (16, 16), dtype=np.uint16)
