@@ -31,7 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     atexit.unregister(gc.freeze)
     atexit.register(gc.freeze)  # what is left at the end is not searched for cycles, which takes a third of a second
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices here are small: more threads wait for each other
-    os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")  # its warnings about pictures would stand before the program's own
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")  # its warnings would stand before the program's own
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # it would look among all packages for them
     with _ended_by_signals(), _terminals():
         parser = _parser((sys.argv[1:] if arguments is None else arguments)[:1])

@@ -67,8 +67,8 @@ def adjust(start: Bundle, pictures: Sequence[Picture], prior: Prior, near: bool 
     """Return the bundle that minimises Σ rᵀ·C⁻¹·r over all points plus the priors' squares.
 
     Levenberg–Marquardt; from a start that is `near` the minimum, as one is that was adjusted with other weights, almost
-    undamped: along what the pictures hardly tell, damping makes many steps of one. All pictures have one radius of dots.
-    Raises `ValueError` when the sum of squares cannot be brought to a minimum.
+    undamped: along what the pictures hardly tell, damping makes many steps of one. All pictures have one radius of
+    dots. Raises `ValueError` when the sum of squares cannot be brought to a minimum.
     """
     bundle, damping, sides = start, _DAMPING_NEAR if near else _DAMPING, _sides(pictures)
     cost, seen = _looked(start, sides, prior)

@@ -221,8 +221,8 @@ class Shape(Arrays, shapes="index P 2; value_m S; flat_m P 3; modes P 3 M; prior
 
         A step towards the most likely σ under a penalty log σ (Chung, Rabe-Hesketh, Dorie, Gelman, Liu 2013,
         Psychometrika 78, 685), which is never 0: Σ value² + σ² = σ²·γ with the number γ = Σ (1 − variance/σ²) of values
-        that the pictures determine (MacKay 1992, Neural Computation 4, 415). Where σ is small γ grows as σ², where it is
-        large γ is constant; either way σ² = (Σ value² + σ²)/γ arrives in a few steps.
+        that the pictures determine (MacKay 1992, Neural Computation 4, 415). Where σ is small γ grows as σ², where it
+        is large γ is constant; either way σ² = (Σ value² + σ²)/γ arrives in a few steps.
         """
         if not self.free:
             return self
