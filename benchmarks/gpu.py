@@ -35,12 +35,12 @@ from marked import markdown_table, write_marked
 from photogram.direct import fit, fit_torch
 from photogram.direct.fit_torch import fit_frames, torch_view
 from photogram.images.sequence import ImageSequence
+from photogram.kernels.device import resolve_device
 from photogram.measure import follow_torch
 from photogram.measure.follow import BodyScene, KnownBody, follow_block, prepare_body, sine_terms
 from photogram.measure.follow_torch import MOST_FRAMES
 from photogram.subsets.icgn import TrackSettings
 from photogram.subsets.icgn_torch import PRECISION, register_frames, splines_of, torch_reference, uploaded
-from photogram.subsets.track import resolve_device
 
 RADIUS_PX, COMPARED = 15, 64
 SETTINGS = TrackSettings(RADIUS_PX, degree=7)

@@ -204,7 +204,7 @@ def device(choice: str) -> str:
     """Return the processor chosen, checked to be there; "auto" is left for when there is something to track."""
     if choice == "auto":
         return choice
-    from photogram.subsets.track import resolve_device
+    from photogram.kernels.device import resolve_device
 
     try:
         return resolve_device(choice)

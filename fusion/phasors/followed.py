@@ -29,8 +29,8 @@ HELD = 1 << 26
 
 def follow(scene: BodyScene, frames: range, device: str) -> FollowedBlock:  # a task, so of this module
     """Follow a body through a block of frames on the device that a choice means."""
+    from photogram.kernels.device import resolve_device
     from photogram.measure.follow import follow_block
-    from photogram.subsets.track import resolve_device
 
     return follow_block(scene, frames, resolve_device(device))
 

@@ -265,7 +265,7 @@ def followed_pairs(
     of this process follow them, and whoever does finds the same to the last bit. Blocks of frames that were `kept` are
     not followed again.
     """
-    from photogram.subsets.track import resolve_device
+    from photogram.kernels.device import resolve_device
 
     on_gpu = executor is None and resolve_device(settings.device) != "cpu"
     with Threads(max(1, len(images)) if on_gpu else None) as here:  # a GPU holds one block of each body at a time
@@ -327,8 +327,8 @@ def _answer(images: OpenImages, pending: Pending) -> Any:
 
 
 def _prepared(images: OpenImages, settings: Settings, lines: Lines | None) -> BodyScene:  # a task, so of this module
+    from photogram.kernels.device import resolve_device
     from photogram.measure.follow import KnownBody, prepare_body, sine_terms
-    from photogram.subsets.track import resolve_device
 
     inputs, terms = body_inputs(images, settings, None if lines is None else len(lines.frequency_hz)), None
     if lines is not None:

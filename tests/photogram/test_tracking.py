@@ -21,8 +21,9 @@ from photogram.camera import Camera, StereoRig, triangulate
 from photogram.geometry import RigidTransform
 from photogram.images.files import open_sequence
 from photogram.images.sequence import AHEAD, ImageSequence
+from photogram.kernels import device as device_module
+from photogram.kernels.device import resolve_device
 from photogram.motion import RigidMotion, fit_motion
-from photogram.subsets import track as device_module
 from photogram.subsets.icgn import TrackSettings
 from photogram.subsets.reference import TrackStatus
 from photogram.subsets.search import predict_warp
@@ -32,7 +33,6 @@ from photogram.subsets.track import (
     lay_stereo_grid,
     match_stereo,
     prepare_sequence,
-    resolve_device,
     track_sequence,
     track_stereo,
 )

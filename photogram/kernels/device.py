@@ -1,0 +1,43 @@
+"""The processor that images are compared on: the CPU, or a GPU where torch finds one."""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+from importlib.util import find_spec
+
+DEVICES = ("auto", "cpu", "cuda")
+
+
+def resolve_device(choice: str) -> str:
+    """The device 'cpu' or 'cuda' meant by `choice`: 'auto' is 'cuda' where torch can use one, 'cpu' elsewhere.
+
+    Importing torch takes seconds, so 'auto' asks it only where an NVIDIA driver can be loaded.
+    """
+    if choice not in DEVICES:
+        raise ValueError(f"device: expected one of {', '.join(DEVICES)}, found {choice!r}")
+    if choice == "cpu" or (choice == "auto" and not _has_driver()):
+        return "cpu"
+    if _torch_finds_cuda():
+        return "cuda"
+    if choice == "cuda":
+        raise ValueError("device: expected a GPU that torch can use for 'cuda', found none (try 'auto' or 'cpu')")
+    return "cpu"
+
+
+def _has_driver() -> bool:
+    """Whether the NVIDIA driver's library is there; takes microseconds where it is not."""
+    try:
+        ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
+    except OSError:
+        return False
+    return True
+
+
+def _torch_finds_cuda() -> bool:
+    """Whether torch is installed, built for CUDA, and finds a device."""
+    if find_spec("torch") is None:
+        return False
+    import torch
+
+    return bool(torch.cuda.is_available())
