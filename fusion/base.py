@@ -168,6 +168,12 @@ class Identity(NamedTuple):
         return self.mtime_ns * 1e-9 <= time.time() - JUST_NOW_S
 
 
+def natural_key(name: str) -> tuple[tuple[tuple[int, int | str], ...], str]:
+    """Sort key that orders runs of digits by value: `a2` before `a10`; ties by the text itself."""
+    parts = re.split(r"([0-9]+)", name)
+    return tuple((0, int(part)) if part.isdigit() else (1, part) for part in parts if part), name
+
+
 def check_new_file(path: Path, *, force: bool) -> None:
     """Refuse a place for a file that is taken (by a file: unless `force`) or that is in no folder."""
     if path.exists() and not (force and path.is_file()):

@@ -17,10 +17,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from fusion.base import InputError, ProgressCallback, as_input_error, check_new_file, no_progress, versions
+from fusion.base import InputError, ProgressCallback, as_input_error, check_new_file, natural_key, no_progress, versions
 from fusion.cameras.quantities import axes_angle_rad, baseline_m, points_of_board
 from fusion.cameras.report import render_camera_report
-from fusion.recording.values import natural_key
 from fusion.report.files import write_whole, writing
 from fusion.report.folder import Provenance, hash_files
 from fusion.report.table import plain

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from fusion.base import Identity, InputError
+from fusion.base import Identity, InputError, natural_key
 from fusion.instruments.transducer import CLOSE_TO_AXIS_RAD, HEAD, ROOM, carrier, unit_direction, wrong_aim
 from fusion.recording.certified import CertifiedInputs, certified_inputs
 from fusion.recording.excitation import KINDS, ONE_SET_UP, Excitation, kinds_of, listed
@@ -41,7 +41,7 @@ from fusion.recording.toml import (
     unfilled,
     validate,
 )
-from fusion.recording.values import Context, PathScope, describe, natural_key, repeated_name
+from fusion.recording.values import Context, PathScope, describe, repeated_name
 from shaker.arrays import Notice
 from shaker.io import refused_suffix
 

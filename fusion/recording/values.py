@@ -21,6 +21,8 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo
 from pydantic_core import PydanticCustomError
 
+from fusion.base import natural_key
+
 if TYPE_CHECKING:
     from fusion.recording.rig import Head, Stereo
 
@@ -29,12 +31,6 @@ if TYPE_CHECKING:
 
 
 MAGIC = re.compile(r"[*?\[]")
-
-
-def natural_key(name: str) -> tuple[tuple[tuple[int, int | str], ...], str]:
-    """Sort key that orders runs of digits by value: `a2` before `a10`; ties by the text itself."""
-    parts = re.split(r"([0-9]+)", name)
-    return tuple((0, int(part)) if part.isdigit() else (1, part) for part in parts if part), name
 
 
 def _other_than_file(path: Path) -> str:

@@ -21,7 +21,6 @@ from threading import Event
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 from urllib.parse import quote
 
-import h5py
 import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
@@ -39,16 +38,17 @@ from fusion.base import (
 )
 from fusion.report.figure import Figure
 from fusion.report.files import claimed, is_own, write_files, write_together
-from fusion.report.h5 import h5_content, opened_results, write_value
 from fusion.report.kept import CompiledTemplates, kept
 from fusion.report.still import still_svg
-from fusion.report.stored import TEXT, Group
 from fusion.report.table import Headline, Table, csv_rows, plain_text
 from fusion.report.terminal import AS_JSON, tell, working
 
 if TYPE_CHECKING:
+    import h5py
+
     from fusion.recording.load import Manifest
     from fusion.recording.rig import Rig
+    from fusion.report.stored import Group
 
 # What was run on what: hashes of the input files, versions, and whether a folder still answers to them.
 
@@ -239,6 +239,10 @@ def read_provenance(folder: Path, marker: str = RESULT_FILE, *, alone: bool = Fa
 
     `alone`: of results that nobody reads any more, so that nothing else in their file counts.
     """
+    import h5py  # pages alone do without
+
+    from fusion.report.h5 import opened_results
+
     path = folder / marker
     if not path.is_file() or not h5py.is_hdf5(path):
         return None
@@ -263,6 +267,8 @@ def provenance_of(file: h5py.File) -> Provenance:
 
 def write_provenance(file: Group, origin: Origin, files: Sequence[str]) -> None:
     """Put the group `provenance` into an open result file; `files`: the names of all result files."""
+    from fusion.report.stored import TEXT
+
     group = file.create_group("provenance")
     hashes = origin.input_hashes
     for name, texts in (("input_file", list(hashes)), ("input_sha256", list(hashes.values())), ("files", files)):
@@ -476,6 +482,8 @@ class Command(Generic[E]):
         self, evaluation: E, folder: Path, inputs: InputFiles | None = None, *, force: bool = False
     ) -> list[Path]:
         """Write every file and return their paths; other folders are refused unless `force`, as are changed inputs."""
+        from fusion.report.h5 import h5_content, write_value
+
         own = re.compile("|".join(re.escape(name) for name in (*self.files, self.page_file, self.h5_file)))
 
         def make(temporary: Path) -> list[str]:

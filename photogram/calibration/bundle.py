@@ -337,8 +337,7 @@ class Bundle:
         """
         middle = self.shape.flat_m.mean(axis=0)
         growth = step[LEFT[:2]] / self.rig.left.parameters[:2]
-        moves = zip(self.poses, pose_steps, strict=True)
-        poses = tuple(moved_pose(middle, pose, change, growth) for pose, change in moves)
+        poses = moved_poses(middle, self.poses, pose_steps, growth)
         before, after = (np.mean([pose.apply(middle) for pose in every], axis=0) for every in (self.poses, poses))
         turns = np.cross(pose_steps[:, 3:], [pose.rotation @ middle for pose in self.poses])
         shift = np.mean(pose_steps[:, :3] + turns, axis=0)
@@ -361,7 +360,7 @@ class Bundle:
         relative, growth = self.rig.right_from_left, step[RIGHT[:2]] / self.rig.right.parameters[:2]
         turned = relative.rotation @ before
         change = np.cross(step[ROTATION], turned) + step[TRANSLATION] + relative.rotation @ shift
-        place = _place_moved(turned + relative.translation_m, change, growth)
+        place = _places_moved(turned + relative.translation_m, change, growth)
         rotation = rotation_from_vector(step[ROTATION]) @ relative.rotation
         return RigidTransform(rotation, place - rotation @ after)
 
@@ -376,25 +375,29 @@ class Bundle:
         return grown(seen, camera, self.drift.growth(picture.side, np.full(len(points), picture.view)))
 
 
-def moved_pose(middle_m: FloatArray, pose: RigidTransform, step: FloatArray, growth: FloatArray) -> RigidTransform:
-    """Return a target's pose after a step (6,), its middle moving linearly in the picture and in logarithmic depth.
+def moved_poses(
+    middle_m: FloatArray, poses: Sequence[RigidTransform], steps: FloatArray, growth: FloatArray
+) -> tuple[RigidTransform, ...]:
+    """Return a target's poses after steps (V, 6), its middle moving linearly in the picture and in logarithmic depth.
 
     `growth` (2,): steps of the focal lengths over their values.
     """
-    turned = pose.rotation @ middle_m
-    place = _place_moved(turned + pose.translation_m, np.cross(step[3:], turned) + step[:3], growth)
-    rotation = rotation_from_vector(step[3:]) @ pose.rotation
-    return RigidTransform(rotation, place - rotation @ middle_m)
+    rotation = np.stack([pose.rotation for pose in poses])
+    turned, place = rotation @ middle_m, np.stack([pose.translation_m for pose in poses])
+    place = _places_moved(turned + place, np.cross(steps[:, 3:], turned) + steps[:, :3], growth)
+    rotation = rotation_from_vector(steps[:, 3:]) @ rotation
+    return tuple(RigidTransform(*pose) for pose in zip(rotation, place - rotation @ middle_m, strict=True))
 
 
-def _place_moved(place: FloatArray, step: FloatArray, growth: FloatArray) -> FloatArray:
-    """Return a place (3,) after a step (3,) that is linear in its picture and in the logarithm of its depth.
+def _places_moved(place: FloatArray, step: FloatArray, growth: FloatArray) -> FloatArray:
+    """Return places (..., 3) after steps (..., 3) that are linear in their picture and in the logarithm of their depth.
 
     `growth` (2,): steps of the focal lengths over their values, so that f·x/z, not x/z, goes straight.
     """
-    depth, bearing = place[2], place[:2] / place[2]
-    moved = bearing + (step[:2] - bearing * step[2]) / depth + bearing * growth
-    return np.asarray(np.append(moved * np.exp(-growth), 1.0) * depth * np.exp(step[2] / depth))
+    depth, away = place[..., 2:], step[..., 2:]
+    bearing = place[..., :2] / depth
+    moved = bearing + (step[..., :2] - bearing * away) / depth + bearing * growth
+    return np.concatenate([moved * np.exp(-growth), np.ones_like(depth)], axis=-1) * depth * np.exp(away / depth)
 
 
 def _camera_moved(camera: Camera, step: FloatArray) -> Camera:

@@ -10,7 +10,7 @@ import numpy as np
 
 from photogram.arrays import FloatArray, IntArray
 from photogram.calibration.adjust import Prior
-from photogram.calibration.bundle import Bundle, Picture, ShapeKind, make_shape, moved_pose
+from photogram.calibration.bundle import Bundle, Picture, ShapeKind, make_shape, moved_poses
 from photogram.calibration.result import Dropped, refuse_similar_views
 from photogram.camera import LEFT, RIGHT, ROTATION, TRANSLATION, Camera, StereoRig
 from photogram.geometry import RigidTransform, vector_from_rotation
@@ -158,7 +158,7 @@ def refined_pose(bundle: Bundle, pictures: list[Picture]) -> tuple[RigidTransfor
             break
         step = np.asarray(np.linalg.solve(normal, side), dtype=np.float64)
         middle = bundle.shape.flat_m.mean(axis=0)
-        bundle = replace(bundle, poses=(moved_pose(middle, bundle.poses[0], step, np.zeros(2)),))
+        bundle = replace(bundle, poses=moved_poses(middle, bundle.poses, step[None], np.zeros(2)))
         if side @ step < _CONVERGED:
             return bundle.poses[0], np.asarray(np.linalg.inv(normal), dtype=np.float64), squares
     return bundle.poses[0], np.full((6, 6), np.nan), np.inf

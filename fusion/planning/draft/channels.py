@@ -10,11 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from fusion.base import PROGRAM, __version__
+from fusion.base import PROGRAM, __version__, natural_key
 from fusion.instruments.transducer import TRANSDUCERS
 from fusion.planning.draft.inventory import FoundChannel, FoundDaq, FoundPoints, FoundSight, TriggerPulses
 from fusion.recording.toml import UNFILLED
-from fusion.recording.values import natural_key
 
 SAME_RATE = 1e-3  # relative difference of the rates of one trigger
 LONG_NAME = 40  # characters

@@ -8,14 +8,13 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from fusion.base import InputError
+from fusion.base import InputError, natural_key
 from fusion.planning.draft.channels import HEAD
 from fusion.planning.draft.inventory import Inventory, holds_recording, look_into
 from fusion.planning.draft.recording import Surveyed, driven_axis, recording_text
 from fusion.planning.draft.rig import rig_text
 from fusion.recording.load import RECORDING_NAME
 from fusion.recording.toml import UNFILLED, read_toml, to_toml
-from fusion.recording.values import natural_key
 from fusion.report.files import write_whole
 
 RIG_NAME = "rig.toml"

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fusion.base import natural_key
 from fusion.recording.manifest import SCAN
-from fusion.recording.values import natural_key
 from photogram.images.files import SUFFIXES as IMAGE_SUFFIXES
 from photogram.images.files import TIFF_SUFFIXES, open_sequence
 from photogram.images.video import VIDEO_READERS
