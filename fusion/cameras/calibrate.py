@@ -10,6 +10,7 @@ import os
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -33,6 +34,7 @@ from photogram.calibration.scale import KnownLength, with_length
 from photogram.calibration.session import calibrate_pair
 from photogram.calibration.start import FEWEST_VIEWS, LensKind, Pair
 from photogram.images.files import read_picture
+from photogram.targets.charuco import dictionary_of
 from photogram.targets.view import Target, TargetNotFound, TargetView, find_target
 
 log = logging.getLogger("shakercal")
@@ -67,7 +69,8 @@ def calibrate_cameras(
     views: list[TargetView | None] = []
     failed: list[Dropped] = []
     with ThreadPoolExecutor(max_workers=min(8, os.cpu_count() or 1)) as workers:
-        for path, view in zip(pictures, workers.map(partial(_find, settings.target), pictures), strict=True):
+        targets = _targets(settings.target, pictures[0])
+        for path, view in zip(pictures, workers.map(partial(_find, targets), pictures), strict=True):
             views.append(view if isinstance(view, TargetView) else None)
             if isinstance(view, TargetView) and view.lost:
                 failed.append(Dropped(str(path), view.lost, view.lost_why))
@@ -189,19 +192,35 @@ def _print_remarks(calibration: Calibration) -> None:
         print(f"{notice.severity}: {notice.text}")
 
 
-def _find(target: Target, path: Path) -> TargetView | str:
-    """Return the target in one picture, or why there is none."""
+def _targets(target: Target, first: Path) -> tuple[Target, ...]:
+    """Return the targets to look for in a picture, one after the other, the last being what was asked for.
+
+    The dictionary of a board's markers, which takes longer to find than the board, is that of the first picture.
+    """
+    if target.kind == "charuco" and target.dictionary is None and target.size is not None:
+        with suppress(OSError, ValueError):
+            dictionary = dictionary_of(read_picture(first)[0], target.size)
+            if dictionary is not None:
+                return replace(target, dictionary=dictionary), target
+    return (target,)
+
+
+def _find(targets: Sequence[Target], path: Path) -> TargetView | str:
+    """Return the first of some targets that is in one picture, or why the last is not."""
     if not path.exists():
         raise InputError(path, "", found="no such file", expected="a picture")
     try:
         image, full_scale = read_picture(path)
     except (OSError, ValueError) as error:
         return str(error).removeprefix(f"{path}: ")
+    why = ""
     with as_input_error(path):
-        try:
-            return find_target(image, target, str(path), full_scale)
-        except TargetNotFound as error:
-            return str(error)
+        for target in targets:
+            try:
+                return find_target(image, target, str(path), full_scale)
+            except TargetNotFound as error:
+                why = str(error)
+    return why
 
 
 def _expanded(argument: str) -> list[Path]:

@@ -46,8 +46,13 @@ def find_charuco(image: NDArray[Any], target: Target, name: str, full_scale: flo
     return corner_view(image, target, index, start, axes, name, full_scale)
 
 
+def dictionary_of(image: NDArray[Any], size: tuple[int, int]) -> str | None:
+    """Return the dictionary that fits the board of `size` squares in a picture (H, W) of grey values, None for none."""
+    return _dictionary(eight_bit(image), size)
+
+
 def _dictionary(grey: NDArray[np.uint8], size: tuple[int, int]) -> str | None:
-    """Return the dictionary that fits the board in the picture, None for none."""
+    """Return the dictionary that fits the board in a picture of 8 bits, None for none."""
     small, factor = reduced(grey, SEARCHED_PX)
     name = find_dictionary(small, size)
     return name if name is not None or factor == 1 else find_dictionary(grey, size)

@@ -174,8 +174,8 @@ def find_chessboard(image: NDArray[Any], target: Target, name: str, full_scale: 
 def eight_bit(image: NDArray[Any]) -> NDArray[np.uint8]:
     """Return the picture with its range of grey values, but for the outer thousandths, spread over 8 bits."""
     low, high = np.percentile(image[::4, ::4], [0.1, 99.9])
-    spread = (image.astype(np.float32) - low) * (255 / max(high - low, 1e-6))
-    return np.asarray(np.clip(np.rint(spread), 0, 255), dtype=np.uint8)
+    spread = (np.arange(int(image.max()) + 1) - low) * (255 / max(high - low, 1e-6))
+    return np.asarray(np.clip(np.rint(spread), 0, 255).astype(np.uint8)[image])
 
 
 def reduced(grey: NDArray[np.uint8], longest_px: int) -> tuple[NDArray[np.uint8], int]:

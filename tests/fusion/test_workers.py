@@ -301,8 +301,8 @@ def test_a_cluster_gives_the_same_tables_and_a_killed_worker_loses_nothing(sweep
 
     def kill_the_first(stage: str, done: int, total: int) -> None:
         if done == 0:
-            wait_until(lambda: len(list(sweep.parent.glob("begun-*"))) > 0)
-            killed.append(int(next(sweep.parent.glob("begun-*")).read_text()))
+            wait_until(lambda: any(path.read_text() for path in sweep.parent.glob("begun-*")))
+            killed.append(int(next(filter(None, (path.read_text() for path in sweep.parent.glob("begun-*"))))))
             os.kill(killed[0], signal.SIGKILL)
 
     try:
