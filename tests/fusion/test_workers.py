@@ -405,6 +405,9 @@ def _worker_processes(nanny: int) -> list[int]:
     return found
 
 
+_KILLS = 4  # more would only make slow machines begin again and again
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="finds the workers of a nanny in /proc")
 def test_killed_workers_and_a_scheduler_that_starts_anew_change_no_digit(sweep, serial, tmp_path):
@@ -412,7 +415,7 @@ def test_killed_workers_and_a_scheduler_that_starts_anew_change_no_digit(sweep, 
 
     def kill() -> None:
         nonlocal killed
-        while not ended.wait(10.0 if killed else 2.0):  # whole recordings take seconds
+        while killed < _KILLS and not ended.wait(10.0 if killed else 2.0):  # whole recordings take seconds
             if killed == 1:
                 cluster.restart_scheduler(1.0)
             for process in _worker_processes(cluster.workers[killed % 2].pid)[:1]:

@@ -266,7 +266,7 @@ def test_many_damaged_calibrations_and_samples(tmp_path, process, data_dir):
     (tmp_path / "whole").mkdir()
     whole = _written(tmp_path / "whole")
     whole |= {name: (data_dir / "formats" / name).read_bytes() for name in SAMPLES if (data_dir / "formats").is_dir()}
-    assert not _damage(tmp_path, whole, process, count=int(os.environ.get("DAMAGED", "60")), seed=2)
+    assert not _damage(tmp_path, whole, process, count=int(os.environ.get("DAMAGED", "30")), seed=2)
 
 
 def _has_yaml() -> bool:
