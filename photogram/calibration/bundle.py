@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from photogram.arrays import Arrays, FloatArray, IntArray
+from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray
 from photogram.camera import LEFT, RIG_PARAMETERS, RIGHT, ROTATION, TRANSLATION, Camera, StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector
 
@@ -184,6 +184,7 @@ ShapeKind = Literal["flat", "bowed", "free"]
 
 _BOW = 0.01  # what is known of a bow beforehand: its height over the target's half diagonal
 _FREE = 0.01  # and of single points: their displacement over the spacing
+_DETERMINED = 0.1  # least number of values by which a spread is told, against rounding where they tell nothing
 _STRETCH = 3.0  # rms displacement by stretch of one axis and by shear, over that of single points
 
 
@@ -219,18 +220,20 @@ class Shape(Arrays, shapes="index P 2; value_m S; flat_m P 3; modes P 3 M; prior
     def with_prior_from(self, variance_m2: FloatArray) -> Shape:
         """Return the shape with each group's prior set to the spread of its values, known to `variance_m2` (S,).
 
-        A step towards the most likely σ under a penalty log σ (Chung, Rabe-Hesketh, Dorie, Gelman, Liu 2013,
-        Psychometrika 78, 685), which is never 0: Σ value² + σ² = σ²·γ with the number γ = Σ (1 − variance/σ²) of values
-        that the pictures determine (MacKay 1992, Neural Computation 4, 415). Where σ is small γ grows as σ², where it
-        is large γ is constant; either way σ² = (Σ value² + σ²)/γ arrives in a few steps.
+        A step towards the σ that is most likely with log σ added to the logarithm of the likelihood, which is never 0
+        (Chung, Rabe-Hesketh, Dorie, Gelman, Liu 2013, Psychometrika 78, 685): Σ value² + σ² = σ²·γ with the number
+        γ = Σ (1 − variance/σ²) of values that the pictures determine (MacKay 1992, Neural Computation 4, 415). Where σ
+        is small γ grows as σ², where it is large γ is constant; either way σ² = (Σ value² + σ²)/γ takes few steps.
         """
         if not self.free:
             return self
-        determined = 1 - variance_m2 / self.prior_m**2
-        inside, across = (
-            float(np.sqrt(((self.value_m[own] ** 2).sum() + self.prior_m[own][0] ** 2) / determined[own].sum()))
-            for own in (self.group == 0, self.group == 1)
-        )
+
+        def spread(own: BoolArray) -> float:
+            prior2 = float(self.prior_m[own][0]) ** 2
+            determined = max(float((1 - variance_m2[own] / prior2).sum()), _DETERMINED)
+            return float(np.sqrt(((self.value_m[own] ** 2).sum() + prior2) / determined))
+
+        inside, across = spread(self.group == 0), spread(self.group == 1)
         return replace(self, prior_m=np.array([inside, across, _STRETCH * inside])[self.group])
 
 
