@@ -56,14 +56,21 @@ docs-pictures: .venv/dev
 sample-images: .venv/installed
 	$(BIN)/shakercal simulate sample_images/demo --preset demo --seed 1 --force
 
-# The published set-up; times of commands, of a GPU (without one what it would have to do), of pages and the viewer, which
-# go into the pages of the docs.
-benchmark: .venv/dev
+# The published set-up; times of commands, of subsets beside other programs, of a GPU (without one what it would have to
+# do), of pages and the viewer, which go into the pages of the docs.
+benchmark: .venv/dev build/peers/installed
 	$(BIN)/python benchmarks/nitsche2018.py
 	$(BIN)/python benchmarks/commands.py --docs docs
+	$(BIN)/python benchmarks/tracking.py --docs docs --peer-python build/peers/bin/python
 	$(BIN)/python benchmarks/gpu.py --docs docs
 	$(BIN)/python benchmarks/pages.py --docs docs
 	$(BIN)/python benchmarks/view.py --docs docs
+
+# Programs that track the same pictures, each with what it needs.
+build/peers/installed: .venv/made
+	$(PYTHON) -m venv build/peers
+	PIP_CONSTRAINT= build/peers/bin/python -m pip install --quiet pyvale pyidi al-dic
+	touch $@
 
 wheel: .venv/dev
 	$(BIN)/python -m build

@@ -1,14 +1,14 @@
 """Subset tracking against the limit of the noise, and beside the programs that others wrote.
 
 Usage: python benchmarks/tracking.py [--programs NAME ...] [--peer-python PATH] [--threads 1]
-       [--recordings 3]
+       [--recordings 3] [--docs docs]
        python benchmarks/tracking.py --rounding docs/tracking.md
 
 Renders 21 frames of 1024 x 1024 px exactly (no interpolation; see speckle_plane.py), with dots 4.5 px wide at half
 height: a sine of 3 px along x and 2 px along y with 2 mrad of rotation, noise of 1 grey level of 255, stored in 8 and
 in 12 bit. 8649 subsets of 31 x 31 px, 10 px apart, are tracked by every program that is installed; peers may have an
-environment of their own (`pip install pyvale pyidi al-dic`), named by --peer-python. Prints the tables of
-docs/performance.md; with all programs a quarter of an hour.
+environment of their own (`pip install pyvale pyidi al-dic`), named by --peer-python. Prints both tables, with --docs
+also into performance.md of that folder; with all programs a quarter of an hour.
 
 - user CPU: per subset and tracked frame, reading included, imports and compilation excluded.
 - bound: standard deviation that white noise leaves to any unbiased program, σ = σ_n/√Σ(∂f/∂x)² with the exact gradient
@@ -57,6 +57,8 @@ DOT_PX, OTHER_DOTS_PX = 4.5, (3.8, 3.2)
 GRID = Grid(first=52, step=10, count=93, radius=15)
 PEAK_PX, PEAK_RAD, CYCLES_PER_FRAME = (3.0, -2.0), 2e-3, 0.0977
 NOISE_GREY = 1.0
+NOISY_HEAD = "| program | user CPU, µs | points/s | std/bound, pair | series | bias, mpx | in the pixel, mpx | lost |"
+CLEAN_HEAD = "| program, without noise | dots, px | bias, mpx | in the pixel, mpx | std, mpx |"
 ADAPTERS = Path(__file__).with_name("tracking_programs.py")
 OWN = "shakercal"
 SHIFTS_PX, STEP = np.stack([np.arange(10) / 10, np.roll(np.arange(10) / 10, 3)], axis=1), 2 * GRID.radius + 1
@@ -100,6 +102,7 @@ def main() -> None:
     parser.add_argument("--peer-python", type=Path, default=Path(sys.executable), help="interpreter with the peers")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--recordings", type=int, default=3)
+    parser.add_argument("--docs", type=Path, metavar="FOLDER", help="folder of performance.md, which gets the tables")
     parser.add_argument("--rounding", type=Path, metavar="PAGE", help="write the table of float32 there, and end")
     options = parser.parse_args()
     if options.rounding:
@@ -113,21 +116,21 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as scratch:
         plane = speckled_plane((SIZE_PX, SIZE_PX), DOT_PX, MARGIN_PX, rng)
         noisy = record(plane, Path(scratch) / "8bit", options.recordings, 255, NOISE_GREY, rng)
-        print_head(
-            "program", "user CPU, µs", "points/s", "std/bound, pair", "series", "bias, mpx", "in the pixel, mpx", "lost"
-        )
-        for name in options.programs:
-            print_noisy(name, noisy, pythons[name], options.threads)
+        rows = [noisy_row(name, noisy, pythons[name], options.threads) for name in options.programs]
         deep = record(plane, Path(scratch) / "12bit", options.recordings, 4095, NOISE_GREY * 4095 / 255, rng)
-        for name in own:
-            print_noisy(name, deep, pythons[name], options.threads)
-        print()
-        print_head("program, without noise", "dots, px", "bias, mpx", "in the pixel, mpx", "std, mpx")
+        rows += [noisy_row(name, deep, pythons[name], options.threads) for name in own]
+        exact = []
         for dot_px in (DOT_PX, *OTHER_DOTS_PX):
             other = speckled_plane((SIZE_PX, SIZE_PX), dot_px, MARGIN_PX, rng)
             clean = record(other, Path(scratch) / f"{dot_px}px", 1, 65535, 0.0, rng)
-            for name in own:
-                print_clean(name, dot_px, clean, pythons[name], options.threads)
+            exact += [clean_row(name, dot_px, clean, pythons[name], options.threads) for name in own]
+    tables = {
+        "tracking": markdown_table(NOISY_HEAD, list(filter(None, rows))),
+        "interpolation": markdown_table(CLEAN_HEAD, list(filter(None, exact))),
+    }
+    print("\n\n".join(tables.values()))
+    if options.docs:
+        write_marked(options.docs / "performance.md", tables)
 
 
 def sine_motion() -> Motion:
@@ -177,7 +180,8 @@ def run_once(name: str, folder: Path, python: Path, threads: int) -> subprocess.
     grid = [f"--{key}={getattr(GRID, key)}" for key in ("first", "step", "count", "radius")]
     limits = {key: str(threads) for key in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
     return subprocess.run(
-        [python, ADAPTERS, name, folder, result_file(folder), *grid],
+        [python.absolute(), ADAPTERS, name, folder, result_file(folder), *grid],
+        cwd=folder,  # where a program may leave what it likes
         env={**os.environ, **limits, "OMP_WAIT_POLICY": "passive"},
         capture_output=True,
         text=True,
@@ -190,16 +194,16 @@ def result_file(folder: Path) -> Path:
     return folder / "result.npz"
 
 
-def print_noisy(name: str, recording: Recording, python: Path, threads: int) -> None:
-    """Print what one program makes of frames with noise."""
+def noisy_row(name: str, recording: Recording, python: Path, threads: int) -> str:
+    """Return what one program makes of frames with noise, nothing where it is not installed."""
     result = run_program(name, recording, python, threads)
     if result is None:
-        return
+        return ""
     points = result.error[..., 0].size
     relative = result.error / bound(recording, result.centres)
-    print_row(
+    return row(
         f"{name} ({result.version}), {recording.full_scale.bit_length()} bit",
-        f"{1e6 * result.user_s / points:.0f}",
+        f"{1e6 * result.user_s / points:.3g}",
         f"{points / result.wall_s:.0f}",
         f"{pair_scatter(relative):.3f}",
         f"{series_scatter(relative):.3f}",
@@ -209,17 +213,13 @@ def print_noisy(name: str, recording: Recording, python: Path, threads: int) -> 
     )
 
 
-def print_clean(name: str, dot_px: float, recording: Recording, python: Path, threads: int) -> None:
-    """Print what one program makes of frames without noise."""
+def clean_row(name: str, dot_px: float, recording: Recording, python: Path, threads: int) -> str:
+    """Return what one program makes of frames without noise, nothing where it is not installed."""
     result = run_program(name, recording, python, threads)
-    if result is not None:
-        print_row(
-            name,
-            f"{dot_px}",
-            f"{frame_bias(result.error) / MPX:.3f}",
-            f"{pixel_bias(result) / MPX:.3f}",
-            f"{np.nanstd(result.error) / MPX:.3f}",
-        )
+    if result is None:
+        return ""
+    biases = frame_bias(result.error), pixel_bias(result), float(np.nanstd(result.error))
+    return row(name, f"{dot_px}", *(f"{bias / MPX:.3f}" for bias in biases))
 
 
 def rounding_rows(rng: np.random.Generator) -> list[str]:
@@ -242,7 +242,7 @@ def rounding_rows(rng: np.random.Generator) -> list[str]:
             scatter = [f"{np.sqrt(np.nanmean(np.nanvar(error / limit, axis=1))):.5f}" for error in errors]
             apart = np.nanmax(np.abs(errors[1] - errors[0])) / MPX
             cells = [name, f"{degree}", *bias, f"{apart:.4f}", *(["–", "–"] if name == "none" else scatter)]
-            rows.append(f"| {' | '.join(cells)} |")
+            rows.append(row(*cells))
     return rows
 
 
@@ -302,14 +302,9 @@ def pixel_bias(result: Result) -> float:
     return float(np.max(np.abs(means)))
 
 
-def print_head(*cells: str) -> None:
-    """Print the head of a table."""
-    print(f"| {' | '.join(cells)} |\n|{'---|' * len(cells)}")
-
-
-def print_row(*cells: str) -> None:
-    """Print one row."""
-    print(f"| {' | '.join(cells)} |", flush=True)
+def row(*cells: str) -> str:
+    """Return one row of a table."""
+    return f"| {' | '.join(cells)} |"
 
 
 if __name__ == "__main__":
