@@ -257,8 +257,10 @@ def session_notices(calibration: Calibration) -> tuple[Notice, ...]:
     flat = np.column_stack([calibration.shape_index * calibration.target.spacing_m, np.zeros(len(calibration.shape_m))])
     off = calibration.shape_m - flat
     if off.any():
-        x, y, z = 1e6 * np.sqrt((off**2).mean(axis=0))
-        text = f"the target's points lie {x:.0f}, {y:.0f} µm rms off their lattice and {z:.0f} µm across it"
+        rms = 1e6 * np.sqrt((off**2).mean(axis=0))
+        digits = max(0, 1 - int(np.floor(np.log10(rms.max()))))  # two of the largest
+        x, y, z = (f"{value:.{digits}f}" for value in rms)
+        text = f"the target's points lie {x}, {y} µm rms off their lattice and {z} µm across it"
         notices.append(Notice("info", f"{text}; this was estimated together with the cameras", "target"))
     worst = max(calibration.added_px)
     if worst >= _ADDED_PX:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -448,6 +449,8 @@ def test_offsets_that_points_do_not_have_cost_no_uncertainty(seed):
     assert (free_u <= 1.12 * flat_u).all(), "the spread of points that lie on their lattice goes to the end of its fit"
     assert (free_u[flat_u > 0] > 0.97 * flat_u[flat_u > 0]).all()
     assert 0 < np.abs(free.shape_m - flat.shape_m).max() < 3e-6
+    (told,) = (notice.text for notice in free.notices if "lattice" in notice.text)
+    assert re.search(r"lie 0\.\d+, 0\.\d+ µm rms off their lattice and 0\.\d+ µm across", told)
 
 
 @settings(max_examples=20, deadline=None)
