@@ -116,14 +116,14 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as scratch:
         plane = speckled_plane((SIZE_PX, SIZE_PX), DOT_PX, MARGIN_PX, rng)
         noisy = record(plane, Path(scratch) / "8bit", options.recordings, 255, NOISE_GREY, rng)
-        rows = [noisy_row(name, noisy, pythons[name], options.threads) for name in options.programs]
+        rows = [told(noisy_row(name, noisy, pythons[name], options.threads)) for name in options.programs]
         deep = record(plane, Path(scratch) / "12bit", options.recordings, 4095, NOISE_GREY * 4095 / 255, rng)
-        rows += [noisy_row(name, deep, pythons[name], options.threads) for name in own]
+        rows += [told(noisy_row(name, deep, pythons[name], options.threads)) for name in own]
         exact = []
         for dot_px in (DOT_PX, *OTHER_DOTS_PX):
             other = speckled_plane((SIZE_PX, SIZE_PX), dot_px, MARGIN_PX, rng)
             clean = record(other, Path(scratch) / f"{dot_px}px", 1, 65535, 0.0, rng)
-            exact += [clean_row(name, dot_px, clean, pythons[name], options.threads) for name in own]
+            exact += [told(clean_row(name, dot_px, clean, pythons[name], options.threads)) for name in own]
     tables = {
         "tracking": markdown_table(NOISY_HEAD, list(filter(None, rows))),
         "interpolation": markdown_table(CLEAN_HEAD, list(filter(None, exact))),
@@ -300,6 +300,12 @@ def pixel_bias(result: Result) -> float:
         if np.any(tenth[..., axis] == part)
     ]
     return float(np.max(np.abs(means)))
+
+
+def told(line: str) -> str:
+    """Return a row, shown as soon as it is there: all take a quarter of an hour."""
+    print(line, file=sys.stderr, flush=True)
+    return line
 
 
 def row(*cells: str) -> str:

@@ -68,9 +68,9 @@ def calibrate_cameras(
     pictures = [*left, *(right or [])]
     views: list[TargetView | None] = []
     failed: list[Dropped] = []
+    find = partial(_find, _targets(settings.target, pictures[0]))
     with ThreadPoolExecutor(max_workers=min(8, os.cpu_count() or 1)) as workers:
-        targets = _targets(settings.target, pictures[0])
-        for path, view in zip(pictures, workers.map(partial(_find, targets), pictures), strict=True):
+        for path, view in zip(pictures, workers.map(find, pictures), strict=True):
             views.append(view if isinstance(view, TargetView) else None)
             if isinstance(view, TargetView) and view.lost:
                 failed.append(Dropped(str(path), view.lost, view.lost_why))

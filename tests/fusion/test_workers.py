@@ -283,6 +283,11 @@ def _run(campaign: Path, out: Path, job: Any = tasks.whole_job, **where: Any) ->
         return run_path(campaign, out, Settings(), **where)
 
 
+def _begun(folder: Path) -> list[int]:
+    """The processes that have told that they began; a file without a number is being written."""
+    return [int(text) for path in folder.glob("begun-*") if (text := path.read_text())]
+
+
 def _hidden(folder: Path) -> list[str]:
     return [path.name for path in folder.rglob(".*")]
 
@@ -301,8 +306,8 @@ def test_a_cluster_gives_the_same_tables_and_a_killed_worker_loses_nothing(sweep
 
     def kill_the_first(stage: str, done: int, total: int) -> None:
         if done == 0:
-            wait_until(lambda: any(path.read_text() for path in sweep.parent.glob("begun-*")))
-            killed.append(int(next(filter(None, (path.read_text() for path in sweep.parent.glob("begun-*"))))))
+            wait_until(lambda: bool(_begun(sweep.parent)))
+            killed.append(_begun(sweep.parent)[0])
             os.kill(killed[0], signal.SIGKILL)
 
     try:
@@ -336,7 +341,7 @@ def test_an_interruption_ends_all_workers_and_leaves_nothing_half_written(tmp_pa
     _empty_recordings(tmp_path / "campaign", 3)
     command = [sys.executable, script, "endless_job", "run", tmp_path / "campaign", "-o", out, "--workers", "2"]
     with subprocess.Popen(command, env=environment(), stderr=subprocess.PIPE, start_new_session=True) as run:
-        wait_until(lambda: len([path for path in out.glob("begun-*") if path.read_text()]) == 2)
+        wait_until(lambda: len(_begun(out)) == 2)
         os.killpg(run.pid, signal.SIGINT)  # as a terminal does
         assert run.wait(PATIENCE_S) == EXIT_INTERRUPTED
         assert run.stderr.read() == b"shakercal: interrupted; nothing half-written was left behind\n"
