@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from statistics import NormalDist
 from typing import Literal
 
 import numpy as np
@@ -38,7 +39,6 @@ _WORTH = 1.0  # unexplained over own variance above which offsets of the target'
 _VIEWS_FOR_MORE = 5
 _VIEWS_TO_HALVE = 8
 _CHANCE = 0.01  # that a drift is taken for one where there is none
-_CHANCE_NORMAL = 2.8  # quantile of the normal distribution there; Student's are larger
 _SETTLED = 0.01  # relative change of the added noise that ends the rounds
 _SETTLED_SPREAD = 0.1  # and of the spread of free points: where it is small it matters little, and settles slowly
 
@@ -143,7 +143,7 @@ def _drifting(fit: _Fit) -> bool:
     assert adjusted.bundle.drift is not None
     u = drift_u(adjusted, leave_out(adjusted), fit.factor)
     t = float((np.abs(adjusted.bundle.drift.value) / u).max())
-    if t < _CHANCE_NORMAL:
+    if t < NormalDist().inv_cdf(1 - _CHANCE / 4):  # Student's quantiles are larger: SciPy's are not needed
         return False
     from scipy.special import stdtrit
 
