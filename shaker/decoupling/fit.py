@@ -28,8 +28,8 @@ from shaker.decoupling.problem import (
     widened,
 )
 from shaker.release.poles import highest_frequency, shared_poles
-from shaker.release.reading import read_release
-from shaker.release.record import Reading, Shape, StepRecord
+from shaker.release.reading import begun
+from shaker.release.record import Shape, StepRecord
 from shaker.release.response import Samples, averaged
 
 _PER_PERIOD = 6.0
@@ -68,22 +68,23 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
             if own != expected:
                 told = f"expected {key} {expected} as in {first.name}, found {own} in {other.name}"
                 raise ValueError(f"records: {told}")
-    readings = []
+    releases = []
     for raw in records:  # by the output that changes most over what it scatters by before
         count = raw.samples.shape[1]
         rest, end = raw.samples[:, : max(8, count // 50)], raw.samples[:, -max(8, count // 5) :]
         change = np.abs(end.mean(axis=1) - rest.mean(axis=1)) / np.maximum(rest.std(axis=1), 1e-300)
-        readings.append(read_release(raw, raw.channels[int(np.argmax(change))]))
-    noise = _noise(records, readings)
-    problem, releases, start = _posed(records, readings, noise)
-    start, releases = lagged(problem, needed(problem, start, releases, most_modes), releases)
+        middle_s, duration_s, shape = begun(raw, raw.channels[int(np.argmax(change))])
+        releases.append(Release(middle_s, max(duration_s, 1.0 / raw.sample_rate_hz), shape))
+    noise = _noise(records, releases)
+    problem, start = _posed(records, releases, noise)
+    start = needed(problem, start, releases, most_modes)
     lasts_s = 1.0 / float(np.min(-start.values.real))
     cut = []
     for record, release in zip(problem.records, releases, strict=True):
         before_s, after_s = release.duration_s + _BEFORE * lasts_s, release.duration_s + _AFTER * lasts_s
         cut.append(record.cut(release.middle_s - before_s, release.middle_s + after_s))
     near = replace(problem, records=tuple(cut))
-    fit, trials = chosen(near, (start, releases), most_modes, most_reals)
+    fit, trials = chosen(near, lagged(near, start, tuple(releases)), most_modes, most_reals)
     fit = otherwise(near, fit)
     fit = shaped(problem, fit_poles(problem, fit.poles, fit.releases, calm=_NEAR))
     again = noise * misfits(problem, fit)
@@ -95,25 +96,24 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
     return multi_fit(records, problem, fit, again, tuple(trials))
 
 
-def _noise(records: Sequence[StepRecord], readings: Sequence[Reading]) -> FloatArray:
+def _noise(records: Sequence[StepRecord], releases: Sequence[Release]) -> FloatArray:
     """Standard deviation of a sample (C,) before the releases; a silent output has that of its digits."""
     sums, count = np.zeros(len(records[0].channels)), 0
-    for record, reading in zip(records, readings, strict=True):
-        rest = record.samples[:, : max(8, int(0.9 * (reading.onset_s - record.start_s) * record.sample_rate_hz))]
+    for record, release in zip(records, releases, strict=True):
+        begin_s = release.middle_s - 0.5 * release.duration_s
+        rest = record.samples[:, : max(8, int(0.9 * (begin_s - record.start_s) * record.sample_rate_hz))]
         sums += np.sum((rest - rest.mean(axis=1, keepdims=True)) ** 2, axis=1)
         count += rest.shape[1] - 1
     spans = np.max([np.ptp(record.samples, axis=1) for record in records], axis=0)
     return np.asarray(np.maximum(np.sqrt(sums / count), 1e-9 * spans.max()))
 
 
-def _posed(
-    records: Sequence[StepRecord], readings: Sequence[Reading], noise: FloatArray
-) -> tuple[StepProblem, tuple[Release, ...], Poles]:
-    """The least squares problem of means over blocks, with releases as read and poles of the decays to start from."""
+def _posed(records: Sequence[StepRecord], releases: Sequence[Release], noise: FloatArray) -> tuple[StepProblem, Poles]:
+    """The least squares problem of means over blocks, and poles of the decays to start from."""
     rate = records[0].sample_rate_hz
     decays = []
-    for record, reading in zip(records, readings, strict=True):
-        end = reading.onset_s + 1.5 * reading.release_s + 2.0 / rate
+    for record, release in zip(records, releases, strict=True):
+        end = release.middle_s + release.duration_s + 2.0 / rate
         rest = record.samples[:, int((end - record.start_s) * rate) :]
         level = rest[:, -max(8, rest.shape[1] // 5) :].mean(axis=1, keepdims=True)
         decays.append((rest - level) / noise[:, None])
@@ -130,13 +130,8 @@ def _posed(
     if not len(swings):
         raise ValueError("records: expected outputs that swing after the release, found none")
     poles = Poles(np.abs(swings) / (2 * np.pi), np.clip(-swings.real / np.abs(swings), 1e-4, 0.9), np.zeros(0))
-    releases = []
-    for reading in readings:
-        shape: Shape = "smooth" if reading.shape == "smooth" else "ramp"
-        middle_s, duration_s = reading.onset_s + reading.release_s / 2.0, max(reading.release_s, 1.0 / rate)
-        releases.append(Release(middle_s, duration_s, shape))
     components = in_order(record.component for record in records)
-    return StepProblem(tuple(sampled), components), tuple(releases), poles
+    return StepProblem(tuple(sampled), components), poles
 
 
 def _swings(decays: Sequence[FloatArray], loads: Sequence[str], rate_hz: float) -> ComplexArray:

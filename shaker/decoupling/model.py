@@ -12,6 +12,7 @@ import numpy as np
 from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray, check_shape, check_shapes
 from shaker.labels import LOAD_COMPONENTS
 from shaker.lti.system import ModalModel, modal_poles
+from shaker.release.response import exponentials
 
 # Poles that outputs and loads share.
 
@@ -246,10 +247,11 @@ class MultiModel(Brief):
 
     def step(self, time_s: FloatArray) -> FloatArray:
         """Return the responses (N, C, D) to a unit step of each load at t = 0: Σ R/p·(exp(pt) - 1), zero before."""
-        t = np.maximum(np.asarray(time_s, dtype=np.float64), 0.0)[:, None]
-        upper, real = np.split(self.poles, [len(self.frequency_hz)])
-        swing = 2.0 * np.real(np.einsum("nm,mcd->ncd", np.expm1(upper * t) / upper, self.residue))
-        return np.asarray(swing + np.einsum("nq,qcd->ncd", np.expm1(real.real * t) / real.real, self.real_residue))
+        rings = exponentials(self.poles, np.maximum(np.asarray(time_s, dtype=np.float64), 0.0)) - 1.0
+        upper, real = np.split(rings / self.poles[:, None], [len(self.frequency_hz)])
+        swing = 2.0 * np.tensordot(upper.real, self.residue.real, (0, 0))
+        swing -= 2.0 * np.tensordot(upper.imag, self.residue.imag, (0, 0))
+        return np.asarray(swing + np.tensordot(real.real, self.real_residue, (0, 0)))
 
     def altered(self, frequency: float = 0.0, damping_ratio: float = 0.0, gain: float = 0.0) -> MultiModel:
         """Return the model of which every element is changed as `shaker.lti.system.ModalModel.altered` does."""

@@ -464,12 +464,14 @@ def otherwise(problem: StepProblem, fit: Fitted) -> Fitted:
     releases = list(fit.releases)
     for component in problem.components:
         places = problem.places(component)
-        tried = [
-            [replace(releases[i], duration_s=by * releases[i].duration_s) for i in places] for by in (1.0, *_OTHERWISE)
-        ]
-        ends = [_timed(problem.part(places), fit.poles, one) for one in tried]
-        for i, release in zip(places, min(ends, key=lambda end: end.loss).releases, strict=True):
-            releases[i] = release
+        part, own = problem.part(places), [fit.releases[i] for i in places]
+        tried = [[replace(one, duration_s=by * one.duration_s) for one in own] for by in _OTHERWISE]
+        best = min((_timed(part, fit.poles, times) for times in tried), key=lambda end: end.loss)
+        if best.loss < part.point(fit.poles, own).loss - _ROUGH:
+            for i, release in zip(places, best.releases, strict=True):
+                releases[i] = release
+    if tuple(releases) == fit.releases:
+        return fit
     other = fit_poles(problem, fit.poles, releases, _FEW_STEPS, _ROUGH)
     return min(fit, other, key=lambda fitted: fitted.loss)
 

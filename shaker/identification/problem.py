@@ -450,11 +450,12 @@ def _matched(problem: Problem, start: FloatArray, measured: Sequence[ComplexArra
         every = {k: problem.curves[k].poles(vector) for k in set(alike)}
         for k, roots in zip(alike, measured, strict=True):
             modes, by_unknown = every[k]
-            for place, pole in enumerate(roots):  # in order, or of the nearest where some lack
-                whose = place if len(roots) == len(modes) else int(np.argmin(np.abs(np.log(np.abs(pole / modes)))))
-                off, slope = np.log(modes[whose] / pole), by_unknown[whose, free] * scale / modes[whose]
-                residuals.append(np.array([off.real, off.imag]) / _POLE_PRECISION)
-                slopes.append(np.stack([slope.real, slope.imag]) / _POLE_PRECISION)
+            whose = np.arange(len(modes))  # in order, or of the nearest where some lack
+            if len(roots) != len(modes):
+                whose = np.argmin(np.abs(np.log(np.abs(roots[:, None] / modes))), axis=1)
+            off, slope = np.log(modes[whose] / roots), by_unknown[whose][:, free] * scale / modes[whose, None]
+            residuals.append(np.stack([off.real, off.imag], axis=1).ravel() / _POLE_PRECISION)
+            slopes.append(np.stack([slope.real, slope.imag], axis=1).reshape(-1, len(x)) / _POLE_PRECISION)
         return Residuals(x, np.concatenate(residuals), np.concatenate(slopes))
 
     first = point(np.zeros(len(free)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -95,13 +96,13 @@ class Beginning(Brief):
         """Level long after the release, b + Σ g + h."""
         return float(np.sum(self.linear))
 
-    @property
+    @cached_property
     def poles(self) -> ComplexArray:
         """Upper poles of the modes (M,), and that of the lag where there is one, in rad/s."""
         rate = np.array([1.0 / self.lag_s] if self.lag_s > 0 else [])
         return modal_poles(2 * np.pi * self.frequency_hz, self.damping_ratio, rate)
 
-    @property
+    @cached_property
     def weights(self) -> ComplexArray:
         """Weights (P, M) with which responses of `poles` (P,) add up, as real parts, to those of the modes."""
         modes = len(self.frequency_hz)
@@ -184,26 +185,30 @@ class Trial:
         normal[held], normal[:, held], downhill[held] = 0.0, 0.0, 0.0
         return normal, downhill
 
+    @property
+    def with_covariance(self) -> Beginning:
+        """The fit with the covariance of the joint problem, by the variance of the residual."""
+        columns = self.projected.blocks[0].design
+        jacobian = np.concatenate([self.projected.slopes[0].rows[:, :, 0], columns], axis=1)
+        scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
+        inverse = np.linalg.pinv((jacobian / scale).T @ (jacobian / scale), rcond=1e-13, hermitian=True)
+        variance = self.loss / max(self.fit.rows - jacobian.shape[1], 1)
+        return replace(self.fit, covariance=np.asarray(variance * inverse / np.outer(scale, scale)))
 
-def fit_beginning(window: Window, start: Beginning) -> Beginning:
+
+def fit_beginning(window: Window, start: Beginning, calm: float) -> Trial:
     """Return the least-squares fit of everything in `start`, linear parts projected out.
 
-    The covariance is that of the joint problem with the variance of the residual.
+    It ends where a step gains less than `calm` times the variance of the residual.
     """
     rows = len(window.samples) + _AHEAD
-    rules = Rules(foretold_share=0.0, gained_share=1e-3 / rows, steps=30, largest=1e5)
+    rules = Rules(foretold_share=0.0, gained_share=calm / rows, steps=30, largest=1e5)
 
     def at(parameters: FloatArray) -> Trial | None:
         there = moved(window, start, parameters)
         return None if there is None else solved(window, there)
 
-    best = levenberg_marquardt(at, solved(window, start), rules).point
-    fit, columns = best.fit, best.projected.blocks[0].design
-    jacobian = np.concatenate([best.projected.slopes[0].rows[:, :, 0], columns], axis=1)
-    scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
-    inverse = np.linalg.pinv((jacobian / scale).T @ (jacobian / scale), rcond=1e-13, hermitian=True)
-    variance = fit.squares / max(fit.rows - jacobian.shape[1], 1)
-    return replace(fit, covariance=np.asarray(variance * inverse / np.outer(scale, scale)))
+    return levenberg_marquardt(at, solved(window, start), rules).point
 
 
 def solved(window: Window, start: Beginning) -> Trial:
@@ -282,11 +287,12 @@ _SMOOTHER = 1.33  # length of a smooth release over that of the ramp of the same
 _UNSEEN = 0.03  # share of the change that modes too high to be seen may carry, standard deviation
 _NOTHING = 1e6  # weight that leaves nothing to modes that are not seen, in the search for start values
 _DECIDED = 6.0  # difference of the Schwarz criterion that decides
+_CALM = 1e-3  # gain of a step, in variances of the residual, at which a search ends
 
 
 def find_beginning(
-    samples: FloatArray, sample_rate_hz: float, start_s: float, place: Location
-) -> tuple[Window, Beginning]:
+    samples: FloatArray, sample_rate_hz: float, start_s: float, place: Location, calm: float = _CALM
+) -> tuple[Window, Trial]:
     """Return the window around the beginning of samples (N,), the first at `start_s`, and its fit.
 
     The release is taken as a straight ramp unless the Schwarz criterion asks for a smooth one. Where nothing rings, the
@@ -305,11 +311,12 @@ def find_beginning(
     for trial in sets:
         window = _window(samples, sample_rate_hz, start_s, place, trial)
         seen = replace(window, small=_NOTHING)
-        first = fit_beginning(seen, _start(seen, place, trial, sample_rate_hz, start_s))
-        fits.append((window, fit_beginning(window, first)) if len(poles) else (seen, first))
-    window, ramp = min(fits, key=lambda fit: fit[1].squares / fit[1].rows)
-    smooth = fit_beginning(window, replace(ramp, shape="smooth", release_s=_SMOOTHER * ramp.release_s))
-    return window, smooth if smooth.penalty < ramp.penalty - _DECIDED else ramp
+        first = fit_beginning(seen, _start(seen, place, trial, sample_rate_hz, start_s), calm)
+        fits.append((window, fit_beginning(window, first.fit, calm)) if len(poles) else (seen, first))
+    window, ramp = min(fits, key=lambda trial: trial[1].loss / trial[1].fit.rows)
+    start = replace(ramp.fit, shape="smooth", release_s=_SMOOTHER * ramp.fit.release_s)
+    smooth = fit_beginning(window, start, calm)
+    return window, smooth if smooth.fit.penalty < ramp.fit.penalty - _DECIDED else ramp
 
 
 def _window(samples: FloatArray, sample_rate_hz: float, start_s: float, place: Location, poles: ComplexArray) -> Window:

@@ -223,6 +223,7 @@ def read_force(force: FloatArray, sample_rate_hz: float, start_s: float) -> Forc
 # When the channels of a record were released, and what they ring with.
 
 STRONG = 5.0  # change of level, over the noise of a sample, from which a channel shows the release by itself
+_NEAR_ENOUGH = 1.0  # variances of the residual that a step has to gain where a fit is no more than a start
 _ROUGH = 2.0  # of the longest ramp that the output may follow: what lag, ringing and noise make of times without a fit
 
 
@@ -258,7 +259,8 @@ def places_of(record: StepRecord) -> list[Location]:
 def timing_of(record: StepRecord, channel: int, place: Location) -> Timing:
     """Return when a channel was released; where the force was measured along, it tells begin and length."""
     samples, name = record.samples[channel], record.channels[channel]
-    window, fit = find_beginning(samples, record.sample_rate_hz, record.start_s, place)
+    window, found = find_beginning(samples, record.sample_rate_hz, record.start_s, place)
+    fit = found.with_covariance
     residual = (window.samples - fit.at(window.time_s))[window.time_s > fit.onset_s]
     correlation = correlation_factor(residual)
     assert fit.covariance is not None
@@ -313,6 +315,22 @@ def read_release(record: StepRecord, channel: str) -> Reading:
     own = record.channels.index(channel)
     timed = own if places[own].strength >= STRONG else _strongest(places)
     return _reading(record, own, places[own], timing_of(record, timed, places[timed]))
+
+
+def begun(record: StepRecord, channel: str) -> tuple[float, float, Shape]:
+    """Return middle and length in s of a release and its shape, to start a fit from: one without a lag.
+
+    What a lag behind the sensor does to first and second order is a later and longer release: of a fitted one the
+    middle is that much later, and its second moment adds to the release's.
+    """
+    places = places_of(record)
+    own = record.channels.index(channel)
+    own = own if places[own].strength >= STRONG else _strongest(places)
+    if record.force is not None:
+        interval, _, _, shape = read_force(record.force, record.sample_rate_hz, record.start_s)
+        return interval.onset_s + 0.5 * interval.release_s, interval.release_s, shape
+    fit = find_beginning(record.samples[own], record.sample_rate_hz, record.start_s, places[own], _NEAR_ENOUGH)[1].fit
+    return fit.centre_s, float(np.sqrt(fit.release_s**2 + fit.lag_s**2 / MOMENTS[fit.shape])), fit.shape
 
 
 def read_releases(record: StepRecord) -> tuple[Reading, ...]:
