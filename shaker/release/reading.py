@@ -328,9 +328,25 @@ def begun(record: StepRecord, channel: str) -> tuple[float, float, Shape]:
     own = own if places[own].strength >= STRONG else _strongest(places)
     if record.force is not None:
         interval, _, _, shape = read_force(record.force, record.sample_rate_hz, record.start_s)
-        return interval.onset_s + 0.5 * interval.release_s, interval.release_s, shape
-    fit = find_beginning(record.samples[own], record.sample_rate_hz, record.start_s, places[own], _NEAR_ENOUGH)[1].fit
-    return fit.centre_s, float(np.sqrt(fit.release_s**2 + fit.lag_s**2 / MOMENTS[fit.shape])), fit.shape
+        middle_s, length_s = interval.onset_s + 0.5 * interval.release_s, interval.release_s
+    else:
+        samples, rate = record.samples[own], record.sample_rate_hz
+        fit = find_beginning(samples, rate, record.start_s, places[own], _NEAR_ENOUGH)[1].fit
+        middle_s, shape = fit.centre_s, fit.shape
+        length_s = float(np.sqrt(fit.release_s**2 + fit.lag_s**2 / MOMENTS[shape]))
+    ends = (middle_s + length_s * np.array([-0.5, 0.5]) - record.start_s) * record.sample_rate_hz
+    _check_room(record, float(ends[0]), float(ends[1]) + 1.0)
+    return middle_s, length_s, shape
+
+
+def _check_room(record: StepRecord, rests_to: float, rings_from: float) -> None:
+    """Refuse a record with too few samples before the onset or after the release, which are at such samples."""
+    count = record.samples.shape[1]
+    if rests_to < _LEAST or rings_from > count - _LEAST:
+        raise ValueError(
+            f"record: expected {_LEAST} samples or more before the onset and after the release, found the onset at "
+            f"sample {rests_to:.0f} and the end of the release at {rings_from:.0f} of {count} in {record.name}"
+        )
 
 
 def read_releases(record: StepRecord) -> tuple[Reading, ...]:
@@ -352,15 +368,11 @@ def _strongest(places: list[Location]) -> int:
 
 def _reading(record: StepRecord, channel: int, place: Location, timing: Timing) -> Reading:
     """Return the reading of a channel at known times."""
-    samples, rate, count = record.samples[channel], record.sample_rate_hz, record.samples.shape[1]
+    samples, rate = record.samples[channel], record.sample_rate_hz
     rests_to = (timing.onset_s - 2.0 * timing.u_onset_s - record.start_s) * rate
     end_s = timing.onset_s + timing.release_s + 2.0 * timing.u_release_s + _SETTLED * timing.lag_s
     rings_from = (end_s - record.start_s) * rate + 1.0
-    if rests_to < _LEAST or rings_from > count - _LEAST:
-        raise ValueError(
-            f"record: expected {_LEAST} samples or more before the onset and after the release, found the onset at "
-            f"sample {rests_to:.0f} and the end of the release at {rings_from:.0f} of {count} in {record.name}"
-        )
+    _check_room(record, rests_to, rings_from)
     poles, after = np.zeros(0, dtype=np.complex128), int(np.ceil(rings_from))
     if timing.fit is not None:
         poles = np.asarray(timing.fit.poles[: len(timing.fit.frequency_hz)] / rate)
