@@ -296,7 +296,7 @@ def find_beginning(
     """Return the window around the beginning of samples (N,), the first at `start_s`, and its fit.
 
     The release is taken as a straight ramp unless the Schwarz criterion asks for a smooth one. Where nothing rings, the
-    one mode tried is all there is.
+    one mode tried is all there is. `calm`: as of `fit_beginning`.
     """
     # a sample that is after the release with all likelihood
     end = place.first + 1.5 * max(place.high - place.first, 4.0)
