@@ -326,6 +326,7 @@ def begun(record: StepRecord, channel: str) -> tuple[float, float, Shape]:
     places = places_of(record)
     own = record.channels.index(channel)
     own = own if places[own].strength >= STRONG else _strongest(places)
+    shape: Shape
     if record.force is not None:
         interval, _, _, shape = read_force(record.force, record.sample_rate_hz, record.start_s)
         middle_s, length_s = interval.onset_s + 0.5 * interval.release_s, interval.release_s
