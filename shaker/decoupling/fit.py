@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,23 +10,19 @@ import numpy as np
 from shaker.arrays import Brief, ComplexArray, FloatArray, Notice
 from shaker.decoupling.model import MultiModel, Poles, in_order
 from shaker.decoupling.problem import (
+    REACH,
     Fitted,
     Release,
     Sampled,
     StepProblem,
-    Trial,
     by_record,
-    chosen,
     covariances,
     fit_poles,
-    lagged,
     left_open,
     model_covariance,
-    needed,
-    otherwise,
-    shaped,
     widened,
 )
+from shaker.decoupling.search import Trial, alike, chosen, lagged, needed, otherwise, shaped
 from shaker.release.poles import highest_frequency, shared_poles
 from shaker.release.reading import begun
 from shaker.release.record import Shape, StepRecord
@@ -85,15 +81,15 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
         cut.append(record.cut(release.middle_s - before_s, release.middle_s + after_s))
     near = replace(problem, records=tuple(cut))
     fit, trials = chosen(near, lagged(near, start, tuple(releases)), most_modes, most_reals)
-    fit = otherwise(near, fit)
+    fit, others = otherwise(near, fit)
     fit = shaped(problem, fit_poles(problem, fit.poles, fit.releases, calm=_NEAR))
     again = noise * misfits(problem, fit)
     weighted = [
         replace(one, samples=replace(one.samples, value=one.samples.value * noise / again)) for one in problem.records
     ]
     problem = replace(problem, records=tuple(weighted))
-    fit = fit_poles(problem, fit.poles, fit.releases)
-    return multi_fit(records, problem, fit, again, tuple(trials))
+    fit, likely = alike(problem, fit_poles(problem, fit.poles, fit.releases), others)
+    return multi_fit(records, problem, (fit, *likely), again, tuple(trials))
 
 
 def _noise(records: Sequence[StepRecord], releases: Sequence[Release]) -> FloatArray:
@@ -209,20 +205,28 @@ class MultiFit(Brief):
 def multi_fit(
     records: Sequence[StepRecord],
     problem: StepProblem,
-    fit: Fitted,
+    fits: tuple[Fitted, ...],
     noise: FloatArray,
     trials: tuple[Trial, ...],
 ) -> MultiFit:
-    """Return the result of a fit in the units of the records; `noise` (C,) of a sample weighted the outputs."""
+    """Return the result of a fit in the units of the records; `noise` (C,) of a sample weighted the outputs.
+
+    The first of `fits` is the result; the others the records do not refute. By the ratio of their likelihoods another
+    one whose χ² is larger by Δ lies √Δ standard uncertainties away, and at most as far as a 95 % interval reaches.
+    """
+    fit, *others = fits
     point, poles = fit.solution.point, fit.poles
     misfit = misfits(problem, fit)
     spread, follows = covariances(point, [misfit**2] * len(point.blocks), left_open(fit))
     spread = widened(fit, spread)
     scaled = noise / np.sqrt(problem.records[0].samples.length[0])
-    releases = _releases(problem, records, fit, spread)
+    model, *instead = (_model(records, problem, one, scaled) for one in fits)
+    far = np.sqrt([[max(one.loss - fit.loss, REACH**2)] for one in others]).reshape(-1, 1)
+    away = np.array([one.vector - model.vector for one in instead]).reshape(-1, len(model.vector)) / far
+    moved = [one.solution.point.parameters - point.parameters for one in others]
+    later = np.array(moved).reshape(-1, len(spread)) / far
+    releases = _releases(problem, records, fit, spread + later.T @ later)
     shares = np.array([_scale_share(name, records, releases) for name in problem.components])
-    table = np.stack([poles.smooth @ own for own in point.coefficients], axis=2) * scaled[:, None]
-    model = MultiModel.of_poles(poles, table, (records[0].channels, problem.components), records[0].unit)
     for outputs, own in zip(follows, point.coefficients, strict=True):
         for c, follow in enumerate(outputs):  # of those that start smoothly, and as the basis of these turns
             outputs[c] = poles.smooth @ follow
@@ -239,7 +243,7 @@ def multi_fit(
     ]
     amplitude = [max(abs(r.amplitude) for r in records if r.component == name) for name in problem.components]
     return MultiFit(
-        model=replace(model, covariance=covariance),
+        model=replace(model, covariance=covariance + away.T @ away),
         noise=noise * misfit,
         sample_rate_hz=records[0].sample_rate_hz,
         amplitude=np.array(amplitude),
@@ -249,8 +253,15 @@ def multi_fit(
         trials=trials,
         losses=fit.solution.losses,
         ranks=mode_ranks(model, alone),
-        notices=_notices(model, releases, fit),
+        notices=(*_notices(model, releases, fit), *_alike(problem, fit, others)),
     )
+
+
+def _model(records: Sequence[StepRecord], problem: StepProblem, fit: Fitted, scaled: FloatArray) -> MultiModel:
+    """The model of a fit; `scaled` (C,): noise of a mean, which weighted the outputs."""
+    parts = [fit.poles.smooth @ own for own in fit.solution.point.coefficients]
+    table = np.stack(parts, axis=2) * scaled[:, None]
+    return MultiModel.of_poles(fit.poles, table, (records[0].channels, problem.components), records[0].unit)
 
 
 def misfits(problem: StepProblem, fit: Fitted) -> FloatArray:
@@ -325,6 +336,19 @@ def _notices(model: MultiModel, releases: Sequence[ReleaseFit], fit: Fitted) -> 
             )
             told.append(Notice("warning", text, release.record))
     return tuple(told)
+
+
+def _alike(problem: StepProblem, fit: Fitted, others: Sequence[Fitted]) -> Iterator[Notice]:
+    """Say of which load releases of other lengths explain the records as well."""
+    for other in others:
+        lengths = [(one.duration_s, own.duration_s) for one, own in zip(other.releases, fit.releases, strict=True)]
+        i = int(np.argmax([abs(np.log(one / own)) for one, own in lengths]))
+        text = (
+            f"{problem.records[i].name} may have lasted {1e3 * lengths[i][1]:.3g} ms or {1e3 * lengths[i][0]:.3g} ms, "
+            f"which the records hardly tell apart (χ² differs by {other.loss - fit.loss:.1f}): U holds both; a release "
+            "of another length tells"
+        )
+        yield Notice("warning", text, problem.records[i].component)
 
 
 def mode_ranks(model: MultiModel, u: FloatArray) -> tuple[ModeRank, ...]:

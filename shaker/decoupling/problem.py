@@ -1,4 +1,4 @@
-"""Records of several releases as one least squares problem of common poles, and how many poles it asks for."""
+"""Records of several releases as one least squares problem of common poles, and what its solution leaves open."""
 
 from __future__ import annotations
 
@@ -12,11 +12,10 @@ import numpy as np
 from shaker.arrays import ComplexArray, FloatArray, IntArray
 from shaker.decoupling.model import MultiModel, Poles
 from shaker.fitting import Block, Changes, Minimum, Prior, Rules, Separable, levenberg_marquardt
-from shaker.release.poles import shared_poles
 from shaker.release.record import Shape
 from shaker.release.response import MOMENTS, Answers, Load, Samples, answers, responses
 
-_REACH = 1.96  # standard uncertainties of 95 %
+REACH = 1.96  # standard uncertainties of 95 %
 _LOOSE = (1.5, 2.0)  # standard deviations of what a start says of logarithms of real poles and of durations
 _KEPT = 2  # poles and releases of which a record keeps what they show of it
 
@@ -285,8 +284,8 @@ def widened(fit: Fitted, spread: FloatArray) -> FloatArray:
     """
     for lag in range(2 * fit.poles.modes, fit.poles.count):
         u = float(np.sqrt(spread[lag, lag]))
-        far = max(1.0 - np.sqrt(max(1.0 - 2.0 * _REACH * u, 0.0)), np.sqrt(1.0 + 2.0 * _REACH * u) - 1.0)
-        more = max((far / (_REACH * u)) ** 2, 1.0) - 1.0
+        far = max(1.0 - np.sqrt(max(1.0 - 2.0 * REACH * u, 0.0)), np.sqrt(1.0 + 2.0 * REACH * u) - 1.0)
+        more = max((far / (REACH * u)) ** 2, 1.0) - 1.0
         spread = spread + more * np.outer(spread[:, lag], spread[lag]) / u**2
     return spread
 
@@ -357,211 +356,6 @@ def _moving(
     return table - table.mean(axis=1, keepdims=True), weights
 
 
-# How many poles the records ask for.
-
-_ROUNDS = 12
-_CANDIDATES = 3
-_FEW_STEPS = 12
-_ROUGH = 2.0
-_ALONG_A_VALLEY = (40, 0.1)  # steps and calm for a lag, which nearly does what a later and longer release does
-_AS_LONG = (1.25, 1.35, 1.45, 1.55)
-"""Durations of half a cosine over that of a line that does nearly the same: 1.33 by spread, more for fast modes."""
-_LAGS = (1.5, 4.0, 10.0)  # first lags tried, in frequencies of the lowest mode
-_SHORTEST = 0.3  # of a release as read, that is left to it by a lag tried
-_REAL_SHARES = (0.3, 1.0, 3.0)  # further lags tried, in frequencies of the highest mode
-_HIGHEST_REAL = 0.45
-_TOLD_SAMPLES = 2.0
-_LONGER = (0.5, 2.0)
-_UNEXPLAINED = 1.5
-_CLEARLY = 10.0
-_OTHERWISE = (0.75, 1.4)
-_STRONG = 0.5
-"""A mode above this share of the strongest is no make-up for releases read some hundredths of a period off."""
-
-
-@dataclass(frozen=True)
-class Trial:
-    """One number of poles that was tried: `misfit` is the mean square residual over that of the noise, `criterion`
-    N·ln(misfit) + ln(N)·(number of parameters), of which the least wins (Schwarz, Ann. Statist. 6 (1978) 461)."""
-
-    modes: int
-    reals: int
-    misfit: float
-    criterion: float
-    kept: bool
-
-
-def lagged(problem: StepProblem, poles: Poles, releases: tuple[Release, ...]) -> Offer:
-    """Return poles with a first lag, and releases as much earlier and shorter, that leave least.
-
-    A lag is always fitted: one too fast to be told changes amplitudes and phases of what rings all the same, and a
-    model without it states a certainty that the records do not give.
-    """
-    offers: list[Offer] = []
-    for share in _LAGS:
-        hz = min(share * float(poles.frequency_hz.min()), 0.4 / problem.step_s)
-        late_s = 1.0 / (2.0 * np.pi * hz)
-        moved = []
-        for release in releases:
-            square = release.duration_s**2 - late_s**2 / MOMENTS[release.shape]
-            shortest = _SHORTEST * release.duration_s
-            shorter = float(np.sqrt(max(square, shortest**2)))
-            moved.append(replace(release, middle_s=release.middle_s - late_s, duration_s=shorter))
-        times = [_timed(problem.part([i]), poles.with_real(hz), [one]).releases[0] for i, one in enumerate(moved)]
-        offers.append((poles.with_real(hz), tuple(times)))
-    return min(offers, key=lambda offer: problem.point(*offer).loss)
-
-
-def chosen(problem: StepProblem, start: Offer, most: int | None, reals: int) -> tuple[Fitted, list[Trial]]:
-    """Return the fit with the number of poles that the criterion favours, and what was tried.
-
-    Modes that the start offers and the records do not ask for are left out one by one; then modes that the residual
-    shows, and further lags, are added as long as the criterion falls. `most`, `reals`: the highest numbers of modes
-    and of real poles.
-    """
-    here = fit_poles(problem, needed(problem, *start, most), start[1], *_ALONG_A_VALLEY)
-
-    def trial(fitted: Fitted, kept: bool) -> Trial:
-        poles, share = fitted.poles, fitted.loss / problem.values
-        return Trial(poles.modes, len(poles.real_hz), share, criterion(problem, poles, fitted.loss), kept)
-
-    trials = [trial(here, True)]
-    for _ in range(_ROUNDS):
-        there = _smaller(problem, here, most) or _larger(problem, here, most, reals)
-        if there is None:
-            break
-        trials.append(trial(there, criterion(problem, there.poles, there.loss) < trials[-1].criterion))
-        if not trials[-1].kept:
-            break
-        here = there
-    return here, trials
-
-
-def shaped(problem: StepProblem, fit: Fitted) -> Fitted:
-    """Return the fit in which each release goes along a line or half a cosine, whichever leaves clearly less."""
-    releases = tuple(
-        _better_shape(problem, fit, i) if release.duration_s > _TOLD_SAMPLES * problem.step_s else release
-        for i, release in enumerate(fit.releases)
-    )
-    return fit if releases == fit.releases else fit_poles(problem, fit.poles, releases, _FEW_STEPS, _ROUGH)
-
-
-def _better_shape(problem: StepProblem, fit: Fitted, place: int) -> Release:
-    """One release, or the same in the other shape, with its best duration, where that leaves clearly less."""
-    near = problem.places(problem.records[place].component)
-    part, own = problem.part(near), fit.releases[place]
-    other: Shape = "smooth" if own.shape == "ramp" else "ramp"
-    ratios = _AS_LONG if other == "smooth" else [1.0 / ratio for ratio in _AS_LONG]
-    tried = [own, *(replace(own, shape=other, duration_s=ratio * own.duration_s) for ratio in ratios)]
-    places = [[one if i == place else fit.releases[i] for i in near] for one in tried]
-    losses = [part.point(fit.poles, releases).loss for releases in places]
-    best = int(np.argmin(losses))
-    return tried[best] if losses[best] < losses[0] - _CLEARLY else own
-
-
-def otherwise(problem: StepProblem, fit: Fitted) -> Fitted:
-    """The fit from shorter or longer releases of each load, where these leave less: the least of several minima."""
-    releases = list(fit.releases)
-    for component in problem.components:
-        places = problem.places(component)
-        part, own = problem.part(places), [fit.releases[i] for i in places]
-        tried = [[replace(one, duration_s=by * one.duration_s) for one in own] for by in _OTHERWISE]
-        best = min((_timed(part, fit.poles, times) for times in tried), key=lambda end: end.loss)
-        if best.loss < part.point(fit.poles, own).loss - _ROUGH:
-            for i, release in zip(places, best.releases, strict=True):
-                releases[i] = release
-    if tuple(releases) == fit.releases:
-        return fit
-    other = fit_poles(problem, fit.poles, releases, _FEW_STEPS, _ROUGH)
-    return min(fit, other, key=lambda fitted: fitted.loss)
-
-
-def _timed(problem: StepProblem, poles: Poles, releases: Sequence[Release]) -> Fitted:
-    """The best times of releases where the poles are known."""
-    return fit_poles(problem, poles, releases, _FEW_STEPS, _ROUGH, held=poles.count)
-
-
-def _begun(part: StepProblem, poles: Poles, release: Release) -> Release:
-    """A release by its record alone, poles held: the best of both shapes, from shorter and longer ones
-    too where the record is not explained."""
-    ramp, smooth = replace(release, shape="ramp"), replace(release, shape="smooth")
-    tried = [_timed(part, poles, [one]) for one in (ramp, smooth)]
-    if min(end.loss for end in tried) >= _UNEXPLAINED * part.values:
-        others = [replace(one, duration_s=by * one.duration_s) for one in (ramp, smooth) for by in _LONGER]
-        tried += [_timed(part, poles, [one]) for one in others]
-    return min(tried, key=lambda end: end.loss).releases[0]
-
-
-def criterion(problem: StepProblem, poles: Poles, loss: float) -> float:
-    """Return N·ln(loss/N) + ln(N)·(number of parameters): a lag adds its corner alone, its residues follow."""
-    count, outputs, loads = problem.values, problem.records[0].samples.value.shape[1], len(problem.components)
-    parameters = 2 * poles.modes * (1 + outputs * loads) + len(poles.real_hz)
-    return float(count * np.log(max(loss / count, 1e-12)) + np.log(count) * parameters)
-
-
-def removal_losses(poles: Poles, point: Separable) -> FloatArray:
-    """Return how much the loss grows without each pole (M + Q,), the others held: b'·[(A'A)⁻¹ of its columns]⁻¹·b."""
-    losses = np.zeros(poles.modes + len(poles.real_hz))
-    for part in point.solved:
-        whole, root = poles.smooth @ part.coefficients, poles.smooth @ part.root
-        inverse = root @ root.T
-        for place in range(len(losses)):
-            columns = poles.columns(place)
-            weight = np.linalg.pinv(inverse[np.ix_(columns, columns)], hermitian=True)
-            losses[place] += float(np.einsum("bc,bd,dc->", whole[columns], weight, whole[columns]))
-    return losses
-
-
-def needed(problem: StepProblem, poles: Poles, releases: Sequence[Release], most: int | None) -> Poles:
-    """Return a start without the modes that the criterion does not ask for, or that are beyond the highest number."""
-    while poles.modes > 1:
-        point = problem.point(poles, releases)
-        losses = removal_losses(poles, point)[: poles.modes]
-        weakest = int(np.argmin(losses))
-        fewer = poles.without(weakest)
-        falls = criterion(problem, fewer, point.loss + losses[weakest]) < criterion(problem, poles, point.loss)
-        if not (falls or (most is not None and poles.modes > most)):
-            break
-        poles = fewer
-    return poles
-
-
-def _smaller(problem: StepProblem, here: Fitted, most: int | None) -> Fitted | None:
-    """The fit without the weakest mode, None where the criterion needs all.
-
-    What the other poles and the releases take over shows in a fit alone: a mode that makes up for a release begun
-    elsewhere looks needed as long as that release is held.
-    """
-    poles = here.poles
-    if poles.modes < 2 or (most is not None and poles.modes <= most):
-        return None
-    losses = removal_losses(poles, here.solution.point)[: poles.modes]
-    weakest = int(np.argmin(losses))
-    if losses[weakest] > _STRONG * losses.max():
-        return None
-    fewer = fit_poles(problem, poles.without(weakest), here.releases, *_ALONG_A_VALLEY)
-    return fewer if criterion(problem, fewer.poles, fewer.loss) < criterion(problem, poles, here.loss) else None
-
-
-def _larger(problem: StepProblem, here: Fitted, most: int | None, reals: int) -> Fitted | None:
-    """The fit with the mode or the lag that lowers the loss most, None where the numbers are reached."""
-    modes: list[Offer] = []
-    if most is None or here.poles.modes < most:
-        modes = [(here.poles.with_mode(complex(pole)), here.releases) for pole in _left(problem, here)]
-    lags: list[Offer] = []
-    if len(here.poles.real_hz) < reals:
-        top, limit = float(here.poles.frequency_hz.max()), _HIGHEST_REAL / problem.step_s
-        lags = [(here.poles.with_real(min(share * top, limit)), here.releases) for share in _REAL_SHARES]
-    tried = []
-    for offers, steps, calm in ((modes, _FEW_STEPS, _ROUGH), (lags, *_ALONG_A_VALLEY)):
-        if offers:
-            losses = [problem.point(*offer).loss for offer in offers]
-            fitted = fit_poles(problem, *offers[int(np.argmin(losses))], steps, calm)
-            again = _again(problem, fitted)
-            tried += [fitted] if again is None else [fitted, again]
-    return min(tried, key=lambda fitted: criterion(problem, fitted.poles, fitted.loss), default=None)
-
-
 def by_record(problem: StepProblem, fit: Fitted) -> list[tuple[int, FloatArray]]:
     """What is left of every record (A, C), load after load."""
     rests: list[tuple[int, FloatArray]] = []
@@ -572,28 +366,3 @@ def by_record(problem: StepProblem, fit: Fitted) -> list[tuple[int, FloatArray]]
             rests.append((i, part.basis @ rest[start : start + len(part.told)] + part.beside))
             start += len(part.told)
     return rests
-
-
-def _again(problem: StepProblem, here: Fitted) -> Fitted | None:
-    """The fit with the releases found anew whose records it does not explain, None where it explains all."""
-    releases = list(here.releases)
-    for i, rest in by_record(problem, here):
-        if float(np.mean(rest**2, axis=0).max()) > _UNEXPLAINED:
-            releases[i] = _begun(problem.part([i]), here.poles, releases[i])
-    if tuple(releases) == here.releases:
-        return None
-    return fit_poles(problem, here.poles, releases, _FEW_STEPS, _ROUGH)
-
-
-def _left(problem: StepProblem, here: Fitted) -> ComplexArray:
-    """Poles of what the fit leaves after the releases, load by load the slowest first."""
-    samples = problem.records[0].samples
-    rests, offered = dict(by_record(problem, here)), []
-    for component in problem.components:
-        parts = []
-        for i in problem.places(component):
-            end_s = here.releases[i].middle_s + here.releases[i].duration_s / 2.0
-            parts.append(rests[i][np.searchsorted(problem.records[i].samples.time_s, end_s) :].T)
-        poles = shared_poles(parts, 1.0 / (samples.step_s * int(samples.length[0])))
-        offered.append(poles[np.argsort(-poles.real)][:_CANDIDATES])
-    return np.concatenate(offered)

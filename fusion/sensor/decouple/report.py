@@ -47,7 +47,7 @@ from fusion.sensor.unseen import budget_table
 from shaker.arrays import FloatArray
 from shaker.decoupling.filter import stage_readers, step_readings, step_times
 from shaker.decoupling.fit import ReleaseFit
-from shaker.decoupling.problem import Trial
+from shaker.decoupling.search import Trial
 from shaker.labels import load_unit, typeset
 
 STAGE_COLOURS = {"raw": GREY, "static": ORANGE, "filtered": BLUE}
