@@ -1,6 +1,7 @@
 """Every identification from a step response, on simulated records of a known sensor.
 
-Usage: python benchmarks/steps.py [--seeds 50] [--evolutions 3] [--coverage 0] [--campaigns 0] [--first 0]
+Usage: python benchmarks/steps.py [--seeds 50] [--evolutions 3] [--coverage 0] [--campaigns 0]
+           [--decouplings 0] [--first 0]
 
 The sensor: a mode at 1700 Hz, damping ratio 0.015, behind a low-pass filter of 6 kHz; 100 kHz, 10 ms before the release
 and 30 ms after it, the release anywhere between two samples. The noise is stated over the oscillation: 40 dB is a
@@ -10,8 +11,9 @@ how much faster and nearer the truth the default is than differential evolution 
 `--coverage N` how often the 95 % intervals of N trials hold the truth, each record read and its structure chosen by the
 program, for several releases, white noise, noise behind an anti-aliasing filter, and a coarse converter. With
 `--campaigns N` preset `steps` is simulated N times, evaluated and compensated: how often U of the ±10 % band and of the
-overshoot holds the truth, before and after the filter. Differential evolution takes a second per record, a campaign
-some 10 s.
+overshoot holds the truth, before and after the filter; with `--decouplings N` how far the model of `decouple` is off in
+standard uncertainties, and how often releases of another length are told. Differential evolution takes a second per
+record, a campaign some 10 s.
 """
 
 from __future__ import annotations
@@ -27,7 +29,15 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion import StepSettings, evaluate_compensation, evaluate_steps, load_for_command, simulate_preset
+from fusion import (
+    DecoupleSettings,
+    StepSettings,
+    evaluate_compensation,
+    evaluate_decoupling,
+    evaluate_steps,
+    load_for_command,
+    simulate_preset,
+)
 from fusion.sensor.compensate.source import Wish, read_sources
 from fusion.sensor.models_file import MODELS_FILE, ModelsFile, models_text
 from shaker.lti.indices import indices
@@ -60,6 +70,7 @@ def main() -> None:
     parser.add_argument("--evolutions", type=int, default=3, help="the same for differential evolution; 0: without it")
     parser.add_argument("--coverage", type=int, default=0, help="trials of the intervals' coverage (default: none)")
     parser.add_argument("--campaigns", type=int, default=0, help="campaigns of preset steps (default: none)")
+    parser.add_argument("--decouplings", type=int, default=0, help="the same for decouple (default: none)")
     parser.add_argument("--first", type=int, default=0, help="first seed")
     options = parser.parse_args()
     compare_all(options.seeds, options.evolutions, options.first)
@@ -67,6 +78,8 @@ def main() -> None:
         coverage(options.coverage, options.first)
     if options.campaigns:
         campaigns(options.campaigns, options.first)
+    if options.decouplings:
+        decouplings(range(options.first, options.first + options.decouplings))
 
 
 def truth() -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -238,6 +251,7 @@ def covered(record: StepRecord, true: FloatArray) -> FloatArray:
 
 
 OF_CAMPAIGNS = {"band_10_hz": "±10 % band", "overshoot": "overshoot"}
+OF_MODES = ("frequency_hz", "damping_ratio")
 RAISED = 1.5  # wanted natural frequency over the sensor's own
 
 
@@ -296,6 +310,39 @@ def campaigns(count: int, first: int) -> None:
     for row, name in enumerate(("step", "compensate, before the filter", "compensate, after it")):
         parts = [f"{np.mean(own <= 1.0):.1%}, {np.median(own):.2f}" for own in ratio[:, row].T]
         print(f"| {name} | {' | '.join(parts)} |", flush=True)
+
+
+def decouplings(seeds: range) -> None:
+    """Print how far the models of some campaigns of preset steps are off, in standard uncertainties of all parameters."""
+    scores, largest, told = [], [], 0
+    for seed in seeds:
+        with TemporaryDirectory() as place:
+            folder = Path(place) / "steps"
+            simulate_preset(folder, "steps", seed)
+            found = evaluate_decoupling("steps", load_for_command([folder], "decouple"), DecoupleSettings(), {}).fit
+            true = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+        model, u = found.model, found.model.u
+        if len(model.frequency_hz) != len(true["frequency_hz"]) or len(model.real_hz) != 1:
+            print(f"seed {seed}: {len(model.frequency_hz)} modes and {len(model.real_hz)} lags, not counted")
+            continue
+        order = np.argsort(model.frequency_hz)
+        modes = [(getattr(model, name)[order] - true[name]) / getattr(u, name)[order] for name in OF_MODES]
+        re, im = np.moveaxis([true["residue"]["re"], true["residue"]["im"]], 3, 1)
+        own, spread = model.residue[order], u.residue[order]
+        parts = (own.real - re) / spread.real, (own.imag - im) / spread.imag
+        lag = (model.real_hz - true["real_hz"]) / u.real_hz
+        real = (model.real_residue[0] - np.array(true["real_residue"])[:, :, 0]) / u.real_residue[0]
+        scores.append(np.concatenate([part.ravel() for part in (*modes, *parts, lag, real)]))
+        largest.append(float(np.abs(scores[-1]).max()))
+        told += any("hardly tell apart" in notice.text for notice in found.notices)
+    score = np.abs(np.concatenate(scores))
+    print(
+        f"\n{len(scores)} models, {len(score)} parameters: rms {np.sqrt(np.mean(score**2)):.2f} u, beyond 2 u", end=" "
+    )
+    print(f"{np.mean(score > 2.0):.2%}, 3 u {np.mean(score > 3.0):.2%}; largest of a model", end=" ")
+    print(
+        f"{np.median(largest):.1f} u (median), {max(largest):.1f} u (largest); {told} with releases that may be longer"
+    )
 
 
 if __name__ == "__main__":
