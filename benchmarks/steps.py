@@ -313,7 +313,7 @@ def campaigns(count: int, first: int) -> None:
 
 
 def decouplings(seeds: range) -> None:
-    """Print how far the models of some campaigns of preset steps are off, in standard uncertainties of all parameters."""
+    """Print how far the models of some campaigns of preset steps are off, over u of all their parameters."""
     scores, largest, told = [], [], 0
     for seed in seeds:
         with TemporaryDirectory() as place:
@@ -336,13 +336,10 @@ def decouplings(seeds: range) -> None:
         largest.append(float(np.abs(scores[-1]).max()))
         told += any("hardly tell apart" in notice.text for notice in found.notices)
     score = np.abs(np.concatenate(scores))
-    print(
-        f"\n{len(scores)} models, {len(score)} parameters: rms {np.sqrt(np.mean(score**2)):.2f} u, beyond 2 u", end=" "
-    )
-    print(f"{np.mean(score > 2.0):.2%}, 3 u {np.mean(score > 3.0):.2%}; largest of a model", end=" ")
-    print(
-        f"{np.median(largest):.1f} u (median), {max(largest):.1f} u (largest); {told} with releases that may be longer"
-    )
+    print(f"\n{len(scores)} models, {len(score)} parameters: rms {np.sqrt(np.mean(score**2)):.2f} u")
+    print(f"beyond 2 u {np.mean(score > 2.0):.2%}, beyond 3 u {np.mean(score > 3.0):.2%}")
+    print(f"largest of a model: median {np.median(largest):.1f} u, of all {max(largest):.1f} u")
+    print(f"releases that may have lasted longer or shorter are told in {told}")
 
 
 if __name__ == "__main__":
