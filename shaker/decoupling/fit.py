@@ -211,8 +211,8 @@ def multi_fit(
 ) -> MultiFit:
     """Return the result of a fit in the units of the records; `noise` (C,) of a sample weighted the outputs.
 
-    The first of `fits` is the result; the others the records do not refute. By the ratio of their likelihoods another
-    one whose χ² is larger by Δ lies √Δ standard uncertainties away, and at most as far as a 95 % interval reaches.
+    The first of `fits` is the result; the others the records do not refute. By the ratio of their likelihoods one whose
+    χ² is larger by Δ lies √Δ standard uncertainties away; one that is as likely, at the end of a 95 % interval.
     """
     fit, *others = fits
     point, poles = fit.solution.point, fit.poles
