@@ -342,13 +342,13 @@ def _alike(problem: StepProblem, fit: Fitted, others: Sequence[Fitted]) -> Itera
     """Say of which load releases of other lengths explain the records as well."""
     for other in others:
         lengths = [(one.duration_s, own.duration_s) for one, own in zip(other.releases, fit.releases, strict=True)]
-        i = int(np.argmax([abs(np.log(one / own)) for one, own in lengths]))
+        i, more = int(np.argmax([abs(np.log(one / own)) for one, own in lengths])), other.loss - fit.loss
         text = (
             f"{problem.records[i].name} may have lasted {1e3 * lengths[i][1]:.3g} ms or {1e3 * lengths[i][0]:.3g} ms, "
-            f"which the records hardly tell apart (χ² differs by {other.loss - fit.loss:.1f}): U holds both; a release "
+            f"which the records hardly tell apart (χ² differs by {more:.1f}): U holds both; a release "
             "of another length tells"
         )
-        yield Notice("warning", text, problem.records[i].component)
+        yield Notice("warning" if more < REACH**2 else "info", text, problem.records[i].component)
 
 
 def mode_ranks(model: MultiModel, u: FloatArray) -> tuple[ModeRank, ...]:

@@ -126,9 +126,9 @@ class Identification(Brief):
 # Least squares over all recordings, and the covariance of what it finds.
 
 _RULES = Rules(
-    foretold=1e-8, foretold_share=0.0, gained=1e-5, steps=100, first=1e-6, shrink=0.03, least=1e-12, largest=1e8
+    foretold=1e-8, foretold_share=0.0, gained=1e-4, steps=100, first=1e-6, shrink=0.03, least=1e-12, largest=1e8
 )
-"""A fit has converged where a step would be 1e-4 of the standard uncertainties, or lowers χ² by less than 1e-5."""
+"""A fit has converged where a step would be 1e-4 of the standard uncertainties, or lowers χ² by less than 1e-4."""
 _SHARE = 0.1  # of a step, over which the curvature of the residuals is seen
 _OPEN = 1e-10  # singular value, columns of unit length, below which a direction is open
 
