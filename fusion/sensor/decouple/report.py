@@ -159,7 +159,8 @@ def headlines(evaluation: DecoupleEvaluation) -> list[Headline]:
     target = evaluation.decoupler
     label = f"{target.target_hz[0]:.6g} Hz, ζ = {target.target_damping[0]:g}"
     late = 1e6 * target.delay / target.sample_rate_hz
-    return [*told, Headline("Dynamics behind the filter", label, f"{target.delay} samples ({late:.3g} µs) late")]
+    remark = f"{target.delay} sample{'' if target.delay == 1 else 's'} ({late:.3g} µs) late"
+    return [*told, Headline("Dynamics behind the filter", label, remark)]
 
 
 def modes_table(evaluation: DecoupleEvaluation) -> Table:
