@@ -65,11 +65,8 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
                 told = f"expected {key} {expected} as in {first.name}, found {own} in {other.name}"
                 raise ValueError(f"records: {told}")
     releases = []
-    for raw in records:  # by the output that changes most over what it scatters by before
-        count = raw.samples.shape[1]
-        rest, end = raw.samples[:, : max(8, count // 50)], raw.samples[:, -max(8, count // 5) :]
-        change = np.abs(end.mean(axis=1) - rest.mean(axis=1)) / np.maximum(rest.std(axis=1), 1e-300)
-        middle_s, duration_s, shape = begun(raw, raw.channels[int(np.argmax(change))])
+    for raw in records:
+        middle_s, duration_s, shape = begun(raw)
         releases.append(Release(middle_s, max(duration_s, 1.0 / raw.sample_rate_hz), shape))
     noise = _noise(records, releases)
     problem, start = _posed(records, releases, noise)

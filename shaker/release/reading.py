@@ -317,22 +317,21 @@ def read_release(record: StepRecord, channel: str) -> Reading:
     return _reading(record, own, places[own], timing_of(record, timed, places[timed]))
 
 
-def begun(record: StepRecord, channel: str) -> tuple[float, float, Shape]:
+def begun(record: StepRecord) -> tuple[float, float, Shape]:
     """Return middle and length in s of a release and its shape, to start a fit from: one without a lag.
 
-    What a lag behind the sensor does to first and second order is a later and longer release: of a fitted one the
-    middle is that much later, and its second moment adds to the release's.
+    The force shows it where that was measured along, else the channel whose level changes most over its noise. What a
+    lag behind the sensor does to first and second order is a later and longer release: of a fitted one the middle is
+    that much later, and its second moment adds to the release's.
     """
     places = places_of(record)
-    own = record.channels.index(channel)
-    own = own if places[own].strength >= STRONG else _strongest(places)
     shape: Shape
     if record.force is not None:
         interval, _, _, shape = read_force(record.force, record.sample_rate_hz, record.start_s)
         middle_s, length_s = interval.onset_s + 0.5 * interval.release_s, interval.release_s
     else:
-        samples, rate = record.samples[own], record.sample_rate_hz
-        fit = find_beginning(samples, rate, record.start_s, places[own], _NEAR_ENOUGH)[1].fit
+        own, rate = _strongest(places), record.sample_rate_hz
+        fit = find_beginning(record.samples[own], rate, record.start_s, places[own], _NEAR_ENOUGH)[1].fit
         middle_s, shape = fit.centre_s, fit.shape
         length_s = float(np.sqrt(fit.release_s**2 + fit.lag_s**2 / MOMENTS[shape]))
     ends = (middle_s + length_s * np.array([-0.5, 0.5]) - record.start_s) * record.sample_rate_hz
