@@ -5,6 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+_ALL_IN_VIEW_ARE_DRAWN = """() => [...document.querySelectorAll("figure[data-figure]")].every((one) => {
+  const { top, bottom } = one.getBoundingClientRect();
+  return "drawn" in one.dataset || bottom < 0 || top > innerHeight;
+})"""
 
 class Page:
     """A page that is open, what its console said and what it asked for."""
@@ -25,8 +29,7 @@ class Page:
         figure = self.page.locator(f"figure[data-figure='{name}']")
         for _ in range(2):  # others that come into view with it move it
             figure.evaluate("one => one.scrollIntoView({ block: 'center', behavior: 'instant' })")
-            self.page.wait_for_selector(f"figure[data-figure='{name}'][data-drawn]")
-            self.page.wait_for_timeout(200)
+            self.page.wait_for_function(_ALL_IN_VIEW_ARE_DRAWN)
         return figure
 
     def close(self) -> None:
