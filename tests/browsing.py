@@ -10,6 +10,7 @@ _ALL_IN_VIEW_ARE_DRAWN = """() => [...document.querySelectorAll("figure[data-fig
   return "drawn" in one.dataset || bottom < 0 || top > innerHeight;
 })"""
 
+
 class Page:
     """A page that is open, what its console said and what it asked for."""
 
