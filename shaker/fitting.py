@@ -17,6 +17,7 @@ import numpy as np
 
 from shaker.arrays import FloatArray, IntArray
 
+_LIKE_STEPS = 10  # as long as the one foretold, after which a search that is not where it is wanted is given up
 _NOTHING = 1e-18  # share of the first loss below which no step is worth its while: rounding alone is left
 _STILL = 1e-14  # relative change of every parameter below which nothing moves
 _MOST_BENT = 0.75  # length of the bend of a step in that of the step
@@ -55,15 +56,17 @@ class Rules:
     """When a search ends, and how it is damped.
 
     It ends where a step is foretold to lower the loss by less than max(`foretold`, `foretold_share`·loss), or where one
-    did lower it by less than max(`gained`, `gained_share`·loss); after `steps`; or where no step damped by up to
-    `largest`, or by `tries` dampings in a row, lowers it. The damping begins at `first`, times `grow` after a step
-    refused, times `shrink` after one taken, never below `least`.
+    did lower it by less than max(`gained`, `gained_share`·loss); where ten steps as long as the one foretold would not
+    bring it below `wanted`; after `steps`; or where no step damped by up to `largest`, or by `tries` dampings in a row,
+    lowers it. The damping begins at `first`, times `grow` after a step refused, times `shrink` after one taken, never
+    below `least`.
     """
 
     foretold: float = 0.0
     foretold_share: float = 1e-10
     gained: float = 0.0
     gained_share: float = 0.0
+    wanted: float = np.inf
     steps: int = 100
     tries: int = 100
     first: float = 1e-3
@@ -129,6 +132,8 @@ def levenberg_marquardt(
             step = _damped(scaled, target, damping) / scale
             foretold = float(step @ (2.0 * downhill - normal @ step))
             least = max(rules.foretold, rules.foretold_share * here.loss, _NOTHING * losses[0])
+            if here.loss - _LIKE_STEPS * foretold > rules.wanted:
+                return Minimum(here, tuple(losses), False)
             if foretold < least or np.all(np.abs(step) <= _STILL * np.abs(here.parameters)):
                 return Minimum(here, tuple(losses), True)
             if tried == rules.tries or damping > rules.largest:

@@ -54,10 +54,10 @@ class Sampled:
     amplitude: float
     samples: Samples
 
-    def answers(self, poles: ComplexArray, release: Release) -> Answers:
-        """Return what poles answer to the release, with slopes."""
+    def answers(self, poles: ComplexArray, release: Release, held: bool) -> Answers:
+        """Return what poles, which may be held, answer to the release, with slopes."""
         load = Load(release.shape, self.amplitude)
-        return answers(load, poles, self.samples, release.middle_s, release.duration_s)
+        return answers(load, poles, self.samples, release.middle_s, release.duration_s, held)
 
     @cached_property
     def shown(self) -> Callable[[Poles, Release], Shown]:
@@ -160,9 +160,11 @@ class Fitted:
         return self.solution.point.loss
 
 
-def rules(steps: int, calm: float) -> Rules:
-    """Return when a search ends: after so many steps, or where one gains less than `calm` units of the variance."""
-    return Rules(foretold=calm, foretold_share=0.0, gained=calm, gained_share=1e-9, steps=steps, tries=8, least=1e-7)
+def rules(steps: int, calm: float, wanted: float = np.inf) -> Rules:
+    """Return when a search ends: after so many steps, or where one gains less than `calm` units of the variance, or
+    where it will not come below the loss that is `wanted`."""
+    ends = Rules(foretold=calm, foretold_share=0.0, gained=calm, gained_share=1e-9, wanted=wanted, steps=steps)
+    return replace(ends, tries=8, least=1e-7)
 
 
 def fit_poles(
@@ -172,10 +174,11 @@ def fit_poles(
     steps: int = 40,
     calm: float = 1e-2,
     held: int = 0,
+    wanted: float = np.inf,
 ) -> Fitted:
     """Return the least squares poles and releases from a start, by at most `steps` steps or till one gains `calm`.
 
-    `held`: how many of the first parameters stay as they are.
+    `held`: how many of the first parameters stay as they are; `wanted`: loss without which the fit is of no use.
     """
     start = problem.vector(poles, releases)
 
@@ -190,7 +193,7 @@ def fit_poles(
     if first is None:
         raise ValueError(f"start: expected poles that swing and decay within their records, found {start.tolist()}")
     smallest = np.concatenate([poles.scale, np.tile([problem.step_s, 0.1], len(releases))])[held:]
-    solution = levenberg_marquardt(at, first, rules(steps, calm), smallest, problem.prior(start, poles, held))
+    solution = levenberg_marquardt(at, first, rules(steps, calm, wanted), smallest, problem.prior(start, poles, held))
     end = parts(solution.point.parameters)
     assert end is not None
     return Fitted(*end, solution)
@@ -307,7 +310,8 @@ def _block(problem: StepProblem, poles: Poles, releases: Sequence[Release], plac
         rows = np.zeros((edges[-1], count, outputs))
         beside, pull = np.zeros((outputs, count, count)), np.zeros((outputs, count))
         for k, (i, record) in enumerate(zip(places, records, strict=True)):
-            here, mine = record.answers(poles.values, releases[i]), np.r_[:free, free + 2 * k : free + 2 * k + 2]
+            mine = np.r_[:free, free + 2 * k : free + 2 * k + 2]
+            here = record.answers(poles.values, releases[i], held=not free)
             columns, weights = _moving(here, residues, poles if free else None, releases[i].duration_s)
             part = shown[k]
             along = columns @ part.basis

@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray
+from shaker.arrays import FloatArray
 from shaker.decoupling.model import Poles
 from shaker.decoupling.problem import Fitted, Offer, Release, StepProblem, by_record, fit_poles
 from shaker.fitting import Separable
@@ -185,9 +185,20 @@ def _begun(part: StepProblem, poles: Poles, release: Release) -> Release:
 
 def criterion(problem: StepProblem, poles: Poles, loss: float) -> float:
     """Return N·ln(loss/N) + ln(N)·(number of parameters): a lag adds its corner alone, its residues follow."""
-    count, outputs, loads = problem.values, problem.records[0].samples.value.shape[1], len(problem.components)
+    count = problem.values
+    return float(count * np.log(max(loss / count, 1e-12)) + _charge(problem, poles))
+
+
+def _affordable(problem: StepProblem, poles: Poles, most: float) -> float:
+    """The loss at which the criterion of poles is as high as `most`."""
+    return float(problem.values * np.exp((most - _charge(problem, poles)) / problem.values))
+
+
+def _charge(problem: StepProblem, poles: Poles) -> float:
+    """What the criterion charges for poles."""
+    outputs, loads = problem.records[0].samples.value.shape[1], len(problem.components)
     parameters = 2 * poles.modes * (1 + outputs * loads) + len(poles.real_hz)
-    return float(count * np.log(max(loss / count, 1e-12)) + np.log(count) * parameters)
+    return float(np.log(problem.values) * parameters)
 
 
 def removal_losses(poles: Poles, point: Separable) -> FloatArray:
@@ -230,26 +241,23 @@ def _smaller(problem: StepProblem, here: Fitted, most: int | None) -> Fitted | N
     weakest = int(np.argmin(losses))
     if losses[weakest] > _STRONG * losses.max():
         return None
-    fewer = fit_poles(problem, poles.without(weakest), here.releases, *_ALONG_A_VALLEY)
-    return fewer if criterion(problem, fewer.poles, fewer.loss) < criterion(problem, poles, here.loss) else None
+    fewer = poles.without(weakest)
+    wanted = _affordable(problem, fewer, criterion(problem, poles, here.loss))
+    fitted = fit_poles(problem, fewer, here.releases, *_ALONG_A_VALLEY, wanted=wanted)
+    return fitted if fitted.loss < wanted else None
 
 
 def _larger(problem: StepProblem, here: Fitted, most: int | None, reals: int) -> Fitted | None:
     """The fit with the mode or the lag that lowers the loss most, None where the numbers are reached."""
-    modes: list[Offer] = []
-    if most is None or here.poles.modes < most:
-        modes = [(here.poles.with_mode(complex(pole)), here.releases) for pole in _left(problem, here)]
-    lags: list[Offer] = []
+    tried = []
+    if (most is None or here.poles.modes < most) and (mode := _left(problem, here)) is not None:
+        tried.append(fit_poles(problem, here.poles.with_mode(mode), here.releases, _FEW_STEPS, _ROUGH))
     if len(here.poles.real_hz) < reals:
         top, limit = float(here.poles.frequency_hz.max()), _HIGHEST_REAL / problem.step_s
-        lags = [(here.poles.with_real(min(share * top, limit)), here.releases) for share in _REAL_SHARES]
-    tried = []
-    for offers, steps, calm in ((modes, _FEW_STEPS, _ROUGH), (lags, *_ALONG_A_VALLEY)):
-        if offers:
-            losses = [problem.point(*offer).loss for offer in offers]
-            fitted = fit_poles(problem, *offers[int(np.argmin(losses))], steps, calm)
-            again = _again(problem, fitted)
-            tried += [fitted] if again is None else [fitted, again]
+        lags = [here.poles.with_real(min(share * top, limit)) for share in _REAL_SHARES]
+        lag = min(lags, key=lambda poles: problem.point(poles, here.releases).loss)
+        tried.append(fit_poles(problem, lag, here.releases, *_ALONG_A_VALLEY))
+    tried += [again for fitted in tried if (again := _again(problem, fitted)) is not None]
     return min(tried, key=lambda fitted: criterion(problem, fitted.poles, fitted.loss), default=None)
 
 
@@ -264,15 +272,20 @@ def _again(problem: StepProblem, here: Fitted) -> Fitted | None:
     return fit_poles(problem, here.poles, releases, _FEW_STEPS, _ROUGH)
 
 
-def _left(problem: StepProblem, here: Fitted) -> ComplexArray:
-    """Poles of what the fit leaves after the releases, load by load the slowest first."""
+def _left(problem: StepProblem, here: Fitted) -> complex | None:
+    """The pole, of what the fit leaves of each load after its releases, that takes most of that; None without any."""
     samples = problem.records[0].samples
-    rests, offered = dict(by_record(problem, here)), []
+    rests, most, best = dict(by_record(problem, here)), 0.0, None
     for component in problem.components:
-        parts = []
-        for i in problem.places(component):
+        places, parts = problem.places(component), []
+        part, releases = problem.part(places), [here.releases[i] for i in places]
+        for i in places:
             end_s = here.releases[i].middle_s + here.releases[i].duration_s / 2.0
             parts.append(rests[i][np.searchsorted(problem.records[i].samples.time_s, end_s) :].T)
         poles = shared_poles(parts, 1.0 / (samples.step_s * int(samples.length[0])))
-        offered.append(poles[np.argsort(-poles.real)][:_CANDIDATES])
-    return np.concatenate(offered)
+        loss = part.point(here.poles, releases).loss
+        for pole in poles[np.argsort(-poles.real)][:_CANDIDATES].tolist():  # the slowest
+            fall = loss - part.point(here.poles.with_mode(pole), releases).loss
+            if fall > most:
+                most, best = fall, pole
+    return best

@@ -173,22 +173,29 @@ def exponentials(poles: ComplexArray, tau: FloatArray) -> ComplexArray:
 
 @dataclass(frozen=True, repr=False)
 class Answers(Brief):
-    """Responses (B, P) of 1/(s - p) in blocks, and their derivatives: to the poles, the onset, the release's length.
+    """Responses (B, P) of 1/(s - p) in blocks, and their derivatives: to the onset, the release's length, the poles.
 
-    The last moves the onset too, by half as much to the other side: the middle of the release stays.
+    That to the length moves the onset too, by half as much to the other side: the middle of the release stays. Where
+    poles are held, there is none to the poles (B, 0).
     """
 
     value: ComplexArray
-    by_pole: ComplexArray
     by_onset: ComplexArray
     by_length: ComplexArray
+    by_pole: ComplexArray
 
 
-def answers(load: Load, poles: ComplexArray, samples: Samples, middle_s: float, length_s: float) -> Answers:
-    """Return what poles (P,) in rad/s answer to a load whose release of `length_s` has its middle at `middle_s`."""
+def answers(
+    load: Load, poles: ComplexArray, samples: Samples, middle_s: float, length_s: float, held: bool = False
+) -> Answers:
+    """Return what poles (P,) in rad/s answer to a load whose release of `length_s` has its middle at `middle_s`.
+
+    `held`: without the derivative to the poles.
+    """
     if load.shape == "measured":
         return _to_force(load, poles, samples)
-    return Answers(*_answered(load, poles, samples, (middle_s, length_s), 4))
+    value, *changes = _answered(load, poles, samples, (middle_s, length_s), 3 if held else 4)
+    return Answers(value, changes[0], changes[1], value[:, :0] if held else changes[2])
 
 
 def responses(load: Load, poles: ComplexArray, samples: Samples, middle_s: float, length_s: float) -> ComplexArray:
@@ -201,7 +208,7 @@ def responses(load: Load, poles: ComplexArray, samples: Samples, middle_s: float
 def _answered(
     load: Load, poles: ComplexArray, samples: Samples, release: tuple[float, float], rows: int
 ) -> ComplexArray:
-    """Return the first rows of `Answers` (R, B, P), one or all four, to a release of a middle and a length."""
+    """Return the first rows of `Answers` (R, B, P), one, three or all four, to a release of a middle and a length."""
     length = release[1] if load.lasting else 0.0
     tau = samples.time_s - (release[0] - 0.5 * length)
     whole = np.zeros((rows, len(poles), len(tau)), dtype=np.complex128)
@@ -256,10 +263,11 @@ def _after(
     decay = swing * (mean * factor)[:, None]
     np.multiply(decay - 1.0, per_pole, out=out[0])
     if len(out) > 1:
+        np.negative(decay, out=out[1])
+        np.multiply(swing, (mean * (slope - 0.5 * factor))[:, None], out=out[2])
+    if len(out) > 3:
         change = swing * (mean_slope * factor + mean * length * slope)[:, None] + decay * sigma
-        np.multiply(change - out[0], per_pole, out=out[1])
-        np.negative(decay, out=out[2])
-        np.multiply(swing, (mean * (slope - 0.5 * factor))[:, None], out=out[3])
+        np.multiply(change - out[0], per_pole, out=out[3])
 
 
 def _at_times(shape: Shape, p: ComplexArray, tau: FloatArray, length: float, rows: int) -> ComplexArray:
@@ -281,7 +289,8 @@ def _at_times(shape: Shape, p: ComplexArray, tau: FloatArray, length: float, row
         if rows > 1:
             by_onset = -(p * value + share)
             # the answer is T·f(τ/T, pT), so that the derivative to the length follows from those to time and pole
-            during[1:] = by_pole, by_onset, (value + early * by_onset + p * by_pole) / length - 0.5 * by_onset
+            by_length = (value + early * by_onset + p * by_pole) / length - 0.5 * by_onset
+            during[1:] = (by_onset, by_length, by_pole)[: rows - 1]
     return whole
 
 
@@ -338,7 +347,7 @@ def _to_force(load: Load, poles: ComplexArray, samples: Samples) -> Answers:
     else:
         value, slope = value[first], slope[first]
     blank = np.zeros_like(value)
-    return Answers(value, slope, blank, blank)
+    return Answers(value, blank, blank, slope)
 
 
 def _hold(p: complex, step: float) -> tuple[complex, FloatArray, FloatArray]:
