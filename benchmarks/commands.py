@@ -5,9 +5,10 @@ Usage: python benchmarks/commands.py [--before FOLDER] [--repeats 3] [--keep FOL
 Each command is a process of its own; of the repeats, taken in turn with those of the other checkout, the smallest
 times count. Kernels are compiled and modules read once before. The recordings are the demo in the repository and a
 simulated `nitsche2018` (844 pictures of 640 x 512 px, 12 bit, deflated, and as most cameras write them), which takes
-two minutes to render and is kept in --keep; `lines` reads 30 million samples; `step` and `decouple` fit the 19 releases
-of preset `steps`, `cameras` the pictures of preset `targets`, `compensate` takes the models of `elastomer`. With --docs
-the table goes to performance.md there.
+two minutes to render and is kept in --keep; the same with cameras of 1280 x 1024 px and some 1000 subsets in each takes
+four minutes and 1.4 GB, and is run on one core too. `lines` reads 30 million samples; `step` and `decouple` fit the 19
+releases of preset `steps`, `cameras` the pictures of preset `targets`, `compensate` takes the models of `elastomer`.
+With --docs the table goes to performance.md there.
 """
 
 from __future__ import annotations
@@ -19,15 +20,19 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import h5py
 import numpy as np
 import tifffile
+from large_recording import setups
 from marked import markdown_table, write_marked
 
 from fusion.cli import main as shakercal
+from fusion.simulate.preset import Preset, read_preset
+from fusion.simulate.sines import rendered_run, write_run
+from fusion.simulate.world import TRIGGER_JITTER_S, Draws, make_world
 
 ROOT = Path(__file__).resolve().parents[1]
 DEMO = ROOT / "sample_images" / "demo"
@@ -36,11 +41,12 @@ SAMPLES, RATE_HZ = 30_000_000, 51_200.0
 
 @dataclass(frozen=True)
 class Case:
-    """A command, what the table calls it, what was asked of its wall or CPU time, and its arguments."""
+    """A command, what the table calls it, what was asked of its wall or CPU time, its arguments, on one core or all."""
 
     name: str
     asked: str
     arguments: tuple[str, ...]
+    one_core: bool = False
 
 
 @dataclass(frozen=True)
@@ -55,6 +61,7 @@ class Spent:
 def cases(kept: Path, results: Path) -> list[Case]:
     """Commands, from the shortest to the longest."""
     recording, run = kept / "nitsche2018" / "Fz-0106.25", ("-o", str(results), "--force", "-q")
+    large = ("run", str(kept / "large" / recording.name), *run)
     pictures, charuco = (str(kept / "targets" / side) for side in ("left", "right")), ("--target", "charuco")
     models = kept / "elastomer" / "models.json"
     free = (*charuco, "--size", "11x8", "--spacing", "9e-3", "--shape", "free", "-o", f"{results}.json", *run[2:])
@@ -70,6 +77,8 @@ def cases(kept: Path, results: Path) -> list[Case]:
         Case("`run`, 844 pictures of 640 × 512 px", "10 s", ("run", str(recording), *run)),
         Case("the same, pictures not compressed", "10 s", ("run", str(kept / "plain" / recording.name), *run)),
         Case("the same, compressed, `--workers 2`", "10 s", ("run", str(recording), *run, "--workers", "2")),
+        Case("`run`, 844 pictures of 1280 × 1024 px", "35 s of CPU, 20 s", large),
+        Case("the same on one core", "1.6 times as long", large, one_core=True),
     ]
 
 
@@ -78,6 +87,9 @@ def make_inputs(kept: Path) -> None:
     for preset in ("nitsche2018", "steps", "targets", "elastomer"):
         if not (kept / preset).is_dir():
             shakercal(["simulate", str(kept / preset), "--preset", preset, "-q"])
+    if not (kept / "large").is_dir():
+        preset, draws = replace(read_preset(Preset, "nitsche2018"), stereo=tuple(setups())), Draws(1, True)
+        write_run(kept / "large", rendered_run(preset), make_world(preset, draws, TRIGGER_JITTER_S), draws)
     if not (kept / "plain").is_dir():  # as most cameras write them
         shutil.copytree(kept / "nitsche2018", kept / "plain")
         for picture in (kept / "plain").rglob("*.tif"):
@@ -89,16 +101,17 @@ def make_inputs(kept: Path) -> None:
             file.create_dataset("Fz", data=samples.astype(np.float32)).attrs["sample_rate"] = RATE_HZ
 
 
-def spent(checkout: Path, arguments: tuple[str, ...]) -> Spent:
+def spent(checkout: Path, case: Case) -> Spent:
     """Run a command of a checkout and return what it took; its own message where it fails."""
-    program = [sys.executable, "-c", "from fusion.cli import main; raise SystemExit(main())", *arguments]
+    place = "import os; os.sched_setaffinity(0, [min(os.sched_getaffinity(0))]); " if case.one_core else ""
+    program = [sys.executable, "-c", f"{place}from fusion.cli import main; raise SystemExit(main())", *case.arguments]
     with tempfile.TemporaryFile() as told:
         started = time.perf_counter()
         process = subprocess.Popen(program, cwd=checkout, env=os.environ | {"PYTHONPATH": str(checkout)}, stdout=told)
         _, status, used = os.wait4(process.pid, 0)
         wall_s = time.perf_counter() - started
     if status:
-        raise SystemExit(f"shakercal {' '.join(arguments)}: ended with status {status >> 8}")
+        raise SystemExit(f"shakercal {' '.join(case.arguments)}: ended with status {status >> 8}")
     return Spent(wall_s, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024)
 
 
@@ -107,7 +120,7 @@ def row(case: Case, checkouts: list[Path], repeats: int) -> str:
     taken: list[list[Spent]] = [[] for _ in checkouts]
     for number in range(repeats + 1):
         for checkout, all_of_it in zip(checkouts, taken, strict=True):
-            found = spent(checkout, case.arguments)
+            found = spent(checkout, case)
             if number > 0:  # the first one compiles
                 all_of_it.append(found)
     wall, cpu = ([min(getattr(one, name) for one in each) for each in taken] for name in ("wall_s", "cpu_s"))
