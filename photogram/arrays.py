@@ -4,23 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, is_dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, cast
+from typing import Any, ClassVar, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    __version__: str
-else:
-
-    def __getattr__(name: str) -> str:
-        """Return the installed version, of which no command asks: looking for it takes longer than many a module."""
-        if name != "__version__":
-            raise AttributeError(f"module {__name__} has no attribute {name}")
-        from importlib.metadata import version
-
-        return version("shakercal")
-
+__version__ = "0.2.0"  # as in pyproject.toml: to look for the installed one takes longer than many a module
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

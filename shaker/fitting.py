@@ -17,7 +17,7 @@ import numpy as np
 
 from shaker.arrays import FloatArray, IntArray
 
-_LIKE_STEPS = 10  # as long as the one foretold, after which a search that is not where it is wanted is given up
+_HOPED = 10  # steps as long as the one foretold, after which a search that is not where it is wanted is given up
 _NOTHING = 1e-18  # share of the first loss below which no step is worth its while: rounding alone is left
 _STILL = 1e-14  # relative change of every parameter below which nothing moves
 _MOST_BENT = 0.75  # length of the bend of a step in that of the step
@@ -132,7 +132,7 @@ def levenberg_marquardt(
             step = _damped(scaled, target, damping) / scale
             foretold = float(step @ (2.0 * downhill - normal @ step))
             least = max(rules.foretold, rules.foretold_share * here.loss, _NOTHING * losses[0])
-            if here.loss - _LIKE_STEPS * foretold > rules.wanted:
+            if not tried and here.loss - _HOPED * foretold > rules.wanted:
                 return Minimum(here, tuple(losses), False)
             if foretold < least or np.all(np.abs(step) <= _STILL * np.abs(here.parameters)):
                 return Minimum(here, tuple(losses), True)

@@ -1,5 +1,6 @@
 """One resonance, fitted and read: derivatives, exact parameters, bounds, coverage at any spacing; the fitting core."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from scipy import linalg
 from scipy.optimize import brentq, least_squares, minimize_scalar
 
 from shaker.arrays import ComplexArray, FloatArray
-from shaker.fitting import Block, Changes, Prior, Residuals, Rules, Separable, eliminate, levenberg_marquardt
+from shaker.fitting import Block, Changes, Minimum, Prior, Residuals, Rules, Separable, eliminate, levenberg_marquardt
 from shaker.identification.measured import MeasuredCurve
 from shaker.identification.oscillator import (
     Kind,
@@ -414,6 +415,21 @@ def test_a_narrow_valley_is_followed_to_its_end():
     assert end.converged
     assert end.point.parameters == pytest.approx([1.0, 1.0], abs=1e-6)
     assert np.all(np.diff(end.losses) < 0)
+
+
+def test_a_search_that_will_not_get_where_it_is_wanted_is_given_up():
+    data = _data()
+
+    def search(wanted: float) -> Minimum[Separable]:
+        start = _decays(np.array([0.5, 5.0]), data)
+        return levenberg_marquardt(lambda x: _decays(x, data), start, replace(RULES, wanted=wanted))
+
+    end = search(np.inf)
+    reached, missed = search(1.01 * end.point.loss), search(0.5 * end.point.loss)
+    np.testing.assert_array_equal(reached.point.parameters, end.point.parameters)
+    assert reached.converged
+    assert not missed.converged
+    assert len(missed.losses) < len(end.losses)
 
 
 def test_projected_coefficients_give_the_joint_minimum():

@@ -507,6 +507,9 @@ def test_blocks_are_means_of_samples_and_derivatives_those_of_differences(load, 
     means = np.add.reduceat(single, starts, axis=0) / blocks.length[:, None]
     np.testing.assert_allclose(whole.value, means, atol=1e-12 * np.abs(means).max())
     np.testing.assert_allclose(responses(load, POLES, blocks, MIDDLE_S, LENGTH_S), whole.value, atol=1e-14)
+    held = answers(load, POLES, blocks, MIDDLE_S, LENGTH_S, held=True)
+    for name in ("value", "by_onset", "by_length"):
+        np.testing.assert_array_equal(getattr(held, name), getattr(whole, name))
     for place, pole in enumerate(POLES):
         change = 1e-5 * abs(pole) * np.eye(3)[place]
         slope = (value(POLES + change) - value(POLES - change))[:, place] / (2 * change[place])
