@@ -26,13 +26,9 @@ from pathlib import Path
 import h5py
 import numpy as np
 import tifffile
-from large_recording import setups
 from marked import markdown_table, write_marked
 
 from fusion.cli import main as shakercal
-from fusion.simulate.preset import Preset, read_preset
-from fusion.simulate.sines import rendered_run, write_run
-from fusion.simulate.world import TRIGGER_JITTER_S, Draws, make_world
 
 ROOT = Path(__file__).resolve().parents[1]
 DEMO = ROOT / "sample_images" / "demo"
@@ -88,6 +84,13 @@ def make_inputs(kept: Path) -> None:
         if not (kept / preset).is_dir():
             shakercal(["simulate", str(kept / preset), "--preset", preset, "-q"])
     if not (kept / "large").is_dir():
+        # Not above: the memory of this process counts as that of all it begins.
+        from large_recording import setups
+
+        from fusion.simulate.preset import Preset, read_preset
+        from fusion.simulate.sines import TRIGGER_JITTER_S, rendered_run, write_run
+        from fusion.simulate.world import Draws, make_world
+
         preset, draws = replace(read_preset(Preset, "nitsche2018"), stereo=tuple(setups())), Draws(1, True)
         write_run(kept / "large", rendered_run(preset), make_world(preset, draws, TRIGGER_JITTER_S), draws)
     if not (kept / "plain").is_dir():  # as most cameras write them
