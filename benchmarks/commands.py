@@ -91,8 +91,8 @@ def make_inputs(kept: Path) -> None:
         from fusion.simulate.sines import TRIGGER_JITTER_S, rendered_run, write_run
         from fusion.simulate.world import Draws, make_world
 
-        preset, draws = replace(read_preset(Preset, "nitsche2018"), stereo=tuple(setups())), Draws(1, True)
-        write_run(kept / "large", rendered_run(preset), make_world(preset, draws, TRIGGER_JITTER_S), draws)
+        larger, draws = replace(read_preset(Preset, "nitsche2018"), stereo=tuple(setups())), Draws(1, True)
+        write_run(kept / "large", rendered_run(larger), make_world(larger, draws, TRIGGER_JITTER_S), draws)
     if not (kept / "plain").is_dir():  # as most cameras write them
         shutil.copytree(kept / "nitsche2018", kept / "plain")
         for picture in (kept / "plain").rglob("*.tif"):
