@@ -96,9 +96,9 @@ def ours(package: Path, points: Array, radius: int, order: int) -> Found:
     import cv2
 
     from photogram.bspline import spline_of_image
+    from photogram.subsets.find import find_anew
     from photogram.subsets.icgn import TrackSettings, noise_of_residual, position_covariance
     from photogram.subsets.reference import TrackStatus, prepare_reference
-    from photogram.subsets.track import find_anew
 
     first, second = (cv2.imread(str(package / STAR.format(name)), cv2.IMREAD_UNCHANGED) for name in ("Ref", "Def"))
     settings = TrackSettings(radius_px=radius, shape_order=order)

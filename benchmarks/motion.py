@@ -47,7 +47,7 @@ def measure(folder: Path, seed: int, frames: int) -> dict[tuple[str, str], Float
     found = {}
     for entry in manifest.images:
         seen = open_images(manifest, base, entry)
-        body = measure_body((seen.left, seen.right), seen.rig, sensor_from_camera(seen.sight.pair), settings)
+        body = measure_body(seen.cameras, seen.rig, sensor_from_camera(seen.sight.pair), settings)
         exact = np.array(truth["motion"][entry.stereo])
         for method, motion in (("grey values", body.motion), ("points", body.motion_of_points)):
             found[entry.stereo, method] = _ratios(motion, exact, time_s, lines, bounds[entry.stereo])
