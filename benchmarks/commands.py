@@ -83,7 +83,7 @@ def make_inputs(kept: Path) -> None:
     for preset in ("nitsche2018", "steps", "targets", "elastomer"):
         if not (kept / preset).is_dir():
             shakercal(["simulate", str(kept / preset), "--preset", preset, "-q"])
-    if not (kept / "large").is_dir():
+    if not (kept / "large" / "rig.toml").is_file():  # comes last
         # Not above: the memory of this process counts as that of all it begins.
         from large_recording import setups
 

@@ -163,8 +163,16 @@ class Fitted:
 def rules(steps: int, calm: float, wanted: float = np.inf) -> Rules:
     """Return when a search ends: after so many steps, or where one gains less than `calm` units of the variance, or
     where it will not come below the loss that is `wanted`."""
-    ends = Rules(foretold=calm, foretold_share=0.0, gained=calm, gained_share=1e-9, wanted=wanted, steps=steps)
-    return replace(ends, tries=8, least=1e-7)
+    return Rules(
+        foretold=calm,
+        foretold_share=0.0,
+        gained=calm,
+        gained_share=1e-9,
+        wanted=wanted,
+        steps=steps,
+        tries=8,
+        least=1e-7,
+    )
 
 
 def fit_poles(

@@ -189,11 +189,6 @@ def criterion(problem: StepProblem, poles: Poles, loss: float) -> float:
     return float(count * np.log(max(loss / count, 1e-12)) + _charge(problem, poles))
 
 
-def _affordable(problem: StepProblem, poles: Poles, most: float) -> float:
-    """The loss at which the criterion of poles is as high as `most`."""
-    return float(problem.values * np.exp((most - _charge(problem, poles)) / problem.values))
-
-
 def _charge(problem: StepProblem, poles: Poles) -> float:
     """What the criterion charges for poles."""
     outputs, loads = problem.records[0].samples.value.shape[1], len(problem.components)
@@ -241,8 +236,9 @@ def _smaller(problem: StepProblem, here: Fitted, most: int | None) -> Fitted | N
     weakest = int(np.argmin(losses))
     if losses[weakest] > _STRONG * losses.max():
         return None
-    fewer = poles.without(weakest)
-    wanted = _affordable(problem, fewer, criterion(problem, poles, here.loss))
+    fewer, count = poles.without(weakest), problem.values
+    # The loss at which the criterion is as high as here.
+    wanted = count * float(np.exp((criterion(problem, poles, here.loss) - _charge(problem, fewer)) / count))
     fitted = fit_poles(problem, fewer, here.releases, *_ALONG_A_VALLEY, wanted=wanted)
     return fitted if fitted.loss < wanted else None
 
@@ -283,7 +279,7 @@ def _left(problem: StepProblem, here: Fitted) -> complex | None:
             end_s = here.releases[i].middle_s + here.releases[i].duration_s / 2.0
             parts.append(rests[i][np.searchsorted(problem.records[i].samples.time_s, end_s) :].T)
         poles = shared_poles(parts, 1.0 / (samples.step_s * int(samples.length[0])))
-        loss = part.point(here.poles, releases).loss
+        loss = sum(float(np.vdot(rests[i], rests[i])) for i in places)
         for pole in poles[np.argsort(-poles.real)][:_CANDIDATES].tolist():  # the slowest
             fall = loss - part.point(here.poles.with_mode(pole), releases).loss
             if fall > most:
