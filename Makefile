@@ -29,12 +29,13 @@ lint: .venv/dev
 types: .venv/dev
 	$(BIN)/mypy
 
-# The same for the other systems, whose branches no check on this one sees. Arrays may be anything there, which takes a
-# sixth of the time: what numpy's types tell is told by `types`, and is the same on all systems.
+# The packages for the other systems, whose branches no check on this one sees. Arrays may be anything there, which
+# takes a sixth of the time: what numpy's types tell is told by `types`, and is the same on all systems.
 platforms: win32 darwin
 
 win32 darwin: .venv/dev
-	MYPYPATH=.ci/stubs $(BIN)/mypy --platform $@ --cache-dir .mypy_cache/$@ --no-warn-return-any --no-warn-unused-ignores
+	MYPYPATH=.ci/stubs $(BIN)/mypy --platform $@ --cache-dir .mypy_cache/$@ --no-warn-return-any --no-warn-unused-ignores \
+		photogram shaker fusion
 
 # Pages as a site that opens without a network; every warning is an error.
 docs: .venv/docs

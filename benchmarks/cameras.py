@@ -35,6 +35,7 @@ from photogram.calibration.start import Pair
 from photogram.camera import LEFT, RIGHT, Camera, StereoRig
 from photogram.geometry import RigidTransform, vector_from_rotation
 from photogram.images.files import read_picture
+from photogram.images.sequence import GreyImage
 from photogram.synthetic.board import Board, Faults, random_poses, random_rig, render_board, seen_session
 from photogram.synthetic.scene import ImageSensor
 from photogram.targets.view import Target, TargetNotFound, TargetView, find_target
@@ -299,7 +300,7 @@ def real_dot_grid() -> None:
     opencv_row(pairs, target)
 
 
-def _picture(path: Path, target: Target) -> tuple[NDArray[np.uint8], Target, str, int]:
+def _picture(path: Path, target: Target) -> tuple[GreyImage, Target, str, int]:
     image, full_scale = read_picture(path)
     return image, target, path.name, full_scale
 
@@ -311,7 +312,8 @@ def _facts(base: RigidTransform, focal_px: Sequence[float]) -> str:
 
 def opencv_row(pairs: list[tuple[TargetView, TargetView]], target: Target) -> None:
     """Print what cv2.calibrateCamera and cv2.stereoCalibrate make of the same points."""
-    objects, pixels = [], [[], []]
+    objects = []
+    pixels: tuple[list[NDArray[np.float32]], list[NDArray[np.float32]]] = [], []
     for left, right in pairs:
         common = {tuple(index) for index in left.index} & {tuple(index) for index in right.index}
         order = sorted(common)

@@ -25,7 +25,8 @@ from numpy.typing import NDArray
 
 from fusion.estimation.coverage import coverage_factor
 from fusion.recording.load import load_manifest
-from fusion.sensitivity.evaluate import Evaluation, evaluate_recording
+from fusion.sensitivity.analyse import Evaluation
+from fusion.sensitivity.evaluate import evaluate_recording
 from fusion.simulate.preset import Preset, StereoSetup, face_of, nominal_rig, read_preset
 from fusion.simulate.sines import TRIGGER_JITTER_S, rendered_run, write_run
 from fusion.simulate.world import Draws, make_world

@@ -31,11 +31,10 @@ def cluster(folder: Path) -> Iterator[str]:
 
     dask = [sys.executable, "-m", "dask"]
     place = folder / "scheduler.json"
-    options = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": folder}
     named = ["--scheduler-file", str(place), "--no-dashboard"]
-    started = [subprocess.Popen([*dask, "scheduler", "--port", "0", *named], **options)]
-    worker = [*dask, "worker", "--nthreads", "1", "--no-nanny", *named]
-    started += [subprocess.Popen(worker, **options) for _ in range(WORKERS)]
+    words = [[*dask, "scheduler", "--port", "0"], *[[*dask, "worker", "--nthreads", "1", "--no-nanny"]] * WORKERS]
+    quiet = subprocess.DEVNULL
+    started = [subprocess.Popen([*own, *named], stdout=quiet, stderr=quiet, cwd=folder) for own in words]
     try:
         while not place.exists():
             time.sleep(0.1)
@@ -73,7 +72,7 @@ def main(recordings: int, folder: Path) -> None:
     expected = tables(folder / "serial")
     print(f"| this process | {serial:.0f} | 1 | {len(expected)} |", flush=True)
     with cluster(folder) as address:
-        ways = {f"{WORKERS} processes": WORKERS, f"Dask, {WORKERS} workers": address}
+        ways: dict[str, int | str] = {f"{WORKERS} processes": WORKERS, f"Dask, {WORKERS} workers": address}
         for number, (name, workers) in enumerate(ways.items()):
             out = folder / f"way-{number}"
             seconds = timed(campaign, out, workers)

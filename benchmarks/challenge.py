@@ -88,7 +88,7 @@ def period_px(x: Array) -> Array:
 
 def true_v(points: Array) -> Array:
     """Displacement (N,) along y in px at the points (N,2)."""
-    return AMPLITUDE_PX * np.cos(2.0 * np.pi * (points[:, 1] - MIDDLE_PX) / period_px(points[:, 0]))
+    return np.asarray(AMPLITUDE_PX * np.cos(2.0 * np.pi * (points[:, 1] - MIDDLE_PX) / period_px(points[:, 0])))
 
 
 def ours(package: Path, points: Array, radius: int, order: int) -> Found:
@@ -101,6 +101,8 @@ def ours(package: Path, points: Array, radius: int, order: int) -> Found:
     from photogram.subsets.reference import TrackStatus, prepare_reference
 
     first, second = (cv2.imread(str(package / STAR.format(name)), cv2.IMREAD_UNCHANGED) for name in ("Ref", "Def"))
+    assert first is not None
+    assert second is not None
     settings = TrackSettings(radius_px=radius, shape_order=order)
     reference = prepare_reference(spline_of_image(first), points, radius, order)
     found = find_anew(reference, first, (second, spline_of_image(second)), settings)
@@ -243,7 +245,7 @@ def main() -> None:
     if options.as_peer:
         run_as_peer(package, Path(options.as_peer[0]), *map(int, options.as_peer[1:]))
         sys.exit()
-    lines, shares = [], {}
+    lines, shares = [], dict[str, tuple[Array, Array]]()
     columns = np.arange(MARGIN_PX, WIDTH_PX - MARGIN_PX, STEP_PX, dtype=np.float64)
     band = np.arange(MIDDLE_PX - HALF_BAND_PX, MIDDLE_PX + HALF_BAND_PX + 1, STEP_PX)
     points = np.stack(np.meshgrid(columns, band), axis=-1).reshape(-1, 2)

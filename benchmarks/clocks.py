@@ -321,7 +321,7 @@ def rows(name: str, draws: int, tell: Callable[[str], None]) -> tuple[list[str],
     pairs = [both(one) for one in all_drawn]
     least, told = "–", list[str]()
     if CASES[name].rises == (step, step):
-        found = np.array([[least_u(one, beside, *way)[k] for *way, k in WAYS] for one in all_drawn])
+        found = np.array([[least_u(one, beside, *way[:3])[way[3]] for way in WAYS] for one in all_drawn])
         least = ", ".join(f"{1e6 * np.sqrt(np.mean(found[:, k] ** 2)):.3f}" for k in (0, 2))
         told = ["| " + " | ".join([name, *(f"{1e6 * u:.3f}" for u in np.median(found, axis=0))]) + " |"]
     both_ways = zip(("edges", "motion"), ("–", least), zip(*pairs, strict=True), strict=True)

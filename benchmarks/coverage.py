@@ -8,6 +8,7 @@ The tables of docs/uncertainty.md. All parts take about an hour on one core.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 
 if __name__ != "__main__":
     raise ImportError(
@@ -19,7 +20,7 @@ import coverage_phasors
 import coverage_rendered
 import coverage_tracks
 
-PARTS = {
+PARTS: dict[str, Callable[[], None]] = {
     "phasors": coverage_phasors.main,
     "tracks": coverage_tracks.main,
     "rendered": coverage_rendered.main,

@@ -252,7 +252,7 @@ def uniaxial_setup(run: Run, driven: int, stated: dict[str, float]) -> PhasorSet
         output = entry["quantity"] == "output"
         if output or entry["quantity"] in sizes:
             known = ChannelEntry.model_validate({key: v for key, v in entry.items() if key != "response"})
-            chain = ChainUncertainty(*[np.full(3, 1e-4)] * 2) if output else ChainUncertainty()
+            chain = ChainUncertainty(np.full(3, 1e-4), np.full(3, 1e-4)) if output else ChainUncertainty()
             size = 1e-4 * np.ones(3) if output else sizes[known.quantity]
             channels[output].append(Channel(known, 2e-5 * size, 300.0, chain))
     return PhasorSetup(
@@ -299,12 +299,13 @@ def count_elements(
         matrix = uniaxial_truth(run, np.random.default_rng([18, seed]), cross_change)
         known, _ = simulate_phasors(replace(setup, sensitivity=matrix), Draws(seed, True))
         found = analyse(known)
+        assert found.sensitivity is not None
         for k, count in enumerate(counts):
             true = complex(matrix[k, driven, driven])
             for tally, result in ((count.element, found.element), (count.ratio, found.sensitivity)):
                 if result is not None:
-                    stated = result.polar[k][result.elements.index((driven, driven))]
-                    tally.add(complex(result.value[k, driven, driven] - true), stated)
+                    own = result.polar[k][result.elements.index((driven, driven))]
+                    tally.add(complex(result.value[k, driven, driven] - true), own)
             count.bias.append(complex(found.sensitivity.value[k, driven, driven] / true - 1.0))
     return counts
 

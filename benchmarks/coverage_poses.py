@@ -45,7 +45,7 @@ ComplexArray = NDArray[np.complex128]
 PAGE = Path(__file__).parent.parent / "docs" / "campaigns.md"
 RUNS = tuple(runs("matrix"))
 OF_RIG = ("pose", "scale", "delay", "response magnitude", "response phase", "individual scale", "mass", "inertia")
-CASES = (
+CASES: tuple[tuple[str, float | None, bool], ...] = (
     ("lasers, accelerometer", None, True),
     ("the same, nothing but loads moved", None, False),
     ("with a pair, pose 0.5 mrad", 5e-4, True),
@@ -158,15 +158,14 @@ def case_row(name: str, rotation: float | None, anew: bool, seeds: range) -> str
         for side, own in ((before, entries), (after, carried)):
             side.add(own, [load for _, load, _ in found], found[0][2][0])
     pairs = [
-        (before.across, after.across), (before.loads, after.loads),
+        ([before.across], [after.across]), ([before.loads], [after.loads]),
         (before.elements.chosen(MAIN), after.elements.chosen(MAIN)),
         (before.elements.chosen(~MAIN), after.elements.chosen(~MAIN)),
     ]  # fmt: skip
-    both = [[[side] if isinstance(side, Tally) else side for side in pair] for pair in pairs]
-    cells = [f"{np.median(_size(new) / _size(old)):.2f}" for old, new in both]
+    cells = [f"{np.median(_size(new) / _size(old)):.2f}" for old, new in pairs]
     held = [
         f"{_held(old):.1f} %, {_held(new):.1f} %"
-        for old, new in (both[1], [s.elements.elements for s in (before, after)])
+        for old, new in (pairs[1], (before.elements.elements, after.elements.elements))
     ]
     best = min(least, key=lambda unknown: unknown.remaining, default=None)
     cells += [*held, "–" if best is None else f"{best.remaining:.2f} ({best.name})", f"{told} of {len(seeds)}"]

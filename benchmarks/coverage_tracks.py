@@ -169,7 +169,7 @@ def stereo_motion(manifest: Manifest, base: TimeBase, world: World, draws: Draws
     deformed = ShapeAmplitudes(
         shapes, nothing, nothing[:, :, None] * nothing[:, None], np.zeros((6, len(shapes.names)))
     )
-    view = ImageView((tracks,), rig, np.zeros((1, 1)), None, None, epipolar, deformed, np.nan, np.nan)
+    view = ImageView((tracks,), rig, np.zeros((1, 1), np.uint8), None, None, epipolar, deformed, np.nan, np.nan)
     reprojection = float(np.sqrt(np.mean(points.reprojection_px**2)))
     sight = see(manifest, base, entry, world.preset.frames)
     return StereoMotion(sight, motion, (deformation(points, motion),), reprojection, view, epipolar.notices)

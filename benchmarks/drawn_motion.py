@@ -25,7 +25,7 @@ from fusion.simulate import bending, sines
 from fusion.simulate.preset import Preset, StereoSetup, patches_of
 from fusion.simulate.sines import rendered_run, write_run
 from fusion.simulate.world import Draws, Motion, World, harmonic, make_world
-from photogram.camera import triangulate
+from photogram.camera import StereoRig, triangulate
 from photogram.direct.fit import pose_covariance, rest_information, rigid_share, without_noise
 from photogram.direct.shapes import PlainShapes, ShapeAmplitudes
 from photogram.epipolar import check_epipolar
@@ -49,7 +49,7 @@ class PairNoise:
     motion: FloatArray
     shapes: FloatArray
     share: FloatArray
-    noise: tuple[NoiseModel, NoiseModel]
+    noise: tuple[NoiseModel, ...]
     subsets: StereoTracks
 
 
@@ -77,7 +77,7 @@ def _noise_of(images: OpenImages) -> PairNoise:
     information, noise_part = rest_information(scene.views)
     clean = without_noise(information, noise_part)
     mixed = clean[6:, :6]
-    shapes = np.linalg.inv(clean[6:, 6:] - mixed @ np.linalg.solve(clean[:6, :6], mixed.T))
+    shapes: FloatArray = np.asarray(np.linalg.inv(clean[6:, 6:] - mixed @ np.linalg.solve(clean[:6, :6], mixed.T)))
     motion = pose_covariance(information[:6, :6], noise_part[:6, :6], np.eye(3), np.zeros(3))
     return PairNoise(motion, shapes, rigid_share(scene.views), scene.noise, next(iter(body.tracked)))
 
@@ -107,6 +107,7 @@ def _seen(images: OpenImages, noise: PairNoise, world: World, draws: Draws) -> S
     rng = draws.stream(f"{images.sight.name}.drawn")
     places = _places(images, world, draws)
     one_px = SIGMA_PX**2 * np.eye(2)
+    assert isinstance(images.rig, StereoRig)
     points = triangulate(images.rig, *places, one_px, one_px).transformed(sensor_from_camera(images.sight.pair))
     rigid, rest = fit_motion(points, None, np.zeros(3)), points.position_m[0]
     shapes = images.modes or PlainShapes.of(rest)

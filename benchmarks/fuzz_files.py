@@ -106,7 +106,7 @@ def _one_process(kind: str, first: int, inputs: int, seed: int, folder: Path, fo
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     lines: Queue[str] = Queue()
     assert process.stdout is not None
-    reading = threading.Thread(target=lambda: [lines.put(line) for line in process.stdout or ()], daemon=True)
+    reading = threading.Thread(target=lambda: list(map(lines.put, process.stdout or ())), daemon=True)
     reading.start()
     try:
         return _answers(process, reading, lines, range(first, inputs), found)

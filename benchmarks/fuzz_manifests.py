@@ -31,6 +31,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import date, time
+from functools import partial
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
@@ -449,7 +450,7 @@ def fuzzed_options(command: str, folder: Path, examples: int, start: int = 1) ->
     """Run a command on valid input with options that are likely wrong."""
     preset, base, options = OPTIONS[command]
     place, told = (prepared(folder, preset) if preset else folder), Told()
-    word = st.sampled_from(WORDS).map(lambda word: [word]) | st.just([])
+    word = st.sampled_from(WORDS).map(lambda word: [word]) | st.just(list[str]())
     pair = st.tuples(st.sampled_from(options), word).map(lambda item: [item[0], *item[1]])
 
     def use(more: list[list[str]]) -> None:
@@ -468,9 +469,9 @@ def main() -> None:
     parser.add_argument("--only", nargs="*", default=[], help="kinds, or commands of which the options are changed")
     parser.add_argument("--show", type=int, default=20, help="how many inputs that broke a rule are shown of a kind")
     options = parser.parse_args()
-    jobs = [(kind.name, lambda place, kind=kind: fuzzed(kind, place, options.examples, options.seed)) for kind in KINDS]
+    jobs = [(kind.name, partial(fuzzed, kind, examples=options.examples, start=options.seed)) for kind in KINDS]
     jobs += [
-        (f"options of {name}", lambda place, name=name: fuzzed_options(name, place, options.examples, options.seed))
+        (f"options of {name}", partial(fuzzed_options, name, examples=options.examples, start=options.seed))
         for name in OPTIONS
     ]
     any_broken = False

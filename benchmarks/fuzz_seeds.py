@@ -6,7 +6,7 @@ import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import cine_factory
 import h5py
@@ -136,7 +136,8 @@ def _mdf(folder: Path, data: Path) -> None:
         from asammdf import MDF, Signal
     except ImportError:
         return
-    for name, compression in (("plain", 0), ("deflated", 2)):
+    kinds: dict[str, Literal[0, 2]] = {"plain": 0, "deflated": 2}
+    for name, compression in kinds.items():
         with MDF(version="4.10") as file:
             for unit, scale in (("N", 1), ("V", 2)):
                 file.append([Signal(np.asarray(Y * scale), X, name=f"c{scale}", unit=unit)], acq_name=unit)

@@ -18,7 +18,6 @@ taken.
 from __future__ import annotations
 
 import argparse
-import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -80,18 +79,17 @@ def repeated(stack: np.ndarray, source: ImageSequence, frames: int) -> ImageSequ
 
 def agreement(some: list[Body], device: str) -> tuple[float, int]:
     """Largest difference of the motion from the CPU's in its standard uncertainties; frames that one alone rejects."""
-    worst, unlike, usual = 0.0, 0, fit.LEFT_OVER
-    fit.LEFT_OVER = fit_torch.LEFT_OVER = TO_THE_END
+    worst, unlike = 0.0, 0
     for body in some:
         frames = range(2, 2 + COMPARED)
-        here, there = (follow_block(body.scene, frames, where) for where in ("cpu", device))
+        with patch.object(fit, "LEFT_OVER", TO_THE_END), patch.object(fit_torch, "LEFT_OVER", TO_THE_END):
+            here, there = (follow_block(body.scene, frames, where) for where in ("cpu", device))
         for (_, one), (_, other) in zip(here, there, strict=True):
             if one is None or other is None:
                 unlike += (one is None) != (other is None)
                 continue
             u = np.sqrt(np.diagonal(one.covariance))
             worst = max(worst, float(np.max(np.abs(other.moved.pose - one.moved.pose) / u)))
-    fit.LEFT_OVER = fit_torch.LEFT_OVER = usual
     return worst, unlike
 
 
@@ -171,7 +169,7 @@ def stages(body: Body, device: str) -> dict[str, Callable[[], object]]:
     other = splines_of(uploaded(right, device)[1], SETTINGS.degree, PRECISION)
     targets = [(one, range(MOST_FRAMES)) for one in (splines, other)]
     true = follow_block(scene, range(1, 1 + MOST_FRAMES))
-    start = np.stack([found[0].warp for found, _ in true])
+    start = np.stack([found[0].warp for found, _ in true if found is not None])
     start[..., [0, 3]] += 0.3 / np.sqrt(2.0)
     begun = np.array([one.moved.pose for _, one in true if one is not None])
     begun[:, :3] += 2e-7
@@ -214,4 +212,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

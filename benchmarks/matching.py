@@ -102,7 +102,7 @@ def pictures(scene: Scene, seed: int, noise_seed: int) -> tuple[StereoRig, tuple
         image = render(view_of(rig.left, place), face, np.zeros((1, 6)), np.ones(1))
         image = image + _glare(scene.glare, side)
         stored = SENSOR.digitise(image, rng)
-        sequences.append(ImageSequence((f"{'LR'[side]}0",), tuple(SIZE_PX), SENSOR.full_scale, lambda _, s=stored: s))
+        sequences.append(ImageSequence((f"{'LR'[side]}0",), tuple(SIZE_PX), SENSOR.full_scale, {0: stored}.__getitem__))
     return rig, (sequences[0], sequences[1]), face
 
 

@@ -14,7 +14,7 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -39,7 +39,7 @@ TREATMENTS = {
     "mode stated, u of its frequency 5 %": lambda text: re.sub(r"measured_by = .*\n", "", text),
     "mode stated and measured": lambda text: text,
 }
-CASES = {
+CASES: dict[str, tuple[str, tuple[str, ...], dict[str, Callable[[str], str]]]] = {
     "measured modes": ("bending", (), TREATMENTS),
     "all at once": ("laboratory", ("camera-shake=0.002", "locked-clocks=0.6"), {}),
 }
@@ -62,8 +62,7 @@ def error(evaluation: Evaluation, recording: Path) -> tuple[float, float]:
 def draw(folder: Path, case: str, seed: int, frames: int, scale: float) -> dict[str, tuple[float, float]]:
     """Return error and U of the element by treatment, or by where the lasers look, in one recording of a case."""
     name, broken, treatments = CASES[case]
-    switches = {"violate": broken} if broken else {}
-    recording = simulate_preset(folder, name, seed=seed, frames=frames, image_scale=scale, **switches)
+    recording = simulate_preset(folder, name, seed=seed, frames=frames, image_scale=scale, violate=broken)
     rig = folder / "rig.toml"
     whole, found = rig.read_text(encoding="utf-8"), {}
     for treatment, changed in (treatments or {AS_IT_IS: str}).items():

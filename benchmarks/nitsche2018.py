@@ -105,7 +105,7 @@ def evaluate_seed(seed: int, folder: Path) -> Figures:
 def _normalised(found: Phasors, exact: NDArray[np.complex128], line: int) -> FloatArray:
     """Return the errors of Re and Im (12,) over their standard uncertainties."""
     error = found.value[line] - exact
-    return np.concatenate([error.real, error.imag]) / np.sqrt(np.diagonal(found.covariance[line]))
+    return np.asarray(np.concatenate([error.real, error.imag]) / np.sqrt(np.diagonal(found.covariance[line])))
 
 
 def _scatter(evaluation: Evaluation, seed: int) -> dict[str, FloatArray]:

@@ -66,6 +66,7 @@ def adjusted(rig: StereoRig, left: RigidTransform, points: FloatArray, match_px:
     `match_px`: by how much the subsets of the right camera may lie off the same points in all frames; `still`: the
     first frame only, as often. The first pose is the frame, as large an error of a place as 1 m is possible.
     """
+    assert rig.covariance is not None
     count, rig_size = len(points), 24
     prior = np.zeros((rig_size + 3 * count + 2 * count,) * 2)
     scale = np.sqrt(np.diagonal(rig.covariance)[:rig_size])
@@ -80,11 +81,11 @@ def adjusted(rig: StereoRig, left: RigidTransform, points: FloatArray, match_px:
         placed = camera @ RigidTransform.from_pose(pose)
         for side, lens in enumerate((rig.left, rig.right)):
             seen = see(lens, rig.right_from_left if side else RigidTransform.identity(), placed, points, 0.0)
-            own = slice(2 * count * side, 2 * count * (side + 1))
-            rows[own, :rig_size] = seen.by_rig(side)[..., :rig_size].reshape(-1, rig_size)
-            by_point = rows[own, rig_size : rig_size + 3 * count].reshape(count, 2, count, 3)
+            here = slice(2 * count * side, 2 * count * (side + 1))
+            rows[here, :rig_size] = seen.by_rig(side)[..., :rig_size].reshape(-1, rig_size)
+            by_point = rows[here, rig_size : rig_size + 3 * count].reshape(count, 2, count, 3)
             by_point[np.arange(count), :, np.arange(count)] = seen.by_point
-            by_pose[own] = seen.by_pose.reshape(-1, 6)
+            by_pose[here] = seen.by_pose.reshape(-1, 6)
         rows[2 * count :, rig_size + 3 * count :] = np.eye(2 * count)
         if number:  # the first pose is the frame in which places are
             basis = np.linalg.qr(by_pose)[0]
@@ -96,6 +97,7 @@ def adjusted(rig: StereoRig, left: RigidTransform, points: FloatArray, match_px:
 
 def by_calibration(rig: StereoRig, left: RigidTransform, points: FloatArray, driven: int) -> FloatArray:
     """Return (6, 24): what each parameter changes of a motion along one component, over that motion."""
+    assert rig.covariance is not None
     moved = 1e-4 * np.eye(6)[driven]
     in_left = left.inverse()
     places = [in_left.apply(RigidTransform.from_pose(pose).apply(points)) for pose in (-moved, moved)]
@@ -112,7 +114,7 @@ def by_calibration(rig: StereoRig, left: RigidTransform, points: FloatArray, dri
         step = np.zeros(24)
         step[place] = 0.1 * u
         changes.append((motion(rig.perturbed(step)) - nominal) / step[place])
-    return np.array(changes).T / np.linalg.norm(nominal)
+    return np.asarray(np.array(changes).T / np.linalg.norm(nominal))
 
 
 def target_rows() -> list[str]:
@@ -120,6 +122,7 @@ def target_rows() -> list[str]:
     setup = read_preset(Preset, "nitsche2018").stereo[0]
     rig, left = nominal_rig(setup)
     points = face_points()
+    assert rig.covariance is not None
     stated = rig.covariance[:24, :24]
     ways = [(MATCH_PX, True), (MATCH_PX, False), (1e-9, True), (1e-9, False)]
     found = [adjusted(rig, left, points, *way) for way in ways]

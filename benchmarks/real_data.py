@@ -268,7 +268,7 @@ class Shock:
         size = 2**16
         frequency = np.maximum(np.fft.rfftfreq(size, 1.0 / SHOCK_RATE_HZ), 1e-3)
         predicted = np.fft.irfft(model(frequency) * np.fft.rfft(self.input, size), size)[: len(self.input)]
-        return (predicted - self.output) / np.abs(self.output).max()
+        return np.asarray((predicted - self.output) / np.abs(self.output).max())
 
     def delay_s(self, band_hz: float = 10e3) -> float:
         """Mean delay of the output of the shock below a frequency, weighted by the input's power."""

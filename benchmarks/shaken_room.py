@@ -95,7 +95,7 @@ def rigid_noise(rng: np.random.Generator, sigma: float, middle: FloatArray, exte
 def estimated(rng: np.random.Generator, sigma: float, middle: FloatArray, extent: float) -> FloatArray:
     """Return the covariance (12, 12) of such noise as so many degrees of freedom tell it, alike in Re and Im."""
     seen = rigid_noise(rng, sigma, middle, extent, DOF).real
-    return np.kron(np.eye(2), seen.T @ seen / DOF)
+    return np.asarray(np.kron(np.eye(2), seen.T @ seen / DOF))
 
 
 def shaken(rng: np.random.Generator, case: Case, place: FloatArray) -> ComplexArray:
@@ -113,14 +113,12 @@ def pair(
     name: str, body: str, value: ComplexArray, covariance: FloatArray, face: FloatArray, scale: float
 ) -> Observation:
     """Return what a stereo pair reads, as displacement."""
-    stereo = Stereo(
-        body=body,
-        support="frame",
-        rotation=np.eye(3).tolist(),
-        translation=CAMERAS.tolist(),
-        scale_uncertainty=scale,
-        exposure=1e-4,
-    )
+    stereo = Stereo.model_validate(
+        {
+            "body": body, "support": "frame", "rotation": np.eye(3).tolist(), "translation": CAMERAS.tolist(),
+            "scale_uncertainty": scale, "exposure": 1e-4,
+        }
+    )  # fmt: skip
     names = tuple("abcdef")
     phasors = Phasors(
         np.array([FREQUENCY_HZ]), -value[None] / W**2, covariance[None] / W**4, names, ("m",) * 6, np.array([DOF * 1.0])

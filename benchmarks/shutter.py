@@ -150,7 +150,7 @@ def main(recordings: int, only: str | None, page: Path | None) -> None:
         for case in ROWS:
             cells, u = trials(case, recordings, without_rows)
             angle = 360.0 * case.frequency_hz * BODY_S
-            first = f"{case.frequency_hz:.4g} Hz", f"{case.amplitude_px:.2g}", f"{angle:.0f}°"
+            first: tuple[str, ...] = f"{case.frequency_hz:.4g} Hz", f"{case.amplitude_px:.2g}", f"{angle:.0f}°"
             rows.append("| " + " | ".join((*first, *cells, u)) + " |")
             print(rows[-1], flush=True)
         head = f"| line | amplitude / px | turns over the body | ignored: {HEAD} modelled: {HEAD} u of z |"

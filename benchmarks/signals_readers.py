@@ -142,7 +142,7 @@ def write_tdms(path: Path, count: int, interleaved: bool) -> None:
             struct.pack("<Ld", 10, value) if isinstance(value, float) else struct.pack("<LL", 7, value)
         )
 
-    scale = {"Scale_Type": "Linear", "Linear_Slope": SLOPE, "Linear_Y_Intercept": 0.0}
+    scale: dict[str, str | float] = {"Scale_Type": "Linear", "Linear_Slope": SLOPE, "Linear_Y_Intercept": 0.0}
     entries = [entry("wf_increment", 1.0 / RATE_HZ), entry("NI_Number_Of_Scales", 1)]
     entries += [entry(f"NI_Scale[0]_{key}", value) for key, value in scale.items()]
     metadata = struct.pack("<L", CHANNELS)

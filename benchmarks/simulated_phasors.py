@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fusion.estimation.measurement_model import Observation
 from fusion.instruments.channel import ChainUncertainty, Reading, RelativeError, late, observe_channels, output_phasors
@@ -196,7 +196,7 @@ def _with_noise(phasors: Phasors, name: str, draws: Draws) -> Phasors:
     )
 
 
-def lines_at(frequency_hz: Sequence[float], multiple: Sequence[int]) -> Lines:
+def lines_at(frequency_hz: ArrayLike, multiple: ArrayLike) -> Lines:
     """Return lines without uncertainty of their frequencies: fundamentals where `multiple` is 1."""
     frequency = np.array(frequency_hz, dtype=np.float64)
     number = np.array(multiple, dtype=np.int64)

@@ -21,7 +21,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -148,7 +148,7 @@ def errors(system: LinearSystem) -> tuple[float, float]:
     """Return relative errors of the natural frequency and damping ratio of the oscillating pole next to the truth."""
     poles = system.poles[system.poles.imag > 0]
     if system.sample_rate_hz is not None:
-        poles = np.log(poles) * system.sample_rate_hz
+        poles = np.asarray(np.log(poles) * system.sample_rate_hz)
     if not len(poles):
         return np.nan, np.nan
     omega = 2 * np.pi * FREQUENCY_HZ
@@ -242,7 +242,7 @@ def rounded(record: StepRecord, bits: int) -> StepRecord:
     return replace(record, samples=step * np.round(record.samples / step))
 
 
-def covered(record: StepRecord, true: FloatArray) -> FloatArray:
+def covered(record: StepRecord, true: FloatArray) -> NDArray[np.bool_]:
     """Return for every figure (4,) whether its 95 % interval holds the truth."""
     model = fit_step(record, "Fz").model
     assert model is not None
@@ -277,25 +277,30 @@ def errors_over_u(seed: int) -> dict[str, FloatArray]:
         wish = Wish(frequency_hz=RAISED * frequency.value, channels=(component.channel,))
         (made,) = evaluate_compensation(sources, wish, None, {}).filters
         sensor = true[component.channel].system
-        truths = [indices(one).figures() for one in (sensor, sensor.times(made.compensation.system))]
+        truths = [wanted(indices(one).figures()) for one in (sensor, sensor.times(made.compensation.system))]
         rows = []
         for figures, held in zip((made.before, made.after), truths, strict=True):
-            value = figures.indices.figures()
-            rows.append([(value[name] - held[name]) / figures.expanded(name) for name in OF_CAMPAIGNS])
-        of_step = [component.find(name) for name in OF_CAMPAIGNS]
-        errors = [(one.value - truths[0][one.name]) / one.expanded for one in of_step if one is not None]
+            u = wanted({name: figures.expanded(name) for name in OF_CAMPAIGNS})
+            rows.append((wanted(figures.indices.figures()) - held) / u)
+        of_step = zip(map(component.find, OF_CAMPAIGNS), truths[0], strict=True)
+        errors = [(one.value - held) / one.expanded for one, held in of_step if one is not None]
         found[component.channel] = np.array([errors, *rows])
     return found
+
+
+def wanted(figures: Mapping[str, float | None]) -> FloatArray:
+    """Return those `OF_CAMPAIGNS` (2,), NaN where there is none."""
+    return np.array([figures[name] for name in OF_CAMPAIGNS], dtype=np.float64)
 
 
 def true_sensors(path: Path) -> dict[str, ModalModel]:
     """Return the model of every output for the load of its own name that a simulated campaign has."""
     told = json.loads(path.read_text(encoding="utf-8"))
-    modes = [np.array(told[name]) for name in ("frequency_hz", "damping_ratio")]
+    hertz, zeta = (np.array(told[name]) for name in OF_MODES)
     residue = np.array(told["residue"]["re"]) + 1j * np.array(told["residue"]["im"])
     real_hz, real_residue = np.array(told["real_hz"]), np.array(told["real_residue"])
     return {
-        name: ModalModel(*modes, residue[place, place], real_hz, real_residue[place, place])
+        name: ModalModel(hertz, zeta, residue[place, place], real_hz, real_residue[place, place])
         for place, name in enumerate(told["channels"])
     }
 
@@ -327,7 +332,7 @@ def decouplings(seeds: range) -> None:
             continue
         order = np.argsort(model.frequency_hz)
         modes = [(getattr(model, name)[order] - true[name]) / getattr(u, name)[order] for name in OF_MODES]
-        re, im = np.moveaxis([true["residue"]["re"], true["residue"]["im"]], 3, 1)
+        re, im = np.moveaxis(np.array([true["residue"]["re"], true["residue"]["im"]]), 3, 1)
         own, spread = model.residue[order], u.residue[order]
         parts = (own.real - re) / spread.real, (own.imag - im) / spread.imag
         lag = (model.real_hz - true["real_hz"]) / u.real_hz

@@ -107,7 +107,7 @@ def frames() -> Case:
     first = [[round(grey(x, y)) for x in range(side)] for y in range(side)]
     second = [[round(grey(*before(x, y))) for x in range(side)] for y in range(side)]
     centres = [[x, y] for y in (24.0, 48.0, 71.5) for x in (24.0, 48.0, 71.5)]
-    quantities = {}
+    quantities: dict[str, Any] = {}
     for place, (x, y) in enumerate(centres, 1):
         along = u + strain * (x - middle) + shear * (y - middle)
         quantities |= {
@@ -273,7 +273,7 @@ def certificate() -> Case:
         "u of the magnitude": relative(mp.sqrt(along), 1e-10, "(V/V)/N"),
         "u of the phase": relative(mp.sqrt(across / size2), 1e-10, "rad"),
     }
-    inputs = {
+    inputs: dict[str, Any] = {
         "dof": degrees, "value": [float(re), float(im)],
         "covariance": [[float(var_re), float(mixed)], [float(mixed), float(var_im)]],
         "rounding": [[80.00019, 0.0034, "(80.0002 ± 0.0034)"], [-3.1204, 0.0734, "(−3.120 ± 0.073)"],

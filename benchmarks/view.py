@@ -18,6 +18,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from http.client import HTTPConnection
 from pathlib import Path
 from urllib.parse import urlencode, urlsplit
@@ -108,12 +109,12 @@ def main() -> None:
 
             print(f"opening: {timed(lambda: ask('recording')):.0f} ms")
             first = timed(lambda: step(0))
-            steps = [timed(lambda f=frame: step(f)) for frame in rng.integers(1, FRAMES, options.draws).tolist()]
+            steps = [timed(partial(step, frame)) for frame in rng.integers(1, FRAMES, options.draws).tolist()]
             rows = [told(f"slider: both pictures of {SIZE_PX[0]} x {SIZE_PX[1]} px", steps, first)]
             first = timed(lambda: zoom(0.0, options.seconds))
             spans = np.exp(rng.uniform(np.log(1e-3), np.log(options.seconds), options.draws))
             begins = rng.uniform(0.0, np.maximum(options.seconds - spans, 0.0))
-            zooms = [timed(lambda b=b, s=s: zoom(b, b + s)) for b, s in zip(begins, spans, strict=True)]
+            zooms = [timed(partial(zoom, b, b + s)) for b, s in zip(begins, spans, strict=True)]
             rows += [told(f"zoom: {options.channels} channels of {options.seconds:g} s at 51.2 kHz", zooms, first)]
             made = viewed.recording({}).extremes(0)
             share = sum(low.nbytes + high.nbytes for _, low, high in made.levels) / made.samples.nbytes

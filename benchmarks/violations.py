@@ -209,9 +209,9 @@ def draw(rig: Rig, names: Sequence[str], seed: int) -> Draw:
     value = np.concatenate([[main], fused.phasors.value[line]])
     stated = [element, *polar_elements(fused.phasors.value, fused.uncertainty)[line]]
     distance, expanded = np.full(7, np.nan), np.full(7, np.nan)
-    for place, (error, own) in enumerate(zip(value - truth, stated, strict=True)):
+    for place, (off, own) in enumerate(zip(value - truth, stated, strict=True)):
         if own is not None and np.isfinite(own.region_matrix).all():
-            matrix, both = own.region_matrix, np.array([error.real, error.imag])
+            matrix, both = own.region_matrix, np.array([off.real, off.imag])
             distance[place] = np.sqrt(both @ np.linalg.solve(matrix, both))
             expanded[place] = np.sqrt(np.linalg.eigvalsh(matrix)[-1])
     notices = tuple(f"{notice.text} [{notice.where}]" for notice in found.notices)
@@ -304,9 +304,9 @@ def judge(rig: str, names: tuple[str, ...], found: Sequence[Draw], plain: Mappin
     inside = np.where(np.isfinite(distance), distance <= 1.0, np.nan)
     shares = [float(np.nanmean(column)) if np.isfinite(column).any() else np.nan for column in inside.T]
     shift = [
-        np.abs(one.error - plain[seed].error) / plain[seed].expanded
-        for seed, one in enumerate(found, 1)
-        if one.error is not None and plain[seed].error is not None
+        np.abs(one.error - same.error) / same.expanded
+        for one, same in ((one, plain[seed]) for seed, one in enumerate(found, 1))
+        if one.error is not None and same.error is not None and same.expanded is not None
     ]
     return Row(
         rig,
