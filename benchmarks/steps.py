@@ -25,6 +25,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +45,7 @@ from shaker.lti.indices import indices
 from shaker.lti.system import LinearSystem, ModalModel
 from shaker.release.fit import METHODS, Method, compare, fit_step
 from shaker.release.reading import read_release
-from shaker.release.record import StepRecord
+from shaker.release.record import Shape, StepRecord
 
 FloatArray = NDArray[np.float64]
 RATE_HZ, BEFORE_S, AFTER_S, AMPLITUDE_N = 100e3, 0.01, 0.03, 50.0
@@ -94,8 +95,16 @@ def truth() -> tuple[FloatArray, FloatArray, FloatArray]:
     return poles, swing / poles, np.array(vector)
 
 
-def clean(onset_s: float, length_s: float = 0.0) -> FloatArray:
-    """Return the noiseless output for a load of 1 that goes at once, or along a line: the mean of 1 + Σ r/p exp(pτ)."""
+def clean(onset_s: float, length_s: float = 0.0, shape: Shape = "ramp") -> FloatArray:
+    """Return the noiseless output for a load of 1 that goes at once, or in a shape: the mean of 1 + Σ r/p exp(pτ).
+
+    Along half a cosine that mean is taken at 48 nodes of Gauss and Legendre.
+    """
+    if shape == "smooth":
+        nodes, share = np.polynomial.legendre.leggauss(48)
+        weight = 0.25 * np.pi * share * np.cos(0.5 * np.pi * nodes)
+        middles = onset_s + 0.5 * length_s * (1.0 + nodes)
+        return np.asarray(weight @ np.array([clean(middle_s) for middle_s in middles.tolist()]))
     poles, swing, _ = truth()
     tau = np.arange(round((BEFORE_S + AFTER_S) * RATE_HZ)) / RATE_HZ - onset_s
     if not length_s:
@@ -109,13 +118,17 @@ def clean(onset_s: float, length_s: float = 0.0) -> FloatArray:
 
 
 def record_of(
-    level_db: float, seed: int, noise: Callable[[np.random.Generator, int], FloatArray], length_s: float = 0.0
+    level_db: float,
+    seed: int,
+    noise: Callable[[np.random.Generator, int], FloatArray],
+    length_s: float = 0.0,
+    shape: Shape = "ramp",
 ) -> StepRecord:
     """Return a record; `noise` draws samples of standard deviation 1. The level is that over the ringing of a step."""
     rng = np.random.default_rng(seed)
     onset = BEFORE_S + rng.random() / RATE_HZ
     sigma = np.sqrt(np.mean((clean(onset)[round(BEFORE_S * RATE_HZ) :] - 1.0) ** 2)) * 10 ** (-level_db / 20)
-    output = clean(onset, length_s)
+    output = clean(onset, length_s, shape)
     samples = AMPLITUDE_N * (output + sigma * noise(rng, len(output))) + 0.1
     return StepRecord(f"seed {seed}", ("Fz",), "mV", samples[None], RATE_HZ, "Fz", AMPLITUDE_N)
 
@@ -188,15 +201,29 @@ def compare_all(seeds: int, evolutions: int, first: int) -> None:
         )
 
 
-CASES: tuple[tuple[str, float, float, bool, int | None, int], ...] = (
-    ("white noise, step", 40, 0.0, False, None, 1),
-    ("white noise, step", 20, 0.0, False, None, 4),
-    ("white noise, release of 0.15 ms", 40, 1.5e-4, False, None, 4),
-    ("white noise, release of 0.4 ms", 40, 4e-4, False, None, 8),
-    ("4th-order filter at 10 kHz, step", 40, 0.0, True, None, 8),
-    ("white noise, converter of 10 bits, step", 60, 0.0, False, 10, 8),
+class Case(NamedTuple):
+    """Records of a level in dB; `share`: one of so many trials; `length_s` of the release; `bits` of the converter."""
+
+    name: str
+    level_db: float
+    share: int
+    length_s: float = 0.0
+    shape: Shape = "ramp"
+    noise: Callable[[np.random.Generator, int], FloatArray] = white
+    bits: int | None = None
+
+
+CASES = (
+    Case("white noise, step", 40, 1),
+    Case("white noise, step", 20, 4),
+    Case("white noise, line of 0.15 ms", 40, 4, 1.5e-4),
+    Case("white noise, line of 0.4 ms", 40, 8, 4e-4),
+    Case("white noise, half a cosine of 0.15 ms", 60, 8, 1.5e-4, "smooth"),
+    Case("white noise, half a cosine of 0.4 ms", 40, 8, 4e-4, "smooth"),
+    Case("white noise, half a cosine of 0.8 ms", 40, 8, 8e-4, "smooth"),
+    Case("4th-order filter at 10 kHz, step", 40, 8, noise=filtered),
+    Case("white noise, converter of 10 bits, step", 60, 8, bits=10),
 )
-"""Name, level in dB, length of the release in s, whether the noise is filtered, bits, share of the trials."""
 NAMES = ("fn", "ζ", "static gain", "±5 % band")
 
 
@@ -204,14 +231,14 @@ def coverage(trials: int, first: int) -> None:
     """Print how often the 95 % intervals of resonance, damping, static gain and working band hold."""
     true = np.array([FREQUENCY_HZ, DAMPING, 1.0, band_hz(model_of(truth()[2]))])
     print("\n| record | level | trials | " + " | ".join(NAMES) + " |\n|---|---|---|" + "---|" * len(NAMES))
-    for name, level, length, behind, bits, share in CASES:
-        seeds = range(first, first + trials // share)
+    for case in CASES:
+        seeds = range(first, first + trials // case.share)
         inside = []
         for seed in seeds:
-            record = record_of(level, seed, filtered if behind else white, length)
-            inside.append(covered(record if bits is None else rounded(record, bits), true))
+            record = record_of(case.level_db, seed, case.noise, case.length_s, case.shape)
+            inside.append(covered(record if case.bits is None else rounded(record, case.bits), true))
         shares = " | ".join(f"{100 * found:.1f}" for found in np.mean(inside, axis=0))
-        print(f"| {name} | {level} dB | {len(seeds)} | {shares} |", flush=True)
+        print(f"| {case.name} | {case.level_db:g} dB | {len(seeds)} | {shares} |", flush=True)
 
 
 def model_of(vector: FloatArray) -> ModalModel:

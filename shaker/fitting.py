@@ -306,6 +306,20 @@ class Separable:
         return normal, downhill
 
 
+# Minima beside the least one.
+
+REACH = 1.96  # standard uncertainties of 95 %
+REFUTED = 9.0  # χ² above the least from which a minimum is refuted: three standard deviations
+
+
+def far_away(excess: float) -> float:
+    """Return how many standard uncertainties away a minimum is whose χ² is larger than the least by `excess`.
+
+    By the ratio of the likelihoods √excess; one that is as likely is at the end of a 95 % interval.
+    """
+    return float(np.sqrt(max(excess, REACH**2)))
+
+
 def covariance_root(covariance: FloatArray) -> FloatArray:
     """Return deviations (N, E) by E independent causes of variance one that make up a covariance (N, N).
 

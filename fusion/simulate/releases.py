@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass as plain_dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from pydantic.dataclasses import dataclass
@@ -31,11 +31,12 @@ Channels = list[dict[str, Any]]  # blocks of the channels in a manifest
 
 @dataclass(frozen=True, config=CHECKED)
 class Rope:
-    """What lets go: how long the load takes to vanish along a straight line, in s, and its relative scatter."""
+    """What lets go: how long the load takes to vanish, in s, its relative scatter, along a line or half a cosine."""
 
     name: str
     release_s: float
     scatter: float
+    shape: Literal["ramp", "smooth"] = "ramp"
 
 
 @dataclass(frozen=True, config=CHECKED)
@@ -196,7 +197,8 @@ def _write_release(folder: Path, rig: StepRig, model: Model, release: Release, d
     load, column = rig.load_share * rig.capacity[place], [row[place] for row in model]
     time_s, onset_s, release_s = rig.let_go(name, release.rope, rig.before_s + rig.after_s, draws)
     offset, static = rig.offsets(name, len(model), draws), [one.static_gain for one in column]
-    response = pole_responses(column[0].poles, time_s, onset_s, release_s)  # the poles of all outputs are the same
+    # the poles of all outputs are the same
+    response = pole_responses(column[0].poles, time_s, onset_s, release_s, release.rope.shape)
     upper, real = np.split(response, [len(rig.frequency_hz)], axis=1)
     answers = (2.0 * np.real(upper @ one.residue) + np.real(real) @ one.real_residue for one in column)
     clean = np.stack([load * (gain - answer) for gain, answer in zip(static, answers, strict=True)])
@@ -209,7 +211,7 @@ def _write_release(folder: Path, rig: StepRig, model: Model, release: Release, d
         "onset_s": onset_s,
         "release": release.rope.name,
         "release_s": release_s,
-        "shape": "ramp",
+        "shape": release.rope.shape,
         "baseline": [load * gain + float(zero) / rig.gain for gain, zero in zip(static, offset, strict=True)],
         "steady": (offset / rig.gain).tolist(),
         "static_gain": static,

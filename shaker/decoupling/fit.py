@@ -10,7 +10,6 @@ import numpy as np
 from shaker.arrays import Brief, ComplexArray, FloatArray, Notice
 from shaker.decoupling.model import MultiModel, Poles, in_order
 from shaker.decoupling.problem import (
-    REACH,
     Fitted,
     Release,
     Sampled,
@@ -23,6 +22,7 @@ from shaker.decoupling.problem import (
     widened,
 )
 from shaker.decoupling.search import Trial, alike, chosen, lagged, needed, otherwise, shaped
+from shaker.fitting import REACH, far_away
 from shaker.release.poles import highest_frequency, shared_poles
 from shaker.release.reading import begun
 from shaker.release.record import Shape, StepRecord
@@ -208,8 +208,7 @@ def multi_fit(
 ) -> MultiFit:
     """Return the result of a fit in the units of the records; `noise` (C,) of a sample weighted the outputs.
 
-    The first of `fits` is the result; the others the records do not refute. By the ratio of their likelihoods one whose
-    χ² is larger by Δ lies √Δ standard uncertainties away; one that is as likely, at the end of a 95 % interval.
+    The first of `fits` is the result; the others, which the records do not refute, lie as far away as `far_away` says.
     """
     fit, *others = fits
     point, poles = fit.solution.point, fit.poles
@@ -218,7 +217,7 @@ def multi_fit(
     spread = widened(fit, spread)
     scaled = noise / np.sqrt(problem.records[0].samples.length[0])
     model, *instead = (_model(records, problem, one, scaled) for one in fits)
-    far = np.sqrt([[max(one.loss - fit.loss, REACH**2)] for one in others]).reshape(-1, 1)
+    far = np.array([far_away(one.loss - fit.loss) for one in others]).reshape(-1, 1)
     away = np.array([one.vector - model.vector for one in instead]).reshape(-1, len(model.vector)) / far
     moved = [one.solution.point.parameters - point.parameters for one in others]
     later = np.array(moved).reshape(-1, len(spread)) / far

@@ -11,11 +11,10 @@ import numpy as np
 
 from shaker.arrays import ComplexArray, FloatArray, IntArray
 from shaker.decoupling.model import MultiModel, Poles
-from shaker.fitting import Block, Changes, Minimum, Prior, Rules, Separable, levenberg_marquardt
+from shaker.fitting import REACH, Block, Changes, Minimum, Prior, Rules, Separable, levenberg_marquardt
 from shaker.release.record import Shape
 from shaker.release.response import MOMENTS, Answers, Load, Samples, answers, responses
 
-REACH = 1.96  # standard uncertainties of 95 %
 _LOOSE = (1.5, 2.0)  # standard deviations of what a start says of logarithms of real poles and of durations
 _KEPT = 2  # poles and releases of which a record keeps what they show of it
 

@@ -11,7 +11,7 @@ import numpy as np
 from shaker.arrays import FloatArray
 from shaker.decoupling.model import Poles
 from shaker.decoupling.problem import Fitted, Offer, Release, StepProblem, by_record, fit_poles
-from shaker.fitting import Separable
+from shaker.fitting import REFUTED, Separable
 from shaker.release.poles import shared_poles
 from shaker.release.record import Shape
 from shaker.release.response import MOMENTS
@@ -32,8 +32,7 @@ _LONGER = (0.5, 2.0)
 _UNEXPLAINED = 1.5
 _CLEARLY = 10.0
 _OTHERWISE = (0.75, 1.4)
-_HARDLY_MORE = 12.0  # loss with poles held, from which no fit of all comes within `_LIKELY`
-_LIKELY = 9.0  # loss above the least: three standard deviations
+_HARDLY_MORE = 12.0  # loss with poles held, with which no fit of all comes below `REFUTED`
 _APART = 0.1  # of durations
 _STRONG = 0.5
 """A mode above this share of the strongest is no make-up for releases read some hundredths of a period off."""
@@ -156,7 +155,7 @@ def alike(problem: StepProblem, fit: Fitted, others: Sequence[Times]) -> tuple[F
     found.sort(key=lambda fitted: fitted.loss)
     kept = found[:1]
     for one in found[1:]:
-        if one.loss < kept[0].loss + _LIKELY and all(_apart(problem, one.releases, other.releases) for other in kept):
+        if one.loss < kept[0].loss + REFUTED and all(_apart(problem, one.releases, other.releases) for other in kept):
             kept.append(one)
     return kept[0], tuple(kept[1:])
 

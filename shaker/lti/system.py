@@ -12,7 +12,7 @@ import numpy as np
 from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape, check_shapes
 
 Method = Literal["tustin", "zoh", "matched"]
-LEAST_LAG = 0.02
+LEAST_LAG, MOST_DAMPED = 0.02, 0.999
 SOUND = 1e5
 """How much larger than their sum the parts of a response may be; beyond, poles count as coinciding."""
 
@@ -478,16 +478,16 @@ class ModalModel(Brief):
     def moved(self, move: FloatArray) -> ModalModel:
         """Return the model with its parameters moved by `move` (P,) to first order, straight in `to_coordinates`.
 
-        There what a record tells well stays as smooth and static as it is however far the move, and a lag that may be
-        about zero does not turn its sign: it stays above `LEAST_LAG` of its own size.
+        There what a record tells well stays as smooth and static as it is however far the move. Frequencies and lags
+        that may be about zero do not turn their sign: they stay above `LEAST_LAG` of their own size.
         """
         modes, reals = len(self.frequency_hz), len(self.real_hz)
         scale, coordinates, slope = self._straight
         by = slope @ move
         by[np.abs(by) < 1e-9 * sizes(coordinates, reals)] = 0.0  # rounding, which would make a far zero
         far = coordinates + by
-        lags = slice(2 * modes, 2 * modes + reals)
-        far[lags] = coordinates[lags] * np.maximum(far[lags] / coordinates[lags], LEAST_LAG)
+        signed = np.r_[:modes, 2 * modes : 2 * modes + reals]
+        far[signed] = coordinates[signed] * np.maximum(far[signed] / coordinates[signed], LEAST_LAG)
         return self.with_vector(from_coordinates(far, modes, reals, scale))
 
     @cached_property
@@ -569,9 +569,10 @@ def to_coordinates(model: ModalModel, scale: float) -> FloatArray:
 
 
 def from_coordinates(coordinates: FloatArray, modes: int, reals: int, scale: float) -> FloatArray:
-    """Return the vector (2P,) of a `ModalModel` of coordinates (2P,), the inverse of `to_coordinates`."""
+    """Return the vector (2P,) of a `ModalModel` of coordinates (2P,), the inverse of `to_coordinates`; |ζ| < 1."""
     order = 2 * modes + reals
     frequency, damping, lag, numerator = np.split(coordinates, [modes, 2 * modes, order])
+    damping = np.clip(damping, -MOST_DAMPED, MOST_DAMPED)
     frame = ModalModel(frequency, damping, np.zeros(modes, dtype=np.complex128), 1.0 / lag, np.zeros(reals))
     unscaled, _ = frame.terms
     poles, real_hz = unscaled / scale, -unscaled[2 * modes :].real / (2 * np.pi)

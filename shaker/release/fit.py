@@ -10,9 +10,10 @@ from typing import Literal
 import numpy as np
 
 from shaker.arrays import Brief, FloatArray, Notice, check_shape, check_shapes
+from shaker.fitting import REFUTED, far_away
 from shaker.lti.indices import pole_notices
 from shaker.lti.system import LinearSystem, ModalModel
-from shaker.release.order import Found, Search, known_about, more_terms, remarks, searched
+from shaker.release.order import SHAPES, Found, Search, known_about, more_terms, remarks, searched
 from shaker.release.output_error import Problem, Structure, modal_model, solve, spread, squares
 from shaker.release.reading import read_release
 from shaker.release.record import Reading, Shape, StepRecord
@@ -32,7 +33,7 @@ class StepFit(Brief):
     were fitted; `fitted`, `residual` (N,) over `time_s` (N,) in output units; `onset_s`, `u_onset_s`, `release_s`,
     `u_release_s`: begin and length of the release, taken for one of `shape`; `variance_accounted`:
     1 - |residual|²/|y - mean|²; `convergence`: loss over iterations or generations, or over the order 1, 2, …;
-    `order`: number of poles; `duration_s`: time taken.
+    `order`: number of poles; `duration_s`: time taken; `excess`: χ² above that of the likeliest shape.
     """
 
     method: Method
@@ -55,6 +56,7 @@ class StepFit(Brief):
     release_s: float
     u_release_s: float
     shape: Shape = "step"
+    excess: float = 0.0
     notices: tuple[Notice, ...] = ()
 
     def __post_init__(self) -> None:
@@ -96,7 +98,7 @@ def outcome(record: StepRecord, reading: Reading, found: Found, method: Method, 
         release_s=length,
         u_release_s=known.u_release_s,
         shape=solution.problem.load.shape,
-        notices=remarks(record, reading, found, model, known),
+        notices=remarks(record, reading, solution, model, known),
     )
 
 
@@ -119,8 +121,9 @@ def fit_step(
 
     `reading`: what `read_release` says of this channel, read here where it is None; `modes`, `real_poles`: numbers of
     oscillating modes and of real poles, chosen by rule where None; `release`: how the load goes, "measured" with a
-    measured force and else chosen by rule where None; `method`: what the start comes from. The covariance holds the
-    record's noise, coloured or not, the baseline, the release and the load's amplitude.
+    measured force and else the likelier of a ramp and half a cosine where None; `method`: what the start comes from.
+    The covariance holds the record's noise, coloured or not, the baseline, the release, its other shape where the
+    record does not refute that, and the load's amplitude.
 
     >>> import numpy as np
     >>> from shaker import StepRecord, fit_step
@@ -132,15 +135,71 @@ def fit_step(
     >>> print(f"{model.frequency_hz[0]:.0f} Hz, damping ratio {model.damping_ratio[0]:.2f}")
     310 Hz, damping ratio 0.02
     """
-    began = time.perf_counter()
     reading = reading or read_release(record, channel)
+    fits = fit_shapes(record, channel, reading, modes, real_poles, method, release)
+    fit = among(fits)
+    told = [text for other in fits[1:] if other.excess < REFUTED and (text := untold(fits[0], other))]
+    where = f"{record.name}, {channel}"
+    notices = [Notice("info", f"the record does not tell whether the release is {text}", where) for text in told]
+    return replace(fit, notices=(*fit.notices, *notices))
+
+
+def fit_shapes(
+    record: StepRecord,
+    channel: str,
+    reading: Reading,
+    modes: int | None = None,
+    real_poles: int | None = None,
+    method: Literal["pencil", "arx"] = "pencil",
+    release: Release | None = None,
+) -> tuple[StepFit, ...]:
+    """Return what `fit_step` finds for each shape that the release may have, the likeliest first.
+
+    All have the same numbers of poles; none counts the others in its covariance.
+    """
+    began = time.perf_counter()
     whole = every_sample(record.samples[record.channels.index(channel)], record.time_s, 1.0 / record.sample_rate_hz)
-    search = Search(whole, reading, loads(record, reading, release), method, modes, real_poles)
-    return outcome(record, reading, searched(search), method, began)
+    found = searched(Search(whole, reading, loads(record, reading, release), method, modes, real_poles))
+    fits = [outcome(record, reading, one, method, began) for one in found]
+    return tuple(replace(fit, excess=one.charged - found[0].charged) for fit, one in zip(fits, found, strict=True))
+
+
+def among(fits: Sequence[StepFit], excess: float | None = None) -> StepFit:
+    """Return the first fit of `fit_shapes` with the others in its uncertainty, where they are not refuted.
+
+    `excess`: by how much χ² of another is larger, that of the record itself where None.
+    """
+    first = fits[0]
+    for other in fits[1:]:
+        more = other.excess if excess is None else excess
+        if more >= REFUTED or first.model is None or other.model is None or first.model.covariance is None:
+            continue
+        far = far_away(more)
+        away = (other.model.vector - first.model.vector) / far
+        first = replace(
+            first,
+            model=replace(first.model, covariance=first.model.covariance + np.outer(away, away)),
+            u_onset_s=float(np.hypot(first.u_onset_s, (other.onset_s - first.onset_s) / far)),
+            u_release_s=float(np.hypot(first.u_release_s, (other.release_s - first.release_s) / far)),
+        )
+    return first
+
+
+def untold(first: StepFit, other: StepFit) -> str:
+    """Return what it would mean for the model if the load had gone as the other fit has it; "" where that is little."""
+    if first.model is None or other.model is None or first.model.covariance is None:
+        return ""
+    away = np.abs(other.model.vector - first.model.vector)
+    if not np.any(away > np.sqrt(np.diag(first.model.covariance))):
+        return ""
+    shapes = [SHAPES[fit.shape] for fit in (first, other)]
+    poles = [" and ".join(f"{hz:.3g}" for hz in np.sort(fit.model.real_hz)) for fit in (first, other) if fit.model]
+    of_poles = f"the real pole is {poles[0]} Hz or {poles[1]} Hz, and " if poles[0] else ""
+    return f"{shapes[0]} or {shapes[1]}: {of_poles}gains between rest and resonance depend on which; U holds both"
 
 
 def loads(record: StepRecord, reading: Reading, release: Release | None) -> tuple[Load, ...]:
-    """Return the loads that come into question, the likeliest first."""
+    """Return the loads that come into question."""
     if release == "measured" or (release is None and record.force is not None):
         if record.force is None:
             raise ValueError(

@@ -143,15 +143,13 @@ def _grid(
 
 # How many poles a record tells, how its load went, and how smoothly its response starts.
 
-_CERTAIN = 4.0  # standard uncertainties of the release's length, as read, from which on its shape may be told
-_SHORT = 0.25  # periods of the fastest mode that a release has to last for its shape to matter
 _ROUNDING = 1e-9  # share of the output below which a residual is taken for rounding
 
 
 @dataclass(frozen=True)
 class Search:
-    """What is looked for in a record: `whole` its samples, `loads` that come into question, the likeliest first;
-    `modes` and `reals` where they are given; `colour` of the noise as in `Problem`."""
+    """What is looked for in a record: `whole` its samples, `loads` that come into question; `modes` and `reals` where
+    they are given; `colour` of the noise as in `Problem`."""
 
     whole: Samples
     reading: Reading
@@ -164,22 +162,25 @@ class Search:
 
 @dataclass(frozen=True)
 class Found:
-    """The fit that a record supports, the sums of squares on the way, and a fit with another shape of the release that
-    the record tells hardly from it, None where there is none."""
+    """A fit that a record supports, and the sums of squares on the way."""
 
     solution: Solution
     path: tuple[float, ...]
-    rival: Solution | None = None
+
+    @property
+    def charged(self) -> float:
+        """χ² but for what all fits of a record share, 8 added for each numerator term."""
+        return chi_square(self.solution) + TERM * self.solution.problem.structure.terms
 
 
-def searched(search: Search) -> Found:
-    """Return the fit that the record supports.
+def searched(search: Search) -> tuple[Found, ...]:
+    """Return the fits that the record supports, one for each load that comes into question, the likeliest first.
 
     Modes are counted on the decay. One real pole and the length of the release are always fitted: a lag or a release
     too short to be told changes the amplitude and the phase of the ringing all the same, and a model without it states
-    a certainty that the record does not give. A second real pole is there where it lowers B·ln(sum of squares) by more
-    than 12, a numerator term or another shape of the release where by more than 8, B the number of blocks; coloured
-    noise, which lowers it without any reason, asks for as much more as its density is higher.
+    a certainty that the record does not give. A second real pole is there, for every load, where it lowers χ² of the
+    likeliest by more than 12, a numerator term where by more than 8; χ² is B·ln(sum of squares), B the number of
+    blocks, over the density of coloured noise, which lowers it without any reason.
     """
     ringing, force = search.whole, search.loads[0].force
     if force is not None:  # what simply follows a measured load is taken off, so that what rings is left
@@ -188,48 +189,41 @@ def searched(search: Search) -> Found:
         ringing = replace(ringing, value=left)
     modes, colour = decay_modes(ringing, search.reading, search.method, search.modes)
     search = replace(search, colour=colour)
-    best, rival = _over_loads(search, modes, 1 if search.reals is None else search.reals)
-    if search.reals is not None:
-        return Found(best, best.path, rival)
-    structure, order = best.problem.structure, best.problem.structure.order
-    two = replace(best.problem, structure=replace(structure, reals=2))
-    starts = [np.insert(best.vector, order, best.vector[order - 1] + further) for further in (-0.7, 0.7, 1.6)]
-    gain, start = gain_by(best, two, starts)
-    if gain < CLEAR * search.colour:
-        return Found(best, best.path, rival)
-    more = solve(*known_about(two, start, float(np.exp(best.vector[: structure.modes].max())) / (2 * np.pi)))
-    return Found(more if better(best, more) else best, best.path + more.path, rival)
+    reals = 1 if search.reals is None else search.reals
+    fits = [_fit_one(search, load, modes, reals) for load in search.loads]
+    found = sorted((Found(fit, fit.path) for fit in fits), key=lambda one: one.charged)
+    first = _with_real(found[0], CLEAR) if search.reals is None else None
+    if first is not None and better(found[0].solution, first.solution):
+        rest = [_with_real(one, -np.inf) or one for one in found[1:]]
+        found = sorted([first, *rest], key=lambda one: one.charged)
+    return tuple(found)
+
+
+def _with_real(found: Found, least: float) -> Found | None:
+    """Return the fit with one real pole more, None where χ² is not foretold to fall by as much as asked."""
+    plain = found.solution
+    structure, order = plain.problem.structure, plain.problem.structure.order
+    two = replace(plain.problem, structure=replace(structure, reals=structure.reals + 1))
+    starts = [np.insert(plain.vector, order, plain.vector[order - 1] + further) for further in (-0.7, 0.7, 1.6)]
+    gain, start = gain_by(plain, two, starts)
+    if gain < least * plain.problem.colour:
+        return None
+    more = solve(*known_about(two, start, float(np.exp(plain.vector[: structure.modes].max())) / (2 * np.pi)))
+    return Found(more, found.path + more.path)
 
 
 def better(plain: Solution, rich: Solution) -> bool:
-    """Return whether a richer fit is worth its parameters.
-
-    B·ln(sum of squares) has to fall by 8 for a numerator term or another release, by 12 for a real pole.
-    """
+    """Return whether a richer fit is worth its parameters: 8 of χ² for a numerator term, 12 for a real pole."""
     terms = rich.problem.structure.terms - plain.problem.structure.terms
-    other = rich.problem.load.shape != plain.problem.load.shape
     poles = rich.problem.structure.order - plain.problem.structure.order
-    charge = rich.problem.colour * (TERM * (terms + other) + CLEAR * poles)
-    samples = plain.problem.samples
+    return chi_square(plain) - chi_square(rich) > TERM * terms + CLEAR * poles
+
+
+def chi_square(solution: Solution) -> float:
+    """Return χ² of a fit but for what all fits of its samples share."""
+    samples = solution.problem.samples
     least = _ROUNDING**2 * float(np.sum((samples.weight * samples.value) ** 2))
-    return plain.size * float(np.log((plain.square + least) / (rich.square + least))) > charge
-
-
-def _over_loads(search: Search, modes: ComplexArray, reals: int) -> tuple[Solution, Solution | None]:
-    """Return the best fit with given modes to start from over the loads that come into question, and its rival.
-
-    The shape is not looked for of a release whose length cannot be told, or that is short to the fastest mode.
-    """
-    best, rival = _fit_one(search, search.loads[0], modes, reals), None
-    highest = float(np.abs(modes).max()) / (2 * np.pi)
-    if search.reading.release_s < max(_CERTAIN * search.reading.u_release_s, _SHORT / highest):
-        return best, rival
-    for load in search.loads[1:]:
-        trial = _fit_one(search, load, modes, reals)
-        if better(best, trial):
-            best, trial = trial, best
-        rival = trial if not better(trial, best) else rival
-    return best, rival
+    return solution.size * float(np.log(solution.square + least)) / solution.problem.colour
 
 
 def _fit_one(search: Search, load: Load, modes: ComplexArray, reals: int) -> Solution:
@@ -267,12 +261,12 @@ _MORE = 1.5  # residual's variance over that of the noise before the release tha
 
 
 def remarks(
-    record: StepRecord, reading: Reading, found: Found, model: ModalModel, known: FitSpread
+    record: StepRecord, reading: Reading, solution: Solution, model: ModalModel, known: FitSpread
 ) -> tuple[Notice, ...]:
     """Return remarks on the poles, on the residual and on the release."""
     where = f"{record.name}, {reading.channel}"
     told = [*_of_poles(model, record.sample_rate_hz), *_of_residual(reading, known)]
-    told += [*_of_release(record, found.solution, known), *_of_rival(found, model)]
+    told += [*_of_release(record, solution, known)]
     return tuple(Notice(severity, text, where) for severity, text in told)
 
 
@@ -324,22 +318,3 @@ def _of_release(record: StepRecord, solution: Solution, known: FitSpread) -> Ite
     if record.onset_s is not None and abs(record.onset_s - middle + 0.5 * length) > 1.0 / fastest:
         onset_s = middle - 0.5 * length
         yield "warning", f"the onset found, {onset_s:.6g} s, is not the one stated, {record.onset_s:.6g} s"
-
-
-def _of_rival(found: Found, model: ModalModel) -> Iterator[tuple[Severity, str]]:
-    """Yield what another shape of the release, which the record does not exclude, would make of the real poles."""
-    assert model.covariance is not None
-    if found.rival is None or not len(model.real_hz):
-        return
-    structure = found.rival.problem.structure
-    others = np.sort(-structure.poles(found.rival.vector)[structure.modes :].real / (2 * np.pi))
-    own, u = np.sort(model.real_hz), np.sqrt(np.diag(model.covariance))[4 * structure.modes :][: len(model.real_hz)]
-    if len(others) == len(own) and np.all(np.abs(others - own) < u[np.argsort(model.real_hz)]):
-        return
-    shapes = [SHAPES[solution.problem.load.shape] for solution in (found.solution, found.rival)]
-    values = [" and ".join(f"{hz:.3g}" for hz in poles) for poles in (own, others)]
-    yield (
-        "info",
-        f"the record does not tell whether the release is {shapes[0]} or {shapes[1]}: the real pole is {values[0]} Hz "
-        f"or {values[1]} Hz, and gains between rest and resonance depend on which",
-    )

@@ -11,9 +11,13 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import stats
 
-from fusion.sensor.step.records import Pooled, pool_models, sorted_modes, weighted_mean
-from fusion.sensor.step.releases import mean_with_scatter
+from fusion.sensor.step.records import OF_SHAPES, Instead, Pooled, pool_models, sorted_modes, weighted_mean
+from fusion.sensor.step.releases import Release, in_one_shape, mean_with_scatter, other_shapes
+from fusion.sensor.unseen import NOTHING
 from shaker.lti.system import ModalModel, from_coordinates, scale_of, to_coordinates
+from shaker.release.fit import fit_shapes
+from shaker.release.reading import read_release
+from shaker.release.record import StepRecord
 
 FloatArray = NDArray[np.float64]
 VECTOR = np.array([1700.0, 3000.0, 0.015, 0.02, 1.0, 2.0, -8000.0, -300.0, 6000.0, 7.0])
@@ -72,6 +76,44 @@ def test_releases_of_one_mounting_do_not_count_as_mountings():
     assert np.all(u > 0.6 * 30 * SPREAD)
 
 
+def test_what_another_shape_of_the_releases_would_change_does_not_average_out():
+    """Of fifty alike releases, 45 by one rope; the other shape of theirs, two standard uncertainties away."""
+    apart = 4.0 * SPREAD
+    instead = Instead([model(VECTOR + apart, SPREAD)] * 45 + [model(VECTOR, SPREAD)] * 5, 2.0)
+    pooled = pool_models([model(VECTOR, SPREAD)] * 50, ["1"] * 50, 0.0, NOTHING, [instead])
+    u, dof = pooled.spread(np.eye(10))
+    assert u == pytest.approx(np.hypot(SPREAD / np.sqrt(50), 0.9 * apart / 2.0), rel=1e-2)
+    assert np.sqrt(np.diag(pooled.model.covariance)) == pytest.approx(u, rel=1e-9)
+    assert np.all(dof == np.inf)
+    budget = pooled.budget(np.eye(10), NOTHING)
+    assert budget[OF_SHAPES] == pytest.approx(0.45 * apart, rel=1e-2)
+    assert np.sqrt(np.sum(np.square([*budget.values()]), axis=0)) == pytest.approx(u)
+
+
+def test_releases_by_one_rope_tell_its_shape_together():
+    """What single records hardly tell, and one tells wrongly, their sum tells; a rope whose sum does not stays open."""
+    time_s, noise = np.arange(2000) / 10e3 - 0.05, 1e-3 * np.random.default_rng(0).standard_normal(2000)
+    volts = np.where(time_s < 0.0, 2.0, 2.0 * np.exp(-40.0 * time_s) * np.cos(2 * np.pi * 310.0 * time_s)) + noise
+    record = StepRecord("1", ("Fz",), "V", volts[None], 10e3, "Fz", -20.0)
+    ramp, smooth = sorted(fit_shapes(record, "Fz", read_release(record, "Fz")), key=lambda fit: fit.shape)
+    smooth = replace(smooth, model=smooth.model.altered(0.01), release_s=ramp.release_s + 1e-3)
+
+    def release(rope: str, of_ramp: float, of_smooth: float) -> Release:
+        fits = replace(ramp, excess=of_ramp), replace(smooth, excess=of_smooth)
+        return Release(None, replace(record, release=rope), "Fz", (), fits[0], fits)
+
+    told = in_one_shape([release("line", 8.0, 0.0), release("line", 0.0, 2.0), release("line", 5.0, 0.0)])
+    assert [one.fit.shape for one in told] == ["smooth"] * 3
+    assert [one.excess for one in told] == [11.0] * 3
+    assert not [*other_shapes(told)]
+    open_ = in_one_shape([*told, release("rope", 0.0, 6.0)])
+    ((instead, text),) = other_shapes(open_)
+    assert instead.far == pytest.approx(np.sqrt(6.0))
+    assert [np.array_equal(model.vector, smooth.model.vector) for model in instead.models] == [True] * 4
+    assert text.startswith("releases by rope do not tell whether the load goes along a ramp or half a cosine: the real")
+    assert open_[3].fit.u_release_s > 1e-3 / np.sqrt(6.0) > told[0].fit.u_release_s
+
+
 def test_modes_are_matched_in_rising_frequency():
     turned = [1, 0, 3, 2, 5, 4, 7, 6, 8, 9]
     back = sorted_modes(model(VECTOR[turned], SPREAD[turned]))
@@ -82,13 +124,14 @@ def test_modes_are_matched_in_rising_frequency():
 @pytest.mark.parametrize(("between", "least"), [(0.0, 0.94), (0.5, 0.92), (5.0, 0.92)])
 def test_intervals_of_three_releases_hold_the_truth(between, least):
     rng, size = np.random.default_rng(4), 10
-    stated, blank = np.tile(np.eye(size), (3, 1, 1)), (np.zeros((0, size)), np.zeros((size, size)))
+    stated, blank = np.tile(np.eye(size), (3, 1, 1)), np.zeros((0, size))
     held = []
     for _ in range(300):
         truth = rng.standard_normal(size)
         own = truth + np.sqrt(1.0 + between**2) * rng.standard_normal((3, size))
         mean = weighted_mean(own, stated)
-        u, dof = Pooled(BLANK, own, stated, mean.weight, np.zeros(size), mean.weight, *blank).spread(np.eye(size))
+        rest = (np.zeros(size), blank, mean.weight, blank, np.zeros((size, size)))
+        u, dof = Pooled(BLANK, own, stated, mean.weight, *rest).spread(np.eye(size))
         held.append(np.abs(mean.value - truth) <= stats.t.ppf(0.975, np.minimum(dof, 1e9)) * u)
     assert np.mean(held) > least
 

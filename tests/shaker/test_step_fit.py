@@ -55,11 +55,19 @@ def answered(system: LinearSystem, load: FloatArray, step_s: float) -> FloatArra
 
 
 def released(
-    system: LinearSystem, *, onset_s: float, length_s: float = 0.0, count: int = 4000, fine: int = 5
+    system: LinearSystem,
+    *,
+    onset_s: float,
+    length_s: float = 0.0,
+    count: int = 4000,
+    fine: int = 5,
+    shape: str = "ramp",
 ) -> FloatArray:
-    """Return the answer (count,) to a load that goes from 0 to 1 along a line, on a grid `fine` times as fine."""
+    """Return the answer (count,) to a load from 0 to 1, on a grid `fine` times as fine: "ramp", or half a cosine."""
     time_s = np.arange((count - 1) * fine + 1) / (RATE_HZ * fine)
     load = np.clip((time_s - onset_s) / max(length_s, 1e-12), 0.0, 1.0)
+    if shape == "smooth":
+        load = 0.5 - 0.5 * np.cos(np.pi * load)
     return answered(system, load, 1.0 / (RATE_HZ * fine))[::fine]
 
 
@@ -146,14 +154,23 @@ def band_hz(model: ModalModel | LinearSystem) -> float:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("length", "low_pass", "level"),
-    [(0.0, (6000.0,), 40), (0.0, (), 40), (0.0, (6000.0,), 25), (1.5e-4, (6000.0,), 40), (4e-4, (6000.0,), 40)],
+    ("length", "shape", "low_pass", "level"),
+    [
+        (0.0, "ramp", (6000.0,), 40),
+        (0.0, "ramp", (), 40),
+        (0.0, "ramp", (6000.0,), 25),
+        (1.5e-4, "ramp", (6000.0,), 40),
+        (4e-4, "ramp", (6000.0,), 40),
+        (1.5e-4, "smooth", (6000.0,), 60),
+        (4e-4, "smooth", (6000.0,), 40),
+        (8e-4, "smooth", (6000.0,), 40),
+    ],
 )
-def test_intervals_hold_whatever_the_release_was(length, low_pass, level):
+def test_intervals_hold_whatever_the_release_was(length, shape, low_pass, level):
     """Structure and release by rule, record by record: resonance, damping, static gain, ±5 % band."""
     true = sensor(*SENSOR[:1], low_pass)
     truth = np.array([1700.0, 0.015, 1.0, band_hz(true)])
-    output = released(true, onset_s=ONSET, length_s=length)
+    output = released(true, onset_s=ONSET, length_s=length, shape=shape)
     noise = ring_rms(released(true, onset_s=ONSET), ONSET) * 10 ** (-level / 20)
 
     def estimate(trial: int) -> tuple[FloatArray, FloatArray]:
@@ -259,6 +276,24 @@ def test_a_shape_of_the_release_that_fits_as_well_is_told():
     fit = one_mode(record_of(output, 0.02, 4), ONSET, 4e-4, modes=None, real_poles=None)
     assert fit.shape in ("ramp", "smooth")
     assert any("does not tell whether the release is" in notice.text for notice in fit.notices)
+
+
+@pytest.mark.parametrize(("length", "level"), [(1.5e-4, 60), (8e-4, 40)])
+def test_a_shape_that_is_not_told_is_in_the_uncertainty(length, level):
+    """Half a cosine of 0.8 ms and a line of 0.53 ms, which both hardly drive the mode, leave the same at 40 dB, with
+    low-pass filters of 6 and of 3.3 kHz. The line was taken for it where the length as read was not clear."""
+    output = released(sensor(*SENSOR), onset_s=ONSET, length_s=length, shape="smooth")
+    noise = ring_rms(clean(), ONSET) * 10 ** (-level / 20)
+    for seed in range(4):
+        fit = fit_step(record_of(output, noise, seed), "Fz")
+        assert np.abs(scores(fit)).max() < 3.5
+        fits = [fit_step(record_of(output, noise, seed), "Fz", release=shape) for shape in ("ramp", "smooth")]
+        away = np.abs(fits[0].model.vector - fits[1].model.vector)
+        if fit.notices:
+            assert "U holds both" in fit.notices[-1].text
+            assert np.all(model_of(fit)[1] > away / 3.0)
+        else:
+            assert fit.shape == "smooth"
 
 
 POLES = np.array([2 * np.pi * 1700 * (-0.015 + 1j), 2 * np.pi * 2900 * (-0.03 + 1j), -2 * np.pi * 6000.0])

@@ -22,6 +22,7 @@ from fusion.sensor.step.releases import (
     compare_methods,
     fit_component,
     method_row,
+    other_shapes,
     read_recording,
     ropes_of,
     scale_uncertainty,
@@ -61,13 +62,14 @@ def evaluate_component(
         notices.append(Notice("warning", f"no model of {channel}: {fitted.reason}", component))
         return result, tuple(notices)
     fits = [(release, release.fit) for release in used if release.fit is not None]
-    models = [fit.model for _, fit in fits if fit.model is not None]
+    models = [release.shapes[0].model for release in used if release.shapes[0].model is not None]
     mountings = [release.manifest.mounting for release in used]
-    known = beside(manifest.rig, mountings)
-    pooled = pool_models(models, mountings, scale_uncertainty(manifest, channel), known)
+    known, others = beside(manifest.rig, mountings), [*other_shapes(used)]
+    pooled = pool_models(models, mountings, scale_uncertainty(manifest, channel), known, [one for one, _ in others])
     stated, _ = stated_gain(manifest, channel, component)
     found = index_quantities(pooled, stated, unit, first.record.sample_rate_hz, known)
     notices += [Notice(n.severity, f"{r.driven}: {n.text}", r.name) for r, fit in fits for n in fit.notices]
+    notices += [Notice("info", text, component) for _, text in others if text]
     entry = ModelEntry(
         channel=channel,
         component=component,
@@ -213,7 +215,7 @@ def measured_response(release: Release) -> Measured:
     else:
         turn = frequency * release.release_s
         share = np.sinc(turn)
-        if release.reading.shape == "smooth":
+        if (release.reading if release.fit is None else release.fit).shape == "smooth":
             near = np.abs(1.0 - (2.0 * turn) ** 2) < 1e-9
             below = np.where(near, 1.0, 1.0 - (2.0 * turn) ** 2)
             share = np.where(near, np.pi / 4.0, np.cos(np.pi * turn) / below)

@@ -147,7 +147,8 @@ def _without_delays(aligned: Aligned) -> Aligned:
 # Models of several releases become one: a weighted mean, with what releases or mountings scatter by.
 
 OF_RELEASES, OF_SCALES = "releases, noise and scatter", "scales of load and output"
-"""What a budget calls what the releases show themselves, and what all of them share."""
+OF_SHAPES = "shape of the releases"
+"""What a budget calls what the releases show themselves, and what all of them, or all by one rope, share."""
 STEP = 1e-2  # standard uncertainties over which coordinates are moved for derivatives
 ROUNDING = 1e-9  # part of a coordinate's size that is rounding
 
@@ -170,9 +171,10 @@ class Pooled:
 
     `model` with its whole covariance; `vectors` (N, P), `covariances` (N, P, P), `weights` (N,): of what was averaged
     last, releases or, where there are several, mountings, as parameters, linear about those of the mean. `scale` (P,):
-    how the parameters move with one standard uncertainty of the scale that all share. `shares` (R,): of each release in
-    the mean. `beside` (E, P): how they move with each unknown that no record shows; `scatter` (P, P): what of the
-    covariance rests on `scattered` degrees of freedom.
+    how the parameters move with one standard uncertainty of the scale that all share, `shapes` (S, P): with that of
+    each shape of releases that the records do not tell. `shares` (R,): of each release in the mean. `beside` (E, P):
+    how they move with each unknown that no record shows; `scatter` (P, P): what of the covariance rests on `scattered`
+    degrees of freedom.
     """
 
     model: ModalModel
@@ -180,6 +182,7 @@ class Pooled:
     covariances: FloatArray
     weights: FloatArray
     scale: FloatArray
+    shapes: FloatArray
     shares: FloatArray
     beside: FloatArray
     scatter: FloatArray
@@ -192,15 +195,16 @@ class Pooled:
     def spread(self, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return standard uncertainties (Q,) of numbers with gradients (Q, P), and their degrees of freedom (Q,).
 
-        u² = Σw²·(u_i² + τ²) + u_scale² + Σu_beside², τ² = s² - mean u_i² where the vectors scatter by more than is
-        stated. Then the degrees of freedom are those of s², with the others by Welch and Satterthwaite (JCGM 100,
-        G.4.1), s² enlarged by its relative variance 2/ν as in `fusion.sensor.rotate.readings`; of two vectors, whose s²
-        tells little, only τ² counts as the part with ν = 1, so that k = 12.7 is left to scatter that is far beyond what
-        is stated.
+        u² = Σw²·(u_i² + τ²) + u_scale² + Σu_shape² + Σu_beside², τ² = s² - mean u_i² where the vectors scatter by more
+        than is stated. Then the degrees of freedom are those of s², with the others by Welch and Satterthwaite
+        (JCGM 100, G.4.1), s² enlarged by its relative variance 2/ν as in `fusion.sensor.rotate.readings`; of two
+        vectors, whose s² tells little, only τ² counts as the part with ν = 1, so that k = 12.7 is left to scatter that
+        is far beyond what is stated.
         """
         stated = np.einsum("qp,npr,qr->nq", gradient, self.covariances, gradient)
         variance, dof = self.weights**2 @ stated, np.full(len(gradient), np.inf)
-        common = (gradient @ self.scale) ** 2 + np.sum((gradient @ self.beside.T) ** 2, axis=1)
+        shared = np.concatenate([self.scale[None], self.shapes, self.beside])
+        common = np.sum((gradient @ shared.T) ** 2, axis=1)
         if self.scattered:
             off = (self.vectors - self.vectors.mean(axis=0)) @ gradient.T
             square = np.sum(off**2, axis=0) / self.scattered
@@ -214,11 +218,13 @@ class Pooled:
 
     def budget(self, gradient: FloatArray, known: Beside) -> dict[str, FloatArray]:
         """Return what makes the u of numbers with gradients (Q, P), by its words, (Q,) each; squares add up to u²."""
-        shared, other = np.abs(gradient @ self.scale), gradient @ self.beside.T
+        shared, other = {OF_SCALES: np.abs(gradient @ self.scale)}, gradient @ self.beside.T
+        if len(self.shapes):
+            shared[OF_SHAPES] = np.linalg.norm(gradient @ self.shapes.T, axis=1)
+        shared |= known.by_cause(lambda places: np.linalg.norm(other[:, places], axis=1))
         whole = self.spread(gradient)[0] ** 2
-        own = np.sqrt(np.maximum(whole - shared**2 - np.sum(other**2, axis=1), 0.0))
-        of_causes = known.by_cause(lambda places: np.linalg.norm(other[:, places], axis=1))
-        return {OF_RELEASES: own, OF_SCALES: shared, **of_causes}
+        rest = whole - np.sum(np.square([*shared.values()]), axis=0)
+        return {OF_RELEASES: np.sqrt(np.maximum(rest, 0.0)), **shared}
 
 
 def effective_dof(variance: FloatArray, of_scatter: FloatArray, dof: float) -> FloatArray:
@@ -231,8 +237,19 @@ def effective_dof(variance: FloatArray, of_scatter: FloatArray, dof: float) -> F
     return np.asarray(dof * (1.0 + np.divide(rest, wide, out=np.full_like(wide, np.inf), where=wide > 0.0)) ** 2)
 
 
+class Instead(NamedTuple):
+    """The models of all releases if those of one rope went in the other shape; `far`: standard uncertainties away."""
+
+    models: Sequence[ModalModel]
+    far: float
+
+
 def pool_models(
-    models: Sequence[ModalModel], mountings: Sequence[str], u_scale: float = 0.0, known: Beside = NOTHING
+    models: Sequence[ModalModel],
+    mountings: Sequence[str],
+    u_scale: float = 0.0,
+    known: Beside = NOTHING,
+    instead: Sequence[Instead] = (),
 ) -> Pooled:
     """Return the mean of models (N) of one structure, mode by mode in rising frequency.
 
@@ -240,11 +257,13 @@ def pool_models(
     frequencies of poles that hardly show would have another static gain. Releases of one mounting are averaged first;
     where there are several mountings, these are then what scatters. `u_scale`: relative standard uncertainty of all
     residues together, of the load's and of the output's scale, which no average makes smaller; `known`: what is stated
-    beside the records, likewise.
+    beside the records, likewise; `instead`: other models that the records do not refute.
     """
     ordered = [sorted_modes(model) for model in models]
     scale = scale_of(ordered[0])
     vectors, covariances = _in_coordinates(ordered, scale)
+    others = [[to_coordinates(sorted_modes(model), scale) for model in other.models] for other in instead]
+    moved = [(np.array(own) - vectors) / other.far for own, other in zip(others, instead, strict=True)]
     least = ROUNDING * sizes(vectors[0], len(ordered[0].real_hz))
     groups = [np.flatnonzero(np.array(mountings) == name) for name in dict.fromkeys(mountings)]
     within = [weighted_mean(vectors[group], covariances[group], least) for group in groups]
@@ -259,10 +278,12 @@ def pool_models(
     common = u_scale * np.repeat([0.0, 1.0, 0.0, 1.0], [2 * modes, 2 * modes, reals, reals]) * value
     model = ordered[0].with_vector(value)
     other = known.effects(lambda *part: model.altered(*part).vector)
-    covariance = back @ mean.covariance @ back.T + np.outer(common, common) + other.T @ other
+    shapes = np.array([shares @ own for own in moved]).reshape(-1, len(value)) @ back.T
+    shared = np.concatenate([common[None], shapes, other])
+    covariance = back @ mean.covariance @ back.T + shared.T @ shared
     model, scatter = replace(model, covariance=covariance), back @ mean.scatter @ back.T
     spread = value + (vectors - mean.value) @ back.T
-    return Pooled(model, spread, back @ covariances @ back.T, mean.weight, common, shares, other, scatter)
+    return Pooled(model, spread, back @ covariances @ back.T, mean.weight, common, shapes, shares, other, scatter)
 
 
 def _in_coordinates(models: Sequence[ModalModel], scale: float) -> tuple[FloatArray, FloatArray]:

@@ -16,13 +16,14 @@ from fusion.estimation.coverage import NamedQuantity, Quantity
 from fusion.recording.load import Manifest
 from fusion.recording.rig import Rig
 from fusion.sensor.models_file import ModelEntry
-from fusion.sensor.step.records import Pooled, StepSettings, effective_dof, output_entries, read_step
+from fusion.sensor.step.records import Instead, Pooled, StepSettings, effective_dof, output_entries, read_step
 from fusion.sensor.unseen import NOTHING, Beside
 from shaker.arrays import FloatArray, Notice
+from shaker.fitting import REFUTED, far_away
 from shaker.labels import LOAD_COMPONENTS
 from shaker.lti.indices import Indices, indices
 from shaker.lti.system import ModalModel
-from shaker.release.fit import METHODS, Method, StepFit, compare, fit_step
+from shaker.release.fit import METHODS, Method, StepFit, among, compare, fit_shapes, untold
 from shaker.release.reading import ReleaseKind, compare_releases, read_releases
 from shaker.release.record import Reading, StepRecord
 
@@ -36,7 +37,9 @@ class Release:
     """One recording: its record, what every output shows, and the model of the driven output.
 
     `record`: without the uncertainty of the load, which all releases share; `readings`: of the outputs that can be
-    read, the driven one `driven` first; `fit`: None where no model was found.
+    read, the driven one `driven` first; `fit`: None where no model was found; `shapes`: it and that of the other shape
+    of the release, each as if the other were refuted; `excess`: χ² of the other above that of the first, of all
+    releases by the same rope.
     """
 
     manifest: Manifest
@@ -44,6 +47,8 @@ class Release:
     driven: str
     readings: tuple[Reading, ...]
     fit: StepFit | None = None
+    shapes: tuple[StepFit, ...] = ()
+    excess: float = np.inf
 
     @property
     def name(self) -> str:
@@ -223,18 +228,53 @@ def fit_release(
     """
     modes, real_poles = structure or (settings.modes, settings.real_poles)
     try:
-        fit = fit_step(
+        shapes = fit_shapes(
             release.record,
             release.driven,
-            reading=release.reading,
-            modes=modes,
-            real_poles=real_poles,
-            method="arx" if settings.method == "arx" else "pencil",
-            release=None if settings.release == "auto" else settings.release,
+            release.reading,
+            modes,
+            real_poles,
+            "arx" if settings.method == "arx" else "pencil",
+            None if settings.release == "auto" else settings.release,
         )
     except FAILURES as error:
         return release, (Notice("warning", f"no model of {release.driven} was found: {error}", release.name),)
-    return replace(release, fit=fit), ()
+    return replace(release, fit=among(shapes), shapes=shapes), ()
+
+
+# A rope lets go in one way, which its releases tell together.
+
+
+def in_one_shape(releases: Sequence[Release]) -> tuple[Release, ...]:
+    """Return releases with the models of that shape which all by the same rope make the likeliest."""
+    total = defaultdict[tuple[str, str], float](float)
+    for release in releases:
+        for fit in release.shapes:
+            total[release.record.release, fit.shape] += fit.excess
+
+    def settled(release: Release) -> Release:
+        if len(release.shapes) < 2:
+            return release
+        by_rope = {fit.shape: total[release.record.release, fit.shape] for fit in release.shapes}
+        shapes = tuple(sorted(release.shapes, key=lambda fit: by_rope[fit.shape]))
+        excess = by_rope[shapes[1].shape] - by_rope[shapes[0].shape]
+        return replace(release, fit=among(shapes, excess), shapes=shapes, excess=excess)
+
+    return tuple(map(settled, releases))
+
+
+def other_shapes(releases: Sequence[Release]) -> Iterator[tuple[Instead, str]]:
+    """Yield the models of all releases if those of one rope went in the other shape, where these do not refute it.
+
+    With what that would mean, in words, "" where it is little.
+    """
+    for rope in dict.fromkeys(release.record.release for release in releases if release.excess < REFUTED):
+        mine = [release.record.release == rope and release.excess < REFUTED for release in releases]
+        models = [release.shapes[int(own)].model for release, own in zip(releases, mine, strict=True)]
+        one = releases[mine.index(True)]
+        means = untold(one.shapes[0], one.shapes[1])
+        text = f"releases by {rope or UNNAMED} do not tell whether the load goes along {means}" if means else ""
+        yield Instead([model for model in models if model is not None], far_away(one.excess)), text
 
 
 # Which releases of a component make its model, and of which structure.
@@ -304,8 +344,8 @@ def fit_component(releases: Sequence[Release], settings: StepSettings) -> Fitted
 
     Chosen releases whose models have another structure than most are fitted anew; what cannot be fitted so is left out.
     """
-    own, told = zip(*(fit_release(release, settings) for release in releases), strict=True)
-    notices: list[Notice] = [*chain.from_iterable(told)]
+    fits, told = zip(*(fit_release(release, settings) for release in releases), strict=True)
+    own, notices = in_one_shape(fits), [*chain.from_iterable(told)]
     chosen, reason = choose_releases(own)
     if not chosen:
         return Fitted(own, (), reason, tuple(notices))
@@ -317,7 +357,7 @@ def fit_component(releases: Sequence[Release], settings: StepSettings) -> Fitted
     for release in chosen:
         again = release
         if release.structure != wanted:
-            again, _ = fit_release(replace(release, fit=None), settings, wanted)
+            again, _ = fit_release(replace(release, fit=None, shapes=()), settings, wanted)
             if again.structure != wanted:
                 notices.append(Notice("warning", f"{release.driven}: left out, no model with {text}", release.name))
                 continue
@@ -325,8 +365,9 @@ def fit_component(releases: Sequence[Release], settings: StepSettings) -> Fitted
         alike[release.name] = again
     if anew:
         notices.append(Notice("info", f"fitted anew with {text}", ", ".join(anew)))
-    everything = tuple(alike.get(release.name, release) for release in own)
-    return Fitted(everything, tuple(alike.values()), reason, tuple(notices), tuple(anew))
+    used = {release.name: release for release in in_one_shape([*alike.values()])}
+    everything = tuple(used.get(release.name, release) for release in own)
+    return Fitted(everything, tuple(used.values()), reason, tuple(notices), tuple(anew))
 
 
 # What different methods make of one release.
