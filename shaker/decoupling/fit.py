@@ -315,6 +315,10 @@ def _notices(model: MultiModel, releases: Sequence[ReleaseFit], fit: Fitted) -> 
         told.append(Notice("warning", "the model has a pole that grows", "model"))
     for component in model.components:
         own = [release for release in releases if release.component == component]
+        shortest = min(release.duration_s for release in own)
+        if slow := ", ".join(f"{hz:.5g}" for hz in np.sort(model.frequency_hz) if hz * shortest > 1.0):
+            text = f"what it does to modes at {slow} Hz may be off by more than U: no release is as short as a period"
+            told.append(Notice("warning", text, component))
         if len(own) < 2:
             text = f"one release of {component}: what another would change is not in U"
             told.append(Notice("info", text, component))
