@@ -9,6 +9,7 @@ import numpy as np
 from shaker.arrays import Brief, ComplexArray, FloatArray
 from shaker.fitting import Block, Changes, Prior, Rules, Separable, eliminate, levenberg_marquardt
 from shaker.lti.system import ModalModel, modal_poles
+from shaker.release.record import TESTED, is_white, slow_noise
 from shaker.release.response import Answers, Load, Samples, answers, responses
 
 # How many poles and zeros a model has, and what its parameters make of them.
@@ -251,9 +252,7 @@ def _twice(structure: Structure) -> FloatArray:
 
 # Covariance of a fit, honest with noise that is coloured by a filter and with a coarse converter.
 
-_LAGS = 20  # the record's length over the lags of the residual's correlation that are kept
-_TESTED = 40  # lags that the residual is tested for correlation at
-_WHITE = 73.4  # largest sum of N·r² over forty lags that white noise passes 999 times in 1000
+_LAGS = 20  # the record's length over the lags of the residual's correlation that are kept, at least `TESTED`
 
 
 @dataclass(frozen=True, repr=False)
@@ -293,14 +292,14 @@ def spread(solution: Solution, whole: Samples) -> FitSpread:
     normal = scaled.T @ scaled + known * variance
     inverse = np.linalg.pinv(normal, rcond=1e-14, hermitian=True)
     gain = inverse @ scaled.T
-    correlation = np.fft.irfft(np.abs(np.fft.rfft(residual, 2 * len(residual))) ** 2)[: _TESTED + 1]
-    white = not np.any(residual) or bool(len(residual) * np.sum((correlation[1:] / correlation[0]) ** 2) < _WHITE)
+    white = is_white(residual)
     middle = inverse * variance
     excess = 1.0
     if not white:
         coloured = gain @ _correlated(residual, gain.T) * len(residual) / freedom
         excess = float(coloured[0, 0] / max(1e-300, (gain @ gain.T)[0, 0] * variance))
-        middle = coloured + inverse @ (known * variance**2) @ inverse
+        slow, taken = slow_noise(scaled, residual, gain, variance)
+        middle = coloured + (taken * slow) @ taken.T + inverse @ (known * variance**2) @ inverse
     middle = middle + _converter(whole, residual, gain, fitted)
     covariance = middle / np.outer(scale, scale)
     u_onset_s = u_release_s = 0.0
@@ -358,7 +357,7 @@ def _correlated(residual: FloatArray, columns_: FloatArray) -> FloatArray:
     count = len(residual)
     size = 2 ** int(np.ceil(np.log2(2 * count)))
     correlation = np.fft.irfft(np.abs(np.fft.rfft(residual, size)) ** 2)[:count] / count
-    x = np.arange(count) / max(_TESTED, count // _LAGS)
+    x = np.arange(count) / max(TESTED, count // _LAGS)
     window = np.where(x <= 0.5, 1 - 6 * x**2 + 6 * x**3, 2 * np.maximum(0.0, 1 - x) ** 3)
     kept = correlation * window
     density = np.fft.rfft(np.concatenate([kept, np.zeros(size - 2 * count + 1), kept[:0:-1]]))

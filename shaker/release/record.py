@@ -216,7 +216,8 @@ class Level:
 def ringing_level(samples: FloatArray, poles: ComplexArray, resolution: float) -> Level:
     """Return the level about which samples (N,) ring, by least squares with decays of upper poles (M,) per sample.
 
-    Without poles it is the mean at rest. The uncertainty holds the correlation of what is left, and the last digit.
+    Without poles it is the mean at rest. The uncertainty holds the correlation of what is left, the last digit, and by
+    how much slow noise may be off at the end, where the release is.
     """
     count = len(samples)
     place = np.arange(count, dtype=np.float64)
@@ -227,6 +228,9 @@ def ringing_level(samples: FloatArray, poles: ComplexArray, resolution: float) -
     drift, u_drift, _ = _fitted(np.concatenate([columns, middle[:, None]], axis=1), samples, columns.shape[1])
     least = resolution / np.sqrt(12.0)
     noise = float(np.sqrt(residual @ residual / max(count - columns.shape[1], 1)))
+    if not is_white(residual):
+        gain = np.linalg.pinv(columns, rcond=1e-12)
+        u = float(np.hypot(u, np.sqrt(np.sum(slow_noise(columns, residual, gain, noise**2)[0]))))
     digit = least if noise < least else 0.0  # without noise the last digit is the same in all samples
     return Level(value, float(np.hypot(u, digit)), max(noise, least), drift, drift / max(u_drift, digit, 1e-300))
 
@@ -240,6 +244,39 @@ def _fitted(columns: FloatArray, samples: FloatArray, wanted: int) -> tuple[floa
     variance = float(residual @ residual) / max(len(samples) - columns.shape[1], 1) * correlation_factor(residual)
     u = float(np.sqrt(variance * inverse[wanted, wanted]) / size[wanted])
     return float(linear[wanted] / size[wanted]), u, residual
+
+
+TESTED = 40  # lags that a residual is tested for correlation at
+_WHITE = 73.4  # largest sum of N·r² over forty lags that white noise passes 999 times in 1000
+_SLOW = 20  # half periods over a record up to which noise counts as slow
+
+
+def is_white(residual: FloatArray) -> bool:
+    """Tell whether a residual (N,) passes as white noise; one of zeros does."""
+    correlation = np.fft.irfft(np.abs(np.fft.rfft(residual, 2 * len(residual))) ** 2)[: TESTED + 1]
+    return not np.any(residual) or bool(len(residual) * np.sum((correlation[1:] / correlation[0]) ** 2) < _WHITE)
+
+
+def slow_noise(
+    columns: FloatArray, residual: FloatArray, gain: FloatArray, variance: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return variances (S,) of drift, hum and 1/f noise, and what they make of a fit's coefficients (K, S).
+
+    A correlation over lags tells little of what is as slow as the record. Of the cosines of 1, 2, … half periods over
+    it, fitted to the residual (N,) one by one beside the columns (N, K), each has the variance that those up to an
+    octave above it show beyond white noise of a `variance`, as the fit takes up most of the slowest itself; `gain`
+    (K, N): coefficients from samples.
+    """
+    count = len(residual)
+    wave = np.cos(np.pi * np.arange(1, 2 * _SLOW + 1) * (np.arange(count)[:, None] + 0.5) / count)
+    taken = gain @ wave
+    power = np.einsum("nk,nk->k", wave, wave - columns @ taken)
+    shown = (wave.T @ residual) ** 2 / np.maximum(power, 1e-12 * count)
+    sums = np.concatenate([np.zeros((2, 1)), np.cumsum([shown, power], axis=1)], axis=1)
+    first = np.arange(_SLOW)
+    of_octave = sums[:, 2 * first + 2] - sums[:, first]
+    excess = np.maximum(of_octave[0] - variance * (first + 2.0), 0.0) / of_octave[1]
+    return np.asarray(excess), np.asarray(taken[:, :_SLOW])
 
 
 def correlation_factor(residual: FloatArray) -> float:
