@@ -23,7 +23,7 @@ from shaker.decoupling.problem import (
 )
 from shaker.decoupling.search import Trial, alike, chosen, lagged, needed, otherwise, shaped
 from shaker.fitting import REACH, far_away
-from shaker.release.poles import highest_frequency, shared_poles
+from shaker.release.poles import UNCLEAR, highest_frequency, shared_poles
 from shaker.release.reading import begun
 from shaker.release.record import Shape, StepRecord
 from shaker.release.response import Samples, averaged
@@ -233,13 +233,14 @@ def multi_fit(
     for d, share in enumerate(shares):  # all residues of a load share the uncertainty of its scale
         here = slice(model.shared + d * size, model.shared + (d + 1) * size)
         covariance[here, here] += share**2 * np.outer(model.vector[here], model.vector[here])
+    model = replace(model, covariance=covariance + away.T @ away)
     data = [float(np.vdot(block.data, block.data)) + block.squares for block in point.blocks]
     left = [
         float(np.vdot(rest, rest)) + block.squares for block, rest in zip(point.blocks, point.residuals, strict=True)
     ]
     amplitude = [max(abs(r.amplitude) for r in records if r.component == name) for name in problem.components]
     return MultiFit(
-        model=replace(model, covariance=covariance + away.T @ away),
+        model=model,
         noise=noise * misfit,
         sample_rate_hz=records[0].sample_rate_hz,
         amplitude=np.array(amplitude),
@@ -313,6 +314,10 @@ def _notices(model: MultiModel, releases: Sequence[ReleaseFit], fit: Fitted) -> 
         told.append(Notice("warning", "the fit did not come to rest: its poles may be off", "model"))
     if not model.stable:
         told.append(Notice("warning", "the model has a pole that grows", "model"))
+    for hz, zeta, u_zeta in zip(model.frequency_hz, model.damping_ratio, model.u.damping_ratio, strict=True):
+        if u_zeta > UNCLEAR * abs(zeta):
+            text = f"the mode at {hz:.5g} Hz, ζ = {zeta:.2g} ± {u_zeta:.1g}, may be hum and none of the sensor's"
+            told.append(Notice("warning", text, "model"))
     for component in model.components:
         own = [release for release in releases if release.component == component]
         shortest = min(release.duration_s for release in own)

@@ -12,7 +12,7 @@ import numpy as np
 from shaker.arrays import ComplexArray, FloatArray, Notice, Severity
 from shaker.lti.system import ModalModel
 from shaker.release.output_error import FitSpread, Problem, Solution, Structure, design, gain_by, solve, squares
-from shaker.release.poles import instruments, peaks_hz, pencil, thinned, upper_poles
+from shaker.release.poles import UNCLEAR, instruments, peaks_hz, pencil, thinned, upper_poles
 from shaker.release.record import Reading, StepRecord
 from shaker.release.response import Load, Samples, block_length, in_blocks
 
@@ -256,7 +256,6 @@ def more_terms(found: Solution, starts: list[FloatArray], highest_hz: float) -> 
 # What the user should know of an identification.
 
 SHAPES = {"step": "a step", "ramp": "a ramp", "smooth": "half a cosine", "measured": "the measured force"}
-_UNCLEAR = 0.25  # relative standard uncertainty of a real pole or of a damping ratio that says little of it
 _MORE = 1.5  # residual's variance over that of the noise before the release that a right model would leave
 
 
@@ -277,12 +276,12 @@ def _of_poles(model: ModalModel, rate_hz: float) -> Iterator[tuple[Severity, str
     for hz, zeta, u_zeta in zip(model.frequency_hz, model.damping_ratio, u[modes : 2 * modes], strict=True):
         if zeta < 0:
             yield "warning", f"the mode at {hz:.5g} Hz grows, ζ = {zeta:.3g}: the model is unstable"
-        elif u_zeta > _UNCLEAR * zeta or zeta > 0.6:
+        elif u_zeta > UNCLEAR * zeta or zeta > 0.6:
             yield "warning", f"the mode at {hz:.5g} Hz, ζ = {zeta:.2g} ± {u_zeta:.1g}, may be none of the sensor's"
         if hz > 0.4 * rate_hz:
             yield "warning", f"the mode at {hz:.5g} Hz lies near half the sampling rate of {rate_hz:.6g} Hz"
     for hz, u_hz in zip(model.real_hz, u[4 * modes :], strict=False):
-        if hz > 0.5 * rate_hz or u_hz > _UNCLEAR * abs(hz):
+        if hz > 0.5 * rate_hz or u_hz > UNCLEAR * abs(hz):
             yield "warning", f"the real pole at {hz:.3g} ± {u_hz:.1g} Hz is hardly told by the record"
 
 

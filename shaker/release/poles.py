@@ -15,6 +15,7 @@ from shaker.arrays import ComplexArray, FloatArray
 
 PER_PERIOD = 8  # samples that are left of the period of the fastest mode
 _LONGEST = 240  # of them that a start is taken from
+UNCLEAR = 0.25  # relative standard uncertainty of a real pole or of a damping ratio that says little of it
 
 
 def shift_poles(space: FloatArray, step_s: float) -> ComplexArray:

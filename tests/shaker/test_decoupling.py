@@ -359,6 +359,19 @@ def test_lengths_of_releases_that_explain_the_records_alike_are_in_the_uncertain
     assert told.where == "Fx"
 
 
+def test_hum_that_is_taken_for_a_mode_is_told():
+    """50 Hz of a third of the noise in every output, at any phase."""
+    rng, records = np.random.default_rng(5), []
+    noise = 0.003 * SENSOR.size * np.diag(SENSOR.show @ SENSOR.drive)
+    for record in SENSOR.releases(1):
+        turn = 2.0 * np.pi * (50.0 * record.time_s + rng.uniform())
+        records.append(replace(record, samples=record.samples + np.sqrt(2.0) * noise[:, None] * np.sin(turn)))
+    found = fit_steps(records)
+    assert np.sort(found.model.frequency_hz) == pytest.approx([50.0, *SENSOR.frequency_hz], rel=0.02)
+    (told,) = (notice for notice in found.notices if "none of the sensor's" in notice.text)
+    assert told.text.startswith("the mode at 5") or told.text.startswith("the mode at 49")
+
+
 def test_a_mode_faster_than_every_release_of_a_load_is_told():
     """Releases of 2.6 ms: 0.8 and 0.9 periods of two modes, 1.5 of the third."""
     found = fit_steps(replace(SENSOR, release_s=2.6e-3, scatter=0.05).releases(3))
