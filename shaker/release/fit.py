@@ -13,7 +13,7 @@ from shaker.arrays import Brief, FloatArray, Notice, check_shape, check_shapes
 from shaker.fitting import REFUTED, far_away
 from shaker.lti.indices import pole_notices
 from shaker.lti.system import LinearSystem, ModalModel
-from shaker.release.order import SHAPES, Found, Search, known_about, more_terms, remarks, searched
+from shaker.release.order import Found, Search, known_about, more_terms, remarks, searched
 from shaker.release.output_error import Problem, Structure, modal_model, solve, spread, squares
 from shaker.release.reading import read_release
 from shaker.release.record import Reading, Shape, StepRecord
@@ -104,6 +104,7 @@ def outcome(record: StepRecord, reading: Reading, found: Found, method: Method, 
 
 # A model of a sensor from the record of one release.
 
+SHAPES = {"step": "a step", "ramp": "a ramp", "smooth": "half a cosine", "measured": "the measured force"}
 Release = Literal["step", "ramp", "smooth", "measured"]
 
 

@@ -255,7 +255,6 @@ def more_terms(found: Solution, starts: list[FloatArray], highest_hz: float) -> 
 
 # What the user should know of an identification.
 
-SHAPES = {"step": "a step", "ramp": "a ramp", "smooth": "half a cosine", "measured": "the measured force"}
 _MORE = 1.5  # residual's variance over that of the noise before the release that a right model would leave
 
 
