@@ -470,10 +470,20 @@ def stated_gain(manifest: Manifest, channel: str, component: str) -> tuple[float
 
 
 def ropes_of(releases: Sequence[Release], used: Sequence[str]) -> tuple[Rope, ...]:
-    """Return the releases by what let go, the fastest rise first; how long the load changed is told by the models."""
-    readings = [replace(r.reading, release_s=r.release_s, u_release_s=r.u_release_s) for r in releases]
+    """Return the releases by what let go, the fastest rise first; how long the load changed is told by the models.
+
+    By how much that would be otherwise in the other shape, all releases by one rope share.
+    """
+    readings = []
+    for release in releases:
+        timed = release.shapes[0] if release.shapes else release.reading
+        readings.append(replace(release.reading, release_s=timed.release_s, u_release_s=timed.u_release_s))
     ropes = []
     for kind in compare_releases(readings):
-        own = tuple(release.name for release in releases if release.record.release == kind.release)
-        ropes.append(Rope(kind, own, not set(used).isdisjoint(own)))
+        own = [release for release in releases if release.record.release == kind.release]
+        names = tuple(release.name for release in own)
+        apart = [(r.shapes[1].release_s - r.release_s) / far_away(r.excess) for r in own if r.excess < REFUTED]
+        u_mean = float(np.hypot(kind.length.u_mean, sum(apart) / len(own)))
+        shown = replace(kind, length=replace(kind.length, u_mean=u_mean))
+        ropes.append(Rope(shown, names, not set(used).isdisjoint(names)))
     return tuple(ropes)
