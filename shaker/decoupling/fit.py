@@ -79,7 +79,7 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
     near = replace(problem, records=tuple(cut))
     fit, trials = chosen(near, lagged(near, start, tuple(releases)), most_modes, most_reals)
     fit, others = otherwise(near, fit)
-    fit = shaped(problem, fit_poles(problem, fit.poles, fit.releases, calm=_NEAR))
+    fit = shaped(problem, near, fit_poles(problem, fit.poles, fit.releases, calm=_NEAR))
     again = noise * misfits(problem, fit)
     weighted = [
         replace(one, samples=replace(one.samples, value=one.samples.value * noise / again)) for one in problem.records

@@ -99,10 +99,13 @@ def chosen(problem: StepProblem, start: Offer, most: int | None, reals: int) -> 
     return here, trials
 
 
-def shaped(problem: StepProblem, fit: Fitted) -> Fitted:
-    """Return the fit in which each release goes along a line or half a cosine, whichever leaves clearly less."""
+def shaped(problem: StepProblem, near: StepProblem, fit: Fitted) -> Fitted:
+    """Return the fit in which each release goes along a line or half a cosine, whichever leaves clearly less.
+
+    `near`: the same problem with what the records hold about their releases alone, which tells the shape.
+    """
     releases = tuple(
-        _better_shape(problem, fit, i) if release.duration_s > _TOLD_SAMPLES * problem.step_s else release
+        _better_shape(near, fit, i) if release.duration_s > _TOLD_SAMPLES * problem.step_s else release
         for i, release in enumerate(fit.releases)
     )
     return fit if releases == fit.releases else fit_poles(problem, fit.poles, releases, _FEW_STEPS, _ROUGH)
@@ -132,8 +135,11 @@ def otherwise(problem: StepProblem, fit: Fitted) -> tuple[Fitted, list[Times]]:
         places = problem.places(component)
         part, own = problem.part(places), tuple(fit.releases[i] for i in places)
         tried = [[replace(one, duration_s=by * one.duration_s) for one in own] for by in _OTHERWISE]
-        ends = [(end.loss, end.releases) for end in (_timed(part, fit.poles, times) for times in tried)]
-        ends = sorted([(part.point(fit.poles, own).loss - _ROUGH, own), *ends], key=lambda end: end[0])
+        loss = part.point(fit.poles, own).loss
+        ends = [
+            (end.loss, end.releases) for end in (_timed(part, fit.poles, one, loss + _HARDLY_MORE) for one in tried)
+        ]
+        ends = sorted([(loss - _ROUGH, own), *ends], key=lambda end: end[0])
         for i, release in zip(places, ends[0][1], strict=True):
             releases[i] = release
         near = [times for loss, times in ends[1:] if loss < ends[0][0] + _HARDLY_MORE]
@@ -166,9 +172,9 @@ def _apart(problem: StepProblem, one: Sequence[Release], other: Sequence[Release
     return bool(np.any(np.ptp(lengths, axis=1) > np.maximum(_APART * lengths.max(axis=1), problem.step_s)))
 
 
-def _timed(problem: StepProblem, poles: Poles, releases: Sequence[Release]) -> Fitted:
-    """The best times of releases where the poles are known."""
-    return fit_poles(problem, poles, releases, _FEW_STEPS, _ROUGH, held=poles.count)
+def _timed(problem: StepProblem, poles: Poles, releases: Sequence[Release], wanted: float = np.inf) -> Fitted:
+    """The best times of releases where the poles are known, where they bring the loss down to what is `wanted`."""
+    return fit_poles(problem, poles, releases, _FEW_STEPS, _ROUGH, held=poles.count, wanted=wanted)
 
 
 def _begun(part: StepProblem, poles: Poles, release: Release) -> Release:
