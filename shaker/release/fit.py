@@ -13,7 +13,7 @@ from shaker.arrays import Brief, FloatArray, Notice, check_shape, check_shapes
 from shaker.fitting import REFUTED, far_away
 from shaker.lti.indices import pole_notices
 from shaker.lti.system import LinearSystem, ModalModel
-from shaker.release.order import Found, Search, known_about, more_terms, remarks, searched
+from shaker.release.order import Found, Search, charged, known_about, more_terms, remarks, searched
 from shaker.release.output_error import Problem, Structure, modal_model, solve, spread, squares
 from shaker.release.reading import read_release
 from shaker.release.record import Reading, Shape, StepRecord
@@ -162,7 +162,8 @@ def fit_shapes(
     whole = every_sample(record.samples[record.channels.index(channel)], record.time_s, 1.0 / record.sample_rate_hz)
     found = searched(Search(whole, reading, loads(record, reading, release), method, modes, real_poles))
     fits = [outcome(record, reading, one, method, began) for one in found]
-    return tuple(replace(fit, excess=one.charged - found[0].charged) for fit, one in zip(fits, found, strict=True))
+    least, *_ = costs = [charged(one.solution) for one in found]
+    return tuple(replace(fit, excess=cost - least) for fit, cost in zip(fits, costs, strict=True))
 
 
 def among(fits: Sequence[StepFit], excess: float | None = None) -> StepFit:

@@ -167,11 +167,6 @@ class Found:
     solution: Solution
     path: tuple[float, ...]
 
-    @property
-    def charged(self) -> float:
-        """χ² but for what all fits of a record share, 8 added for each numerator term."""
-        return chi_square(self.solution) + TERM * self.solution.problem.structure.terms
-
 
 def searched(search: Search) -> tuple[Found, ...]:
     """Return the fits that the record supports, one for each load that comes into question, the likeliest first.
@@ -191,11 +186,11 @@ def searched(search: Search) -> tuple[Found, ...]:
     search = replace(search, colour=colour)
     reals = 1 if search.reals is None else search.reals
     fits = [_fit_one(search, load, modes, reals) for load in search.loads]
-    found = sorted((Found(fit, fit.path) for fit in fits), key=lambda one: one.charged)
+    found = sorted((Found(fit, fit.path) for fit in fits), key=lambda one: charged(one.solution))
     first = _with_real(found[0], CLEAR) if search.reals is None else None
-    if first is not None and better(found[0].solution, first.solution):
+    if first is not None and charged(first.solution) < charged(found[0].solution):
         rest = [_with_real(one, -np.inf) or one for one in found[1:]]
-        found = sorted([first, *rest], key=lambda one: one.charged)
+        found = sorted([first, *rest], key=lambda one: charged(one.solution))
     return tuple(found)
 
 
@@ -212,18 +207,12 @@ def _with_real(found: Found, least: float) -> Found | None:
     return Found(more, found.path + more.path)
 
 
-def better(plain: Solution, rich: Solution) -> bool:
-    """Return whether a richer fit is worth its parameters: 8 of χ² for a numerator term, 12 for a real pole."""
-    terms = rich.problem.structure.terms - plain.problem.structure.terms
-    poles = rich.problem.structure.order - plain.problem.structure.order
-    return chi_square(plain) - chi_square(rich) > TERM * terms + CLEAR * poles
-
-
-def chi_square(solution: Solution) -> float:
-    """Return χ² of a fit but for what all fits of its samples share."""
-    samples = solution.problem.samples
+def charged(fit: Solution) -> float:
+    """Return χ² of a fit, but for what all fits of its samples share, and 8 for a numerator term, 12 for a pole."""
+    samples, structure = fit.problem.samples, fit.problem.structure
     least = _ROUNDING**2 * float(np.sum((samples.weight * samples.value) ** 2))
-    return solution.size * float(np.log(solution.square + least)) / solution.problem.colour
+    chi_square = fit.size * float(np.log(fit.square + least)) / fit.problem.colour
+    return chi_square + TERM * structure.terms + CLEAR * structure.order
 
 
 def _fit_one(search: Search, load: Load, modes: ComplexArray, reals: int) -> Solution:
@@ -249,7 +238,7 @@ def more_terms(found: Solution, starts: list[FloatArray], highest_hz: float) -> 
             start = min(found.vector, starts[terms - 1], key=lambda vector: squares(richer, vector[None])[0, -1])
             firm = 1.0 if terms <= problem.structure.smoothest else 6.0
             trial = solve(*known_about(richer, start, firm * highest_hz))
-            found = replace(trial, path=found.path + trial.path) if better(found, trial) else found
+            found = replace(trial, path=found.path + trial.path) if charged(trial) < charged(found) else found
     return found
 
 

@@ -215,7 +215,7 @@ def measured_response(release: Release) -> Measured:
     else:
         turn = frequency * release.release_s
         share = np.sinc(turn)
-        if (release.reading if release.fit is None else release.fit).shape == "smooth":
+        if release.shape == "smooth":
             near = np.abs(1.0 - (2.0 * turn) ** 2) < 1e-9
             below = np.where(near, 1.0, 1.0 - (2.0 * turn) ** 2)
             share = np.where(near, np.pi / 4.0, np.cos(np.pi * turn) / below)

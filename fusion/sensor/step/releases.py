@@ -25,7 +25,7 @@ from shaker.lti.indices import Indices, indices
 from shaker.lti.system import ModalModel
 from shaker.release.fit import METHODS, Method, StepFit, among, compare, fit_shapes, untold
 from shaker.release.reading import ReleaseKind, compare_releases, read_releases
-from shaker.release.record import Reading, StepRecord
+from shaker.release.record import Reading, Shape, StepRecord
 
 # What evaluated step responses consist of.
 
@@ -69,6 +69,11 @@ class Release:
     def u_release_s(self) -> float:
         """Standard uncertainty of that."""
         return self.reading.u_release_s if self.fit is None else self.fit.u_release_s
+
+    @property
+    def shape(self) -> Shape:
+        """How the load changed: by the fit, else as it was read."""
+        return self.reading.shape if self.fit is None else self.fit.shape
 
     @property
     def structure(self) -> tuple[int, int] | None:
