@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from hashlib import sha256
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -247,6 +248,7 @@ def lines_in(manifest: Manifest, chosen: LineRecord) -> Lines:
     try:
         if manifest.excitation.frequencies is not None:
             return find_lines(time_s, values, manifest.excitation.frequencies, harmonics)
+        record.check_uniform(together)
         nominal_hz, told = _driven_lines(manifest, time_s, values, [member.name for member in together])
         lines = find_lines(time_s, values, nominal_hz, harmonics)
         return replace(lines, notices=(told, *lines.notices))
@@ -312,12 +314,13 @@ def channel_phasors(
 
 
 def _same_times(record: DaqRecord) -> list[list[ChannelEntry]]:
-    """Group a block's channels (triggers left out) by equal rate, start and length, to be fitted in one solve."""
-    groups: dict[tuple[float, float, int], list[ChannelEntry]] = {}
+    """Group a block's channels (triggers left out) by equal times, to be fitted in one solve."""
+    groups: dict[tuple[float, float, int, bytes], list[ChannelEntry]] = {}
     for channel in record.entry.channel:
         if channel.quantity != "trigger":
             raw = record.raw[channel.name]
-            groups.setdefault((raw.sample_rate_hz, raw.start_s, len(raw.samples)), []).append(channel)
+            stamps = b"" if raw.stamp_s is None else sha256(raw.stamp_s.tobytes()).digest()
+            groups.setdefault((raw.sample_rate_hz, raw.start_s, len(raw.samples), stamps), []).append(channel)
     return list(groups.values())
 
 
@@ -423,7 +426,8 @@ def _result(
     place = fit.phasors.channels.index(channel.name)
     first = slice(0, min(len(values), int(EXCERPT_PERIODS * rate_hz / fit.phasors.frequency_hz[0]) + 2))
     none = Spectrum(np.empty(0), np.empty((0, 1)))
-    spectrum = amplitude_spectrum(values, rate_hz, MOST_BINS) if shown else none
+    uniform = record.raw[channel.name].stamp_s is None
+    spectrum = amplitude_spectrum(values, rate_hz, MOST_BINS) if shown and uniform else none
     result = ChannelResult(
         name=channel.name,
         daq=block,

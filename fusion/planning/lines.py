@@ -156,6 +156,8 @@ def _file_group(
     rate_hz = next(iter(group.values())).sample_rate_hz
     values = Stacked(tuple(channel.samples for channel in group.values()), (1.0,) * len(group))
     for name, channel in group.items():
+        if channel.gap is not None:
+            raise InputError(path, name, found=channel.gap, expected="uniform sampling")
         missing = int(np.count_nonzero(~np.isfinite(channel.samples)))
         if missing:
             raise InputError(path, name, found=f"{missing} that are not", expected="finite samples")

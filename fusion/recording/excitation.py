@@ -174,6 +174,11 @@ class ExcitationKind:
     tabled: bool = False
 
     @property
+    def uniform(self) -> bool:
+        """Whether it needs channels that are sampled uniformly; sines are fitted at whatever times there are."""
+        return self.commands[0] != "run"
+
+    @property
     def command_remark(self) -> list[str]:
         """Return what `check` says first, of what `shakercal run` does not evaluate."""
         command = self.commands[0]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,6 +12,7 @@ import numpy as np
 
 from fusion.base import ComputeError, InputError, as_input_error
 from fusion.instruments.transducer import TRANSDUCERS, wrong_aim
+from fusion.recording.excitation import KINDS
 from fusion.recording.manifest import SCAN, ChannelEntry, Daq, Frames
 from shaker.arrays import FloatArray, Stacked
 from shaker.io import read_channels
@@ -43,12 +44,18 @@ class DaqRecord:
 
     def time_s(self, name: str) -> FloatArray:
         """Return the times (S,) of a channel's samples, seconds from the block's earliest sample on its own clock."""
-        raw = self.raw[name]
-        return np.asarray(self.lag_s(name) + np.arange(len(raw.samples)) / raw.sample_rate_hz)
+        return np.asarray(self.lag_s(name) + self.raw[name].time_s)
 
     def values(self, channel: ChannelEntry) -> FloatArray:
         """Return the samples (S,) of a channel times its scale: SI of its quantity."""
         return np.asarray(self.raw[channel.name].samples * channel.scale)
+
+    def check_uniform(self, channels: Iterable[ChannelEntry]) -> None:
+        """Raise `InputError` for a channel whose samples are not uniform, naming its first gap."""
+        for channel in channels:
+            gap = self.raw[channel.name].gap
+            if gap is not None:
+                raise InputError(self.entry.file, channel.stored_name, found=gap, expected="uniform sampling")
 
     def stacked(self, channels: Sequence[ChannelEntry]) -> Stacked:
         """Return channels sampled alike side by side, (S, C), in SI of their quantities."""
@@ -251,6 +258,8 @@ def _read_daq(
         record = DaqRecord(daq, raw, min(channel.start_s for channel in raw.values()))
     for entry in daq.channel:
         _check_samples(daq, entry, record.raw[entry.name])
+    every = KINDS[manifest.excitation.kind].uniform
+    record.check_uniform(entry for entry in daq.channel if every or entry.quantity == "trigger")
     return record
 
 

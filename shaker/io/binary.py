@@ -10,60 +10,105 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from shaker.arrays import FloatArray
 from shaker.io.channel import (
     DEEPEST,
     Column,
     RawChannel,
     check_stored,
-    checked_rate,
     chosen,
     columns_of,
     is_time,
     most_bytes,
     numbers,
     opened_hdf5,
-    rate_of_times,
     read_datasets,
 )
 from shaker.io.mat5 import check_mat5
+from shaker.io.times import SampleTimes, agreed_rate, times_of_stamps
 
 _RATES = ("sample_rate", "sampling_rate", "sampling_frequency", "fs")
 _MATLAB_RATES = ("sample_rate", "fs", "Fs")
 _STARTS, _UNITS = ("start_time",), ("unit", "units")
 _TIMES = ("time", "Time", "t")
+_TIME_UNITS = ("time_unit", "time_units")
+_PERHAPS, _ALIKE = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}, 0.01  # units of times that state none, by the rate
+_CF_PACKING = ("scale_factor", "add_offset", "_FillValue")
+_NWB_PACKING = ("conversion", "offset", "_FillValue")
 _LONGEST_TEXT = 1 << 20  # letters
 _MOST_ARRAYS = 250_000  # of a MATLAB file
 
 
 @dataclass(frozen=True)
-class _Beside:
-    """What a channel has beside it: rate, start, unit, and where no rate is stated the name of a vector of times."""
+class _Packing:
+    """Numbers as stored: factor and addend that unpack them, and the one that stands for a missing sample."""
+
+    factor: float
+    addend: float
+    missing: float | None
+
+    def unpacked(self, stored: NDArray[Any]) -> FloatArray:
+        """Return the samples that the numbers stand for, NaN where one is missing."""
+        values = np.multiply(stored, self.factor, dtype=np.float64) + self.addend
+        return values if self.missing is None else np.where(stored == self.missing, np.nan, values)
+
+
+@dataclass(frozen=True)
+class _Stated:
+    """What a file states of a channel: rate, start, unit, the vector of times by name, its unit, and packings."""
 
     rate: float | None
     start: float | None
     unit: str
     times: str | None
+    time_unit: str = ""
+    packing: _Packing | None = None
+    time_packing: _Packing | None = None
 
 
 def _put_together(
     path: Path,
     datasets: Mapping[str, Any],
     columns: Mapping[str, Column],
-    wanted: Mapping[str, _Beside],
+    wanted: Mapping[str, _Stated],
     sample_rate_hz: float | None,
 ) -> dict[str, RawChannel]:
-    """Return the channels wanted: by the rate beside them, else by a vector of times, else by the rate given."""
-    times = {beside.times for beside in wanted.values() if beside.times}
-    values = read_datasets(path, datasets, {name: columns[name] for name in {*wanted, *times}})
+    """Return the channels wanted, dated by the rate and the vector of times that the file states, or the rate given."""
+    times = {stated.times for stated in wanted.values() if stated.times}
+    values = read_datasets(path, datasets, {name: columns[name] for name in {*wanted, *times}}, times)
     result = {}
-    for name, beside in wanted.items():
-        rate, start, where = beside.rate, beside.start or 0.0, f'channel "{name}"'
-        if beside.times:
-            rate, start = rate_of_times(path, values[beside.times], f'{where}: times in "{beside.times}"')
-        rate = checked_rate(path, sample_rate_hz if rate is None else rate, where)
-        result[name] = RawChannel(values[name], rate, start, beside.unit)
+    for name, stated in wanted.items():
+        stamps = None if stated.times is None else values[stated.times]
+        samples = values[name] if stated.packing is None else stated.packing.unpacked(values[name])
+        sampled = _sampled(path, f'channel "{name}"', stated, stamps, sample_rate_hz)
+        result[name] = RawChannel.at(sampled, numbers(path, name, samples), stated.unit)
     return result
+
+
+def _sampled(
+    path: Path, where: str, stated: _Stated, stamps: NDArray[Any] | None, given_hz: float | None
+) -> SampleTimes:
+    """Return the times of a channel's samples.
+
+    Rate and vector of times must agree where a file states both: the vector shows gaps, the rate has more digits.
+    """
+    if stamps is None:
+        return SampleTimes(agreed_rate(path, where, stated.rate, given_hz), stated.start or 0.0)
+    rate = None if stated.rate is None else agreed_rate(path, where, stated.rate, given_hz)
+    where, unit = f'{where}: times in "{stated.times}"', stated.time_unit
+    if stated.time_packing is not None:
+        stamps = stated.time_packing.unpacked(stamps)
+    if rate is not None and not unit and len(stamps) > 1:
+        step = float(np.median(np.diff(stamps)))
+        unit = next((name for name, factor in _PERHAPS.items() if abs(step * factor * rate - 1.0) < _ALIKE), "")
+        if step == 1.0 and not unit:  # numbers of samples
+            stamps, unit = stamps / rate, "s"
+    found = times_of_stamps(path, where, stamps, unit, given_hz=given_hz if rate is None else rate)
+    if rate is None or found.stamp_s is not None:
+        return found
+    return SampleTimes(rate, found.start_s if stated.start is None else stated.start)
 
 
 def read_hdf5(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
@@ -71,9 +116,11 @@ def read_hdf5(path: Path, names: Sequence[str] | None, sample_rate_hz: float | N
 
     A table (S, C) or (C, S) has the channels `name/1`, `name/2`, …, a dataset of records one channel `name/field` per
     field of numbers. The rate is the attribute `sample_rate` (or `sampling_rate`, `sampling_frequency`, `fs`) of the
-    dataset, else of the groups around it, else of the file; without it a dataset or field `time` (s, uniform) beside
-    the channel and of its length counts, then `sample_rate_hz`. `unit` (or `units`) and `start_time` are looked for
-    in the same places. Memory: the result and one block.
+    dataset, else of the groups around it, else of the file. A dataset or field `time` next to the channel and of its
+    length dates the samples, in s or as its attribute `units` says; without rate and `time`, `sample_rate_hz` counts.
+    `unit` (or `units`) and `start_time` are searched for where the rate is. Packed numbers are unpacked: times
+    `scale_factor` plus `add_offset`, `_FillValue` is NaN (CF conventions), or times `conversion` plus `offset` (NWB).
+    Memory: the result and one block.
     """
     import h5py
 
@@ -94,23 +141,46 @@ def read_hdf5(path: Path, names: Sequence[str] | None, sample_rate_hz: float | N
         for name in chosen(path, names, present):
             node, index, where = file[columns[name].dataset], columns[name].index, f'{path}: channel "{name}"'
             rate, start = (_number(where, _attribute(node, keys), index) for keys in (_RATES, _STARTS))
-            times = _time_beside(name, columns) if rate is None else None
-            units = np.asarray(_attribute(node, _UNITS, ""), dtype=object).reshape(-1)
-            unit = units[index if index is not None and index < len(units) else 0] if len(units) else ""
-            unit = unit.decode("utf-8", "replace") if isinstance(unit, bytes) else str(unit)
-            wanted[name] = _Beside(rate, start, unit, times)
+            times = _time_beside(name, columns)
+            if times is not None and _holder(node, _RATES).name.rstrip("/").count("/") < times.count("/"):
+                rate = None  # stated for a group around that of the times
+            unit = _one_text(_attribute(node, _UNITS, ""), index)
+            packings, time_unit = [_packing(where, node, index), None], ""
+            if times is not None:
+                dated = file[columns[times].dataset]
+                packings[1] = _packing(where, dated, columns[times].index)
+                time_unit = _one_text(next((dated.attrs[key] for key in _UNITS if key in dated.attrs), ""), None)
+            wanted[name] = _Stated(rate, start, unit, times, time_unit, *packings)
         return _put_together(path, file, columns, wanted, sample_rate_hz)
 
 
 def _attribute(node: Any, keys: Sequence[str], default: Any = None) -> Any:
     """Return an attribute of a dataset, else of the groups around it, else of the file."""
-    while True:
-        for key in keys:
-            if key in node.attrs:
-                return node.attrs[key]
-        if node.name == "/":
-            return default
+    attributes = _holder(node, keys).attrs
+    return next((attributes[key] for key in keys if key in attributes), default)
+
+
+def _holder(node: Any, keys: Sequence[str]) -> Any:
+    """Return the dataset, or the nearest of the groups around it, that has one of some attributes; else the file."""
+    while node.name != "/" and not any(key in node.attrs for key in keys):
         node = node.parent
+    return node
+
+
+def _one_text(value: Any, index: int | None) -> str:
+    """Return a text, of several for the columns of a table that of one column."""
+    texts = np.asarray(value, dtype=object).reshape(-1)
+    text = texts[index if index is not None and index < len(texts) else 0] if len(texts) else ""
+    return text.decode("utf-8", "replace") if isinstance(text, bytes) else str(text)
+
+
+def _packing(where: str, node: Any, index: int | None) -> _Packing | None:
+    """Return how the numbers of a dataset are packed, None where they are the samples themselves."""
+    keys = _NWB_PACKING if "conversion" in node.attrs else _CF_PACKING
+    if not any(key in node.attrs for key in keys):
+        return None
+    factor, addend, missing = (_number(where, node.attrs.get(key), index) for key in keys)
+    return _Packing(1.0 if factor is None else factor, addend or 0.0, missing)
 
 
 def _time_beside(name: str, columns: Mapping[str, Column]) -> str | None:
@@ -132,7 +202,7 @@ def _number(where: str, value: Any, index: int | None) -> float | None:
         values = np.asarray(value, dtype=np.float64).reshape(-1)
         return float(values[index] if index is not None and len(values) > 1 else values.reshape(())[()])
     except (TypeError, ValueError, IndexError) as error:
-        raise ValueError(f"{where}: expected numbers in sample_rate and start_time, found {value!r}") from error
+        raise ValueError(f"{where}: expected a number in its attributes, found {value!r}") from error
 
 
 # MATLAB files, versions 4 to 7.2 and 7.3 (HDF5 inside): one vector, table column or field of a struct per channel.
@@ -149,7 +219,8 @@ def read_matlab(path: Path, names: Sequence[str] | None, sample_rate_hz: float |
     """Read vectors by their names, fields of structs as `struct.field`, columns of a table (S, C) as `name/1`, ….
 
     The rate is a scalar `sample_rate` (or `fs`, `Fs`) beside the channel, else in the structs around it, else in the
-    file; without it a vector `time` (or `t`; s, uniform) there of the channel's length counts, then `sample_rate_hz`.
+    file. A vector `time` (or `t`) there of the channel's length dates the samples, in s or as a text `time_unit` there
+    says; without rate and times, `sample_rate_hz` counts.
     Texts `unit` (or `units`) and the scalar `start_time` are looked for in the same places. Cell arrays, arrays of
     structs and objects (among them `timeseries`) are refused by name.
     """
@@ -176,12 +247,16 @@ def _channels(
     present = columns if names is not None else [n for n in columns if n.rpartition(".")[2] not in _TIMES]
     wanted = {}
     for name in chosen(path, names, present):
-        rate, start = (_scalar(path, variables, name, keys) for keys in (_MATLAB_RATES, _STARTS))
+        (rate_key, rate), (_, start) = (_scalar(path, variables, name, keys) for keys in (_MATLAB_RATES, _STARTS))
         near = [columns[other] for other in _beside(name, _TIMES) if other in columns and other != name]
         times = next((own.dataset for own in near if own.length == columns[name].length), None)
         units = (variables.get(key) for key in _beside(name, _UNITS))
         unit = next((text for text in units if type(text) is str), "")
-        wanted[name] = _Beside(rate, start, unit, times if rate is None else None)
+        texts = (variables.get(key) for key in _beside(name, _TIME_UNITS))
+        time_unit = next((text for text in texts if type(text) is str), "")
+        if times is not None and rate_key.count(".") < times.count("."):
+            rate = None  # stated for a struct around that of the times
+        wanted[name] = _Stated(rate, start, unit, times, time_unit)
     return _put_together(path, variables, columns, wanted, sample_rate_hz)
 
 
@@ -193,13 +268,13 @@ def _beside(name: str, keys: Sequence[str]) -> Iterator[str]:
         yield from (f"{struct}.{key}" if struct else key for key in keys)
 
 
-def _scalar(path: Path, variables: Mapping[str, Any], name: str, keys: Sequence[str]) -> float | None:
-    """Return the number that stands beside a channel under one of the keys, None where there is none."""
+def _scalar(path: Path, variables: Mapping[str, Any], name: str, keys: Sequence[str]) -> tuple[str, float | None]:
+    """Return the name and value of the number that one of the keys has for a channel, None where there is none."""
     for key in _beside(name, keys):
         if getattr(variable := variables.get(key), "size", 0) == 1:
             check_stored(path, key, variable)
-            return float(np.asarray(variable).reshape(()))
-    return None
+            return key, float(np.asarray(variable).reshape(()))
+    return "", None
 
 
 def _hdf5_leaves(prefix: str, group: Any) -> Iterator[tuple[str, Any]]:
@@ -236,7 +311,7 @@ def _classic(path: Path, names: Sequence[str] | None) -> dict[str, Any]:
     if names is not None:
         roots = {re.split("[./]", name)[0] for name in names}
         if roots <= {name for name, *_ in whosmat(str(path))}:
-            roots |= {*_MATLAB_RATES, *_STARTS, *_UNITS, *_TIMES}
+            roots |= {*_MATLAB_RATES, *_STARTS, *_UNITS, *_TIMES, *_TIME_UNITS}
         else:
             roots = None  # a name is wrong: all of them stand in the message
     content = loadmat(str(path), variable_names=roots)
@@ -272,7 +347,7 @@ def read_wave(path: Path, names: Sequence[str] | None, sample_rate_hz: float | N
 
     16- and 32-bit integers come as they are, 24-bit ones as the upper bytes of 32 bits (times 256), 8-bit ones from 0
     to 255; floats as they are. The channel's scale has to turn these into SI units. RIFF, RIFX and RF64 files are
-    read. The file states its own sampling rate, and `sample_rate_hz` is not used.
+    read. The file states its own sampling rate, which `sample_rate_hz` must not contradict.
     """
     from scipy.io import wavfile
 
@@ -287,4 +362,5 @@ def read_wave(path: Path, names: Sequence[str] | None, sample_rate_hz: float | N
             raise ValueError(f"{path}: expected a complete WAV file, found its end too early") from error
     columns = samples.reshape(len(samples), -1)
     wanted = chosen(path, names, [str(i + 1) for i in range(columns.shape[1])])
-    return {name: RawChannel(numbers(path, name, columns[:, int(name) - 1]), float(rate), 0.0, "") for name in wanted}
+    rate_hz = agreed_rate(path, "the record", float(rate), sample_rate_hz)
+    return {name: RawChannel(numbers(path, name, columns[:, int(name) - 1]), rate_hz) for name in wanted}

@@ -5,15 +5,17 @@ from __future__ import annotations
 import math
 import stat
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from shaker.arrays import FloatArray, check_shape
+from shaker.io.times import SampleTimes, first_gap
 
 T = TypeVar("T")
 
@@ -23,7 +25,8 @@ class RawChannel:
     """Samples of one channel in the file's own unit.
 
     `samples` (S,), taken at `start_s + i / sample_rate_hz`; `start_s` is the file's start time (s, 0 where the file
-    states none), `unit` the file's own words (empty where it has none).
+    states none), `unit` the file's own words (empty where it has none). Where the file's times are not uniform,
+    `stamp_s` (S,) are the seconds from the first sample, and `sample_rate_hz` is one over their median interval.
 
     >>> import numpy as np
     >>> from shaker import RawChannel
@@ -35,15 +38,37 @@ class RawChannel:
     sample_rate_hz: float
     start_s: float = 0.0
     unit: str = ""
+    stamp_s: FloatArray | None = None
 
     def __post_init__(self) -> None:
         check_shape("samples", self.samples, (None,))
         if not self.sample_rate_hz > 0.0:
             raise ValueError(f"sample_rate_hz: expected a positive number, found {self.sample_rate_hz}")
+        if self.stamp_s is not None:
+            check_shape("stamp_s", self.stamp_s, self.samples.shape)
+
+    @staticmethod
+    def at(times: SampleTimes, samples: FloatArray, unit: str) -> RawChannel:
+        """Return samples (S,) taken at these times."""
+        return RawChannel(samples, times.rate_hz, times.start_s, unit, times.stamp_s)
+
+    @property
+    def gap(self) -> str | None:
+        """Where the times first leave a uniform grid, in words; None where they are uniform."""
+        return first_gap(SampleTimes(self.sample_rate_hz, self.start_s, self.stamp_s))
+
+    @property
+    def time_s(self) -> FloatArray:
+        """Times (S,) of the samples from the first one (s)."""
+        uniform = self.stamp_s is None
+        return np.arange(len(self.samples)) / self.sample_rate_hz if uniform else np.asarray(self.stamp_s)
 
     def __repr__(self) -> str:
         unit = f"unit {self.unit}" if self.unit else "no unit stated"
-        return f"RawChannel({len(self.samples)} samples at {self.sample_rate_hz:g} Hz from {self.start_s:g} s, {unit})"
+        rate = (
+            f"{self.sample_rate_hz:g} Hz" if self.stamp_s is None else f"about {self.sample_rate_hz:g} Hz, not uniform,"
+        )
+        return f"RawChannel({len(self.samples)} samples at {rate} from {self.start_s:g} s, {unit})"
 
 
 # What all file readers share: choosing channels by name, and errors of one sentence that name the file.
@@ -53,7 +78,6 @@ MOST_CHANNELS = 10_000  # of a table
 LONGEST_LINE = 16 << 20  # bytes of a line of text
 DEEPEST = 64  # groups or structs inside one another
 _FREE, _EXPANSION = 512 << 20, 100  # bytes of samples that any file may have, and how many more for each of its own
-UNIFORM = 0.5  # of a sampling interval: how far a time column may stray from a uniform one
 
 
 @contextmanager
@@ -134,15 +158,6 @@ def is_time(name: str) -> bool:
     return name.strip().lower() == "time"
 
 
-def checked_rate(path: Path, rate: float | None, where: str) -> float:
-    """Return a sampling rate, or raise `ValueError` where there is none or it is not positive."""
-    if rate is None:
-        raise ValueError(f"{path}: expected a sampling rate for {where}, found none; give sample_rate")
-    if not (np.isfinite(rate) and rate > 0.0):
-        raise ValueError(f"{path}: expected a positive sampling rate for {where}, found {rate}")
-    return float(rate)
-
-
 def numbers(path: Path, name: str, samples: object) -> FloatArray:
     """Return samples as float64 (S,), or raise `ValueError` naming the channel."""
     array = np.asarray(samples)
@@ -153,17 +168,6 @@ def numbers(path: Path, name: str, samples: object) -> FloatArray:
     if not len(array):
         raise ValueError(f'{path}: channel "{name}": expected samples, found none')
     return np.ascontiguousarray(array, dtype=np.float64)
-
-
-def rate_of_times(path: Path, time_s: FloatArray, where: str) -> tuple[float, float]:
-    """Return rate and start of a uniform time column, or raise `ValueError`."""
-    if len(time_s) < 2:
-        raise ValueError(f"{path}: {where}: expected at least 2 samples, found {len(time_s)}")
-    interval = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
-    stray = np.max(np.abs(time_s - time_s[0] - interval * np.arange(len(time_s)))) if interval > 0.0 else np.inf
-    if not stray <= UNIFORM * interval:
-        raise ValueError(f"{path}: {where}: expected times in uniform steps, found gaps or steps back")
-    return 1.0 / interval, float(time_s[0])
 
 
 # Channels in arrays of numbers, in memory or in an HDF5 file: vectors, tables, records.
@@ -259,20 +263,27 @@ def check_stored(path: Path, name: str, dataset: Any) -> None:
         check_size(path, f'dataset "{name}", a chunk', math.prod(dataset.chunks) * dataset.dtype.itemsize)
 
 
-def read_datasets(path: Path, datasets: Mapping[str, Any], wanted: Mapping[str, Column]) -> dict[str, FloatArray]:
-    """Return the samples (S,) of channels by name; each dataset is read once, in blocks of whole chunks."""
+def read_datasets(
+    path: Path, datasets: Mapping[str, Any], wanted: Mapping[str, Column], exact: Collection[str] = ()
+) -> dict[str, NDArray[Any]]:
+    """Return the samples (S,) of channels by name, as float64, those of `exact` names in the type that is stored.
+
+    Each dataset is read once, in blocks of whole chunks.
+    """
     total = 0
     for name in {column.dataset for column in wanted.values()}:
         check_stored(path, name, datasets[name])
     for name, column in wanted.items():
         total += 8 * column.length
         check_size(path, f'channel "{name}"', total)
-    results: dict[str, FloatArray] = {}
+    results: dict[str, NDArray[Any]] = {}
     for name in dict.fromkeys(column.dataset for column in wanted.values()):
         own = {key: column for key, column in wanted.items() if column.dataset == name}
         dataset, first_own = datasets[name], next(iter(own.values()))
         length, axis = first_own.length, first_own.axis
-        results |= {key: np.empty(length) for key in own}
+        for key, column in own.items():
+            stored = dataset.dtype if column.field is None else dataset.dtype[column.field]
+            results[key] = np.empty(length, stored.newbyteorder("=") if key in exact else np.float64)
         chunks = getattr(dataset, "chunks", None)
         chunk = chunks[axis] if chunks else 1
         item = dataset.dtype.itemsize * dataset.size // length

@@ -13,13 +13,16 @@ from typing import BinaryIO
 import numpy as np
 
 from shaker.arrays import FloatArray
-from shaker.io.channel import MOST_CHANNELS, UNIFORM, RawChannel, chosen, rate_of_times
-from shaker.io.text import TextLayout, decoded, find_bytes, read_columns, whole_lines
+from shaker.io.channel import MOST_CHANNELS, RawChannel, chosen
+from shaker.io.text import TextLayout, decoded, digit_of, find_bytes, last_digit, read_columns, whole_lines
+from shaker.io.times import SampleTimes, Segment, agreed_rate, times_of_segments, times_of_stamps
 
 _END, _CHANNELS = b"***End_of_Header***", b"\nChannels"
 _SPECIAL, _SPECIAL_END = "***Start_Special***", "***End_Special***"
 _SEPARATORS = {"Tab": "\t", "Comma": ",", "Semicolon": ";"}
 _NEAREST = 8  # X columns before a channel that are looked at for its times
+_ROUND = (1.0, 2.0, 2.5, 4.0, 5.0, 8.0, 10.0)  # times a power of ten: rates that few digits state exactly
+_FEW, _TOO_FEW = 1e-4, 1e-2  # relative, of half a digit of Delta_X: beyond it, only such rates are believed, or none
 _COMMENT, _TIMES, _SEPARATOR = "Comment", "X_Value", "Separator"
 
 
@@ -37,12 +40,13 @@ class _Segment:
 
 @dataclass(frozen=True)
 class _Part:
-    """One channel in one segment: samples, their times where there is an X column, the segment, its own place."""
+    """One channel in one segment: samples, its column, its times and their last digit where there is an X column."""
 
     samples: FloatArray
-    times: FloatArray | None
     segment: _Segment
-    index: int
+    column: int
+    times: FloatArray | None
+    digit: float
 
 
 def read_labview(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
@@ -50,10 +54,10 @@ def read_labview(path: Path, names: Sequence[str] | None, sample_rate_hz: float 
 
     Titles that occur twice get their number (`Force #1`, `Force #2`). The sampling interval is the header's `Delta_X`.
     Where an X column contradicts it, the column counts: such a file was decimated after recording and kept its old
-    header; an interval that is a whole multiple of `Delta_X` is then taken as exactly that. Several segments must
-    continue one another (by `X0` or the X column, and their time stamps) and are joined. The `Comment` column and
-    special blocks are passed over. `sample_rate_hz` serves files that state no interval. Memory: the result and one
-    block.
+    header; an interval that is a whole multiple of `Delta_X` is then exactly that. A `Delta_X` of few digits needs an X
+    column or `sample_rate_hz`, which must agree with it. Segments keep their starts (`X0` or the X column, and their
+    time stamps), so that pauses between them stay pauses. The `Comment` column and special blocks are passed over.
+    Memory: the result and one block.
     """
     with path.open("rb") as stream:
         segments = list(_segments(path, stream))
@@ -139,78 +143,104 @@ def _read_segment(path: Path, segment: _Segment, wanted: Sequence[str]) -> dict[
     before = {name: all_times[: bisect(all_times, column)][-_NEAREST:] for name, column in own.items()}
     needed = sorted({*own.values(), *(i for places in before.values() for i in places)})
     columns = read_columns(segment.layout, segment.start, segment.stop, segment.line, needed)
-    parts, places = {}, {name: index for index, name in enumerate(channels)}
+    parts = {}
     for name in wanted:
-        samples, index = columns[own[name]], places[name]
-        stated = int(_value(segment, "Samples", index, len(samples)))
+        samples, column = columns[own[name]], own[name]
+        stated = int(_value(segment, "Samples", column, len(samples)))
         if 0 < stated < len(samples) and np.isnan(samples[stated:]).all():
             samples = samples[:stated]  # columns shorter than others (X_Columns Multi) end where the header says
-        near = (columns[i][: len(samples)] for i in before[name])
-        times = [time for time in near if np.isfinite(time).all()]
-        parts[name] = _Part(samples, times[-1] if times else None, segment, index)
+        near = {i: columns[i][: len(samples)] for i in before[name]}
+        dated = [i for i, time in near.items() if np.isfinite(time).all()][-1:]
+        digit = last_digit(segment.layout, segment.start, segment.stop, dated[0]) if dated else 0.0
+        parts[name] = _Part(samples, segment, column, near[dated[0]] if dated else None, digit)
     return parts
 
 
 def _joined(path: Path, parts: Sequence[_Part], sample_rate_hz: float | None) -> RawChannel:
-    """Join one channel over the segments, which must continue one another."""
-    steps = [_interval(path, part, sample_rate_hz) for part in parts]
-    first = parts[0]
-    start = expected = _start(first)
-    for part, step in zip(parts, steps, strict=True):
-        line = part.segment.line - 1
-        if abs(step - steps[0]) > 1e-6 * steps[0]:
-            raise ValueError(f"{path}: line {line}: expected one sampling interval, found {step} s")
-        here = _start(part) + _stamp(part) - _stamp(first)
-        if abs(here - expected) > UNIFORM * steps[0]:
-            raise ValueError(
-                f"{path}: line {line}: expected a segment that goes on at {expected:.6f} s, found one from {here:.6f} s"
-            )
-        expected += len(part.samples) * steps[0]
-    samples = first.samples if len(parts) == 1 else np.concatenate([part.samples for part in parts])
-    units = first.segment.header.get("Y_Unit_Label", [])
-    return RawChannel(samples, 1.0 / steps[0], start, units[first.index] if first.index < len(units) else "")
+    """Join one channel over its segments, each with its own start."""
+    times = [_times(path, part, sample_rate_hz) for part in parts]
+    unit = _cell(parts[0].segment, "Y_Unit_Label", parts[0].column)
+    if len(parts) == 1:
+        return RawChannel.at(times[0], parts[0].samples, unit)
+    segments = []
+    for part, own in zip(parts, times, strict=True):
+        if own.stamp_s is not None:
+            raise ValueError(f"{path}: line {part.segment.line}: expected uniform times in each of several segments")
+        start = own.start_s + _stamp(part) - _stamp(parts[0])
+        segments.append(Segment(start, len(part.samples), 1.0 / own.rate_hz))
+    joined = times_of_segments(path, f"line {parts[-1].segment.line - 1}", segments)
+    return RawChannel.at(joined, np.concatenate([part.samples for part in parts]), unit)
 
 
-def _start(part: _Part) -> float:
-    """Return the time of a part's first sample, from its X column or header."""
-    return float(part.times[0]) if part.times is not None else _value(part.segment, "X0", part.index, 0.0)
+def _cell(segment: _Segment, key: str, column: int) -> str:
+    """Return a channel's text from the header, empty where there is none.
+
+    The cell of a channel stands over its column, or, where the header has a cell for each channel without blanks
+    between them, at its place among the channels.
+    """
+    cells, places = segment.header.get(key, []), sorted(_channel_columns(segment.titles).values())
+    counted = segment.header.get("Samples", cells)
+    in_columns = any(counted[:place].count("") for place in range(1, len(counted)) if counted[place])
+    place = column - 1 if in_columns else places.index(column)
+    return cells[place] if place < len(cells) else ""
 
 
-def _cell(segment: _Segment, key: str, index: int) -> str:
-    """Return a channel's text from the header, the last one where there are fewer, empty where there is none."""
+def _value(segment: _Segment, key: str, column: int, default: float) -> float:
+    """Return a channel's number from the header; a single one is that of all."""
     cells = [cell for cell in segment.header.get(key, []) if cell]
-    return cells[min(index, len(cells) - 1)].replace(",", ".") if cells else ""
+    text = _cell(segment, key, column) or (cells[0] if len(cells) == 1 else "")
+    return float(text.replace(",", ".") or default)
 
 
-def _value(segment: _Segment, key: str, index: int, default: float) -> float:
-    return float(_cell(segment, key, index) or default)
-
-
-def _interval(path: Path, part: _Part, sample_rate_hz: float | None) -> float:
-    """Return the sampling interval of a channel in a segment (s)."""
-    given = 1.0 / sample_rate_hz if sample_rate_hz is not None else 0.0
-    stated, count = _value(part.segment, "Delta_X", part.index, given), len(part.samples)
-    line = part.segment.line - 1
+def _times(path: Path, part: _Part, sample_rate_hz: float | None) -> SampleTimes:
+    """Return the times of a channel's samples in one segment."""
+    segment, column, count = part.segment, part.column, len(part.samples)
+    line, start = segment.line - 1, _value(segment, "X0", column, 0.0)
+    dimension = _cell(segment, "X_Dimension", column)
+    if dimension not in ("", "Time"):
+        raise ValueError(f"{path}: line {line}: expected samples over time, found X_Dimension {dimension}")
+    text, where = _cell(segment, "Delta_X", column) or "0", f"line {line}: Delta_X"
+    step = float(text.replace(",", "."))
+    u_step = 0.5 * digit_of(text, "," in text) / step if step > 0.0 else np.inf
     if part.times is not None and count > 1:
-        measured = 1.0 / rate_of_times(path, part.times, f"line {line}: X column")[0]
-        multiple = round(measured / stated) if stated > 0.0 else 0
-        # The column is printed with few digits; the header's interval, or a multiple of it, has them all.
-        exact = multiple > 0 and abs(multiple * stated - measured) * (count - 1) <= UNIFORM * measured
-        if not (exact and multiple == 1):
-            return multiple * stated if exact else measured
-    if not stated > 0.0:
-        raise ValueError(f"{path}: expected a sampling interval Delta_X, found none; give sample_rate")
-    samples = int(_value(part.segment, "Samples", part.index, count))
-    if count < samples:
-        raise ValueError(f"{path}: line {line}: expected {samples} samples as the header says, found {count}")
-    return stated
+        return _of_column(path, part, (step, u_step), sample_rate_hz)
+    samples = int(_value(segment, "Samples", column, count))
+    if count < samples or 0 < samples < count:
+        more = "" if count < samples else "; an X column must date what other writes have added"
+        raise ValueError(f"{path}: line {line}: expected {samples} samples as the header says, found {count}{more}")
+    if not step > 0.0:
+        return SampleTimes(agreed_rate(path, where, None, sample_rate_hz), start)
+    decade = 1.0 / step / 10.0 ** np.floor(-np.log10(step))
+    believed = u_step <= _FEW or (u_step <= _TOO_FEW and np.min(np.abs(decade / np.array(_ROUND) - 1.0)) < 1e-9)
+    if not believed and sample_rate_hz is None:
+        raise ValueError(f"{path}: {where}: expected more digits than {text} or an X column; give sample_rate")
+    return SampleTimes(agreed_rate(path, where, 1.0 / step, sample_rate_hz, u_step), start)
+
+
+def _of_column(path: Path, part: _Part, stated: tuple[float, float], sample_rate_hz: float | None) -> SampleTimes:
+    """Return the times that an X column and the stated interval, with its relative u, say together."""
+    assert part.times is not None
+    (step, u_step), count, where = stated, len(part.samples), f"line {part.segment.line - 1}: X column"
+    mean = float(part.times[-1] - part.times[0]) / (count - 1)
+    multiple = round(mean / step) if step > 0.0 and mean > 0.0 else 0
+    exact = multiple > 0 and abs(multiple * step - mean) * (count - 1) <= max(0.5 * mean, part.digit)
+    known = 1.0 / (multiple * step) if exact else None
+    coarse = part.digit > 0.25 * mean
+    given = (known if sample_rate_hz is None else sample_rate_hz) if coarse else None
+    found = times_of_stamps(path, where, part.times, digit=part.digit, given_hz=given)
+    if found.stamp_s is not None:
+        return found
+    # The column is printed with few digits; the header's interval, or a multiple of it, often has more.
+    u_column = part.digit / ((count - 1) * mean)
+    rate, u = (known, u_step) if known is not None and u_step < u_column else (found.rate_hz, u_column)
+    return SampleTimes(agreed_rate(path, where, rate, sample_rate_hz, u), float(part.times[0]))
 
 
 def _stamp(part: _Part) -> float:
     """Return a segment's time stamp in seconds, 0 where it has none."""
-    date, time = (_cell(part.segment, key, part.index) for key in ("Date", "Time"))
+    date, time = (_cell(part.segment, key, part.column) for key in ("Date", "Time"))
     if not date or not time:
         return 0.0
-    clock, _, fraction = time.partition(".")
+    clock, _, fraction = time.replace(",", ".").partition(".")
     seconds = (datetime.strptime(f"{date} {clock}", "%Y/%m/%d %H:%M:%S") - datetime(2000, 1, 1)).total_seconds()
     return seconds + float(f"0.{fraction or 0}")

@@ -26,23 +26,25 @@ from traceback import clear_frames
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from shaker.arrays import FloatArray
 from shaker.io.channel import (
     RawChannel,
     check_size,
-    checked_rate,
     chosen,
     chosen_by_either,
     is_time,
     numbers,
-    rate_of_times,
 )
+from shaker.io.times import SampleTimes, agreed_rate, times_of_stamps
 
 _LONGEST_S, _SLOWEST = 8.0, 2e6  # Dewesoft's library: seconds of the processor, and bytes that it reads in each
 _PATIENCE = 30.0  # how many times as long a process may take by the clock on a loaded machine
 _MDF_REAL = 5  # the last of the data types that are numbers (ASAM MDF 4.1, channel block, cn_data_type)
-_Samples = Callable[[], tuple[FloatArray, FloatArray, str]]
+_MDF_TIME, _MDF_INDEX = (0, 1), 4  # kinds of master channels: times or none, and numbers of samples (cn_sync_type)
+_Samples = Callable[[], tuple[NDArray[Any] | None, FloatArray, str]]
+"""Reads the stamps of a channel (None: it has none; floats are seconds), its samples and their unit."""
 
 
 def _package(path: Path, name: str) -> Any:
@@ -104,16 +106,20 @@ def read_mdf(
         short = [file.groups[number].channels[index].name for number, index in present.values()]
 
         def samples(place: tuple[int, int]) -> _Samples:
-            def read() -> tuple[FloatArray, FloatArray, str]:
+            def read() -> tuple[NDArray[Any] | None, FloatArray, str]:
                 group = file.groups[place[0]].channel_group
                 check_size(path, f"group {place[0]}", max(group.cycles_nr, 1) * group.samples_byte_nr)
                 signal = file.get(group=place[0], index=place[1])
-                return signal.timestamps, signal.samples, signal.unit
+                master, kind = signal.master_metadata or ("", 0)
+                if kind not in (*_MDF_TIME, _MDF_INDEX):
+                    raise ValueError(f'{path}: group {place[0]}: expected samples over time, found over "{master}"')
+                dated = kind in _MDF_TIME and len(signal.timestamps)
+                return signal.timestamps if dated else None, signal.samples, signal.unit
 
             return read
 
         wanted = chosen_by_either(path, names, present, short)
-        return _uniform(path, {key: samples(place) for key, place in wanted.items()}, names, sample_rate_hz)
+        return _dated(path, {key: samples(place) for key, place in wanted.items()}, names, sample_rate_hz)
 
 
 def read_dewesoft(
@@ -147,6 +153,8 @@ def read_dewesoft(
         found: dict[str, RawChannel] | str = pickle.loads(out.read_bytes())
     if isinstance(found, str):
         raise ValueError(f"{path}{found}" if found.startswith(": ") else found)
+    for name, channel in found.items():
+        agreed_rate(path, f'channel "{name}"', channel.sample_rate_hz, sample_rate_hz)
     return found
 
 
@@ -165,7 +173,7 @@ def dewesoft_process(file: str, out: str, names: str, longest_s: str) -> None:
             for name, channel in present.items():
                 check_size(path, f'channel "{name}"', 16 * channel.number_of_samples)
             wanted = {name: samples(present[name]) for name in chosen(path, wanted_names, present)}
-            result = _uniform(path, wanted, wanted_names, None)
+            result = _dated(path, wanted, wanted_names, None)
     except Exception as error:  # the library's own, of every kind
         result = str(error).removeprefix(file) or type(error).__name__
     _leave(Path(out), result)
@@ -189,7 +197,10 @@ def _ended_after(longest_s: float, out: Path) -> None:
 def read_parquet(
     path: Path, names: Sequence[str] | None = None, sample_rate_hz: float | None = None
 ) -> dict[str, RawChannel]:
-    """Read columns of a Parquet table; a column `time` (s) dates them, a column's metadata may have a `unit`."""
+    """Read columns of a Parquet table, which a column `time` dates: time stamps, durations, or numbers.
+
+    A column's metadata may have a `unit`. Numbers in the column `time` are seconds without one, whole numbers need one.
+    """
     table = _package(path, "pyarrow.parquet").ParquetFile(path)
     rows = table.metadata.num_rows
     check_size(path, f"{rows} rows", 16 * rows)
@@ -197,40 +208,51 @@ def read_parquet(
     times = next((name for name in fields if is_time(name)), None)
     wanted = chosen(path, names, [name for name in fields if name != times])
 
-    def column(name: str) -> FloatArray:
+    def column(name: str) -> NDArray[Any]:
         return np.asarray(table.read(columns=[name]).column(0).to_numpy())
 
-    time_s = None if times is None else np.asarray(column(times), dtype=np.float64)
+    def unit(name: str) -> str:
+        stated = fields[name].metadata or {}
+        return bytes(stated.get(b"unit", stated.get(b"units", b""))).decode("utf-8", "replace")
+
+    stamps = None if times is None else column(times)
 
     def samples(name: str) -> _Samples:
-        unit = (fields[name].metadata or {}).get(b"unit", b"").decode("utf-8", "replace")
-        return lambda: (np.empty(0) if time_s is None else time_s, column(name), unit)
+        return lambda: (stamps, column(name), unit(name))
 
-    return _uniform(path, {name: samples(name) for name in wanted}, names, sample_rate_hz)
+    time_unit = "" if times is None else unit(times)
+    return _dated(path, {name: samples(name) for name in wanted}, names, sample_rate_hz, time_unit)
 
 
-def _uniform(
-    path: Path, wanted: dict[str, _Samples], names: Sequence[str] | None, sample_rate_hz: float | None
+def _dated(
+    path: Path,
+    wanted: dict[str, _Samples],
+    names: Sequence[str] | None,
+    sample_rate_hz: float | None,
+    time_unit: str = "",
 ) -> dict[str, RawChannel]:
-    """Return channels from times and samples; one that is no uniform series of numbers is refused if asked for."""
-    channels = {}
+    """Return channels from stamps and samples; one that is no series of numbers over time is refused if asked for."""
+    channels, refusals = {}, list[ValueError]()
     for name, read in wanted.items():
+        where = f'channel "{name}"'
         try:
-            time_s, samples, unit = read()
+            stamps, samples, unit = read()
             values = numbers(path, name, samples)
-            if len(time_s):
-                rate, start = rate_of_times(path, time_s, f'channel "{name}"')
+            if stamps is None:
+                times = SampleTimes(agreed_rate(path, where, None, sample_rate_hz))
             else:
-                rate, start = checked_rate(path, sample_rate_hz, f'channel "{name}"'), 0.0
+                times = times_of_stamps(path, where, stamps, time_unit, given_hz=sample_rate_hz)
         except Exception as error:  # the packages' own, of every kind, for channels that they do not read
-            if names is None:
-                continue
             if isinstance(error, ValueError):
-                raise
-            told = " ".join(f"{type(error).__name__} {error}".split())
-            raise ValueError(f'{path}: channel "{name}": expected readable samples, found none ({told})') from error
-        channels[name] = RawChannel(values, rate, start, unit)
+                refusals.append(error)
+            else:
+                cause = " ".join(f"{type(error).__name__} {error}".split())
+                refusals.append(ValueError(f"{path}: {where}: expected readable samples, found none ({cause})"))
+            if names is not None:
+                raise refusals[0] from error
+            continue
+        channels[name] = RawChannel.at(times, values, unit)
     if not channels:
-        raise ValueError(f"{path}: expected channels of uniformly sampled numbers, found none")
+        raise refusals[0] if refusals else ValueError(f"{path}: expected channels of numbers over time, found none")
     first = min(channel.start_s for channel in channels.values())
     return {name: replace(channel, start_s=channel.start_s - first) for name, channel in channels.items()}

@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shaker.arrays import FloatArray
-from shaker.io.channel import BLOCK, RawChannel, checked_rate, chosen_by_either, is_time, rate_of_times
+from shaker.io.channel import BLOCK, RawChannel, chosen_by_either, is_time
+from shaker.io.times import SampleTimes, Segment, agreed_rate, times_of_segments, times_of_stamps
 
 # Where the values of every channel stand in a TDMS file (NI, "TDMS file format internal structure", version 2.0).
 
@@ -64,11 +65,48 @@ class Region:
 
 
 @dataclass(frozen=True)
+class Dated:
+    """What a channel's properties state of its time when the values from number `first` on were written.
+
+    `start`: `wf_start_time` in seconds since 1904, None where it is not set (0). `interval_s`: `wf_increment`, 0 where
+    it is not set.
+    """
+
+    first: int
+    start: Fraction | None
+    offset_s: float
+    interval_s: float
+
+    @staticmethod
+    def of(first: int, properties: Mapping[str, Any]) -> Dated:
+        """Return what properties state."""
+        start = properties.get("wf_start_time")
+        known = Fraction(start) if isinstance(start, Fraction | int) and start > 0 else None  # 0 is 1904: not set
+        numbers = (float(properties.get(key) or 0.0) for key in ("wf_start_offset", "wf_increment"))
+        return Dated(first, known, *numbers)
+
+    def later(self, other: Dated) -> Dated:
+        """Return this statement, completed by a later one where it lacks start or interval."""
+        start = other.start if self.start is None else self.start
+        return Dated(self.first, start, self.offset_s or other.offset_s, self.interval_s or other.interval_s)
+
+    def contradicts(self, other: Dated) -> bool:
+        """Whether two statements differ where both state something."""
+        starts = None not in (self.start, other.start) and self.start != other.start
+        intervals = 0.0 not in (self.interval_s, other.interval_s) and self.interval_s != other.interval_s
+        return starts or intervals or self.offset_s != other.offset_s
+
+
+@dataclass(frozen=True)
 class TdmsIndex:
-    """Properties of every object by its path (`/'group'/'channel'`), and the regions of raw values in their order."""
+    """Properties of every object by its path (`/'group'/'channel'`), and the regions of raw values in their order.
+
+    `dated`: what every channel states of its time, once for each change with which values were written.
+    """
 
     properties: dict[str, dict[str, Any]]
     regions: tuple[Region, ...]
+    dated: dict[str, tuple[Dated, ...]]
 
     @cached_property
     def types(self) -> dict[str, np.dtype[Any]]:
@@ -104,6 +142,8 @@ def read_index(path: Path, stream: BinaryIO) -> TdmsIndex:
     known: dict[str, _Raw] = {}
     active: dict[str, bool] = {}
     regions: list[Region] = []
+    dated: dict[str, list[Dated]] = {}
+    counts: dict[str, int] = {}
     position = 0
     while position < size:
         stream.seek(position)
@@ -122,9 +162,32 @@ def read_index(path: Path, stream: BinaryIO) -> TdmsIndex:
             _read_objects(_Cursor(stream.read(metadata), order), bool(flags & _NEW_LIST), active, known, properties)
         if flags & _RAW:
             chunk = {name: known[name] for name, has_data in active.items() if has_data}
-            regions += _regions(path, chunk, bool(flags & _INTERLEAVED), start, end - start)
+            if flags & _METADATA:
+                _date(chunk, properties, dated, counts)
+            added = _regions(path, chunk, bool(flags & _INTERLEAVED), start, end - start)
+            for region in added:
+                for own in region.fields:
+                    counts[own.path] = counts.get(own.path, 0) + own.count * region.repeats
+            regions += added
         position = end
-    return TdmsIndex(properties, tuple(regions))
+    _date(dated, properties, dated, counts)
+    return TdmsIndex(properties, tuple(regions), {name: tuple(own) for name, own in dated.items()})
+
+
+def _date(
+    names: Iterable[str],
+    properties: Mapping[str, dict[str, Any]],
+    dated: dict[str, list[Dated]],
+    counts: Mapping[str, int],
+) -> None:
+    """Add what channels state of their time where that has changed since values were last written."""
+    for name in names:
+        stated = Dated.of(counts.get(name, 0), properties.get(name, {}))
+        own = dated.setdefault(name, [])
+        if not own or own[-1].contradicts(stated):
+            own.append(stated)
+        else:
+            own[-1] = own[-1].later(stated)
 
 
 def path_parts(path: str) -> tuple[str, ...]:
@@ -320,10 +383,12 @@ class _RawValues:
 def read_tdms(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
     """Read channels by `group/channel`, or by the channel's name alone where only one group has it.
 
-    The interval is `wf_increment`; without it, a channel `time` (numbers in seconds, or time stamps) of the same group
-    and length counts, then `sample_rate_hz`. A channel starts at `wf_start_offset`, plus the lead of its
-    `wf_start_time` over the earliest of the channels asked for. Scales of the hardware (`NI_Scale`) are applied. Texts
-    and complex numbers are passed over. Memory: the result and one block.
+    The interval is `wf_increment`, the start `wf_start_time` plus `wf_start_offset`, counted from the earliest of the
+    channels asked for. Where these change from write to write, each write keeps its own: pauses stay pauses, two rates
+    are refused. A channel `time` (numbers in s or as its `unit_string` says, or time stamps) of the same group and
+    length dates channels without interval; others must agree with it. Without either, `sample_rate_hz` counts. Scales
+    of the hardware (`NI_Scale`) are applied. Texts and complex numbers are passed over. Memory: the result and one
+    block.
     """
     with path.open("rb") as stream:
         index = read_index(path, stream)
@@ -337,21 +402,40 @@ def read_tdms(path: Path, names: Sequence[str] | None, sample_rate_hz: float | N
         starts = _starts(stream, index, {times[own] or own for own in paths.values()})
     result = {}
     for name, own in paths.items():
-        properties, time, where = index.properties.get(own, {}), times[own], f'channel "{name}"'
-        if time is None:
-            step, start = properties.get("wf_increment"), float(properties.get("wf_start_offset", 0.0))
-            rate = checked_rate(path, 1.0 / float(step) if step else sample_rate_hz, where)
-        else:
-            rate, start = rate_of_times(path, values[time], f'{where}: time channel "{path_parts(time)[-1]}"')
-        unit = str(properties.get("unit_string", ""))
-        result[name] = RawChannel(values[own], rate, start + starts.get(time or own, 0.0), unit)
+        time, where = times[own], f'channel "{name}"'
+        unit = str(index.properties.get(own, {}).get("unit_string", ""))
+        sampled = _sampled(path, where, index.dated[own], len(values[own]), sample_rate_hz)
+        if time is not None:
+            at = f'{where}: time channel "{path_parts(time)[-1]}"'
+            time_unit = str(index.properties.get(time, {}).get("unit_string", ""))
+            stamps = values[time].astype(index.types[time]) if index.types[time].kind in "iu" else values[time]
+            given = sample_rate_hz if sampled is None else sampled.rate_hz
+            stamped = times_of_stamps(path, at, stamps, time_unit, given_hz=given)
+            sampled = stamped if sampled is None or sampled.stamp_s is None else sampled
+        assert sampled is not None
+        result[name] = RawChannel.at(
+            replace(sampled, start_s=sampled.start_s + starts.get(time or own, 0.0)), values[own], unit
+        )
     return result
 
 
+def _sampled(path: Path, where: str, dated: Sequence[Dated], count: int, given_hz: float | None) -> SampleTimes | None:
+    """Return when a channel's values were taken by its properties, from the first start; None without an interval."""
+    first = dated[0]
+    if not first.interval_s:
+        return None if given_hz is None else SampleTimes(agreed_rate(path, where, None, given_hz))
+    agreed_rate(path, where, 1.0 / first.interval_s, given_hz)
+    segments = []
+    for own, last in zip(dated, (*(after.first for after in dated[1:]), count), strict=True):
+        if own.first == last:
+            raise ValueError(f"{path}: {where}: expected its time with its values, found it changed after the last one")
+        since = 0.0 if own.start is None or first.start is None else float(own.start - first.start)
+        segments.append(Segment(since + own.offset_s, last - own.first, own.interval_s or first.interval_s))
+    return times_of_segments(path, where, segments)
+
+
 def _time_of(name: str, index: TdmsIndex) -> str | None:
-    """Return the time channel that belongs to a channel without `wf_increment`."""
-    if index.properties.get(name, {}).get("wf_increment"):
-        return None
+    """Return the time channel of a channel's group and length."""
     group, *_ = path_parts(name)
     for other in index.types:
         own_group, *tail = path_parts(other)
@@ -457,12 +541,12 @@ def _starts(stream: BinaryIO, index: TdmsIndex, wanted: Iterable[str]) -> dict[s
     """Return by how many seconds every channel begins after the earliest of those wanted, from their time stamps."""
     stamps: dict[str, Fraction] = {}
     for name in wanted:
-        stamp = index.properties.get(name, {}).get("wf_start_time")
+        stamp = index.dated[name][0].start
         if (dtype := index.types[name]).names:
             fields = ((region, own) for region in index.regions if region.repeats for own in region.fields if own.count)
             stream.seek(next(region.position + own.offset for region, own in fields if own.path == name))
             stamps[name] = Fraction(int(np.frombuffer(stream.read(dtype.itemsize), dtype)["seconds"][0]))
-        elif isinstance(stamp, Fraction | int) and stamp > 0:  # 0 is the year 1904: no time was set
-            stamps[name] = Fraction(stamp)
+        elif stamp is not None:
+            stamps[name] = stamp
     earliest = min(stamps.values(), default=Fraction(0))
     return {name: round(float(stamp - earliest), 12) for name, stamp in stamps.items()}

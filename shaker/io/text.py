@@ -38,17 +38,17 @@ from shaker.io.channel import (
     BLOCK,
     LONGEST_LINE,
     RawChannel,
-    checked_rate,
     chosen,
     chosen_by_either,
     is_time,
-    rate_of_times,
     reading,
 )
+from shaker.io.times import SampleTimes, agreed_rate, times_of_stamps
 
 # Rows of numbers in text files: whole blocks at once, line by line only where a block holds anything unusual.
 
 _COMMENT = "#"
+_SAMPLE = 1 << 12  # bytes of a table from which the digits of its times are read
 _COMMA_TO_POINT = bytes.maketrans(b",", b".")
 
 
@@ -91,6 +91,32 @@ def read_columns(layout: TextLayout, start: int, stop: int, line: int, wanted: S
     if not filled:
         raise ValueError(f"{layout.path}: line {line}: expected rows of numbers, found none")
     return dict(zip(wanted, columns, strict=True))
+
+
+def last_digit(layout: TextLayout, start: int, stop: int, column: int) -> float:
+    """Return the last digit that a column of rows in bytes `start` to `stop` prints, 0.001 for 12.345 and 1.2345E1.
+
+    Of the first and of the last rows, since zeros at the end may be left out, the coarser one, since numbers of a fixed
+    number of significant digits are coarser the larger they are.
+    """
+    digits = []
+    with layout.path.open("rb") as stream:
+        for first, last in ((start, min(start + _SAMPLE, stop)), (max(start, stop - _SAMPLE), stop)):
+            stream.seek(first)
+            lines = decoded(stream.read(last - first)).splitlines()[first > start : None if last == stop else -1]
+            rows = (line.split(layout.delimiter or None) for line in lines if not line.startswith(_COMMENT))
+            cells = [row[column].strip().strip('"') for row in rows if len(row) > column]
+            digits.append(min((digit_of(cell, layout.comma) for cell in cells if cell), default=0.0))
+    return max(digits)
+
+
+def digit_of(cell: str, comma: bool) -> float:
+    """Return the last digit that a number prints."""
+    mantissa, _, exponent = cell.lower().replace(",", "." if comma else ",").partition("e")
+    try:
+        return float(10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2])))
+    except (ValueError, OverflowError):
+        return np.inf
 
 
 def find_bytes(stream: BinaryIO, text: bytes, start: int, stop: int) -> int:
@@ -186,7 +212,6 @@ def number_of(cell: str, comma: bool) -> float:
 _DELIMITERS = ("\t", ";", ",")
 _STATED = re.compile(r'"?sep=(.)"?\s*', re.IGNORECASE)  # how Excel is told the delimiter
 _NAME_AND_UNIT = re.compile(r"(.*\S)\s*(?:\[([^][]*)\]|\(([^()]*)\))")
-_SECONDS = {"": 1.0, "s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9, "min": 60.0}
 
 
 @dataclass(frozen=True)
@@ -223,8 +248,9 @@ def read_table(path: Path, names: Sequence[str] | None, sample_rate_hz: float | 
     The delimiter is the one that a first line `sep=;` states, else the tab, semicolon or comma that splits the header
     into most cells, else white space; decimal commas are understood where the comma is not the delimiter. A row of
     units may follow the header, or units may stand in it (`Fz [N]`, `Fz (N)`; the channel answers to `Fz` too). Times
-    come from a column `time`, uniform, in s or as its unit says (ms, us, ns, min), else from `sample_rate_hz`; empty
-    cells and `nan` are NaN. Memory: the result and one block.
+    come from a column `time`, in s or as its unit says (ms, us, ns, min, h), else from `sample_rate_hz`. Times that
+    are uniform within their printed digits have the slope of the straight line through them as their rate, all others
+    count as they are. Empty cells and `nan` are NaN. Memory: the result and one block.
     """
     head = _head(path)
     time = next((i for i, name in enumerate(head.short) if is_time(name)), None)
@@ -232,14 +258,13 @@ def read_table(path: Path, names: Sequence[str] | None, sample_rate_hz: float | 
     places = chosen_by_either(path, names, present, [name for i, name in enumerate(head.short) if i != time])
     columns = head.columns(sorted({*places.values(), *([] if time is None else [time])}))
     if time is None:
-        rate, start = checked_rate(path, sample_rate_hz, 'a table without a column "time"'), 0.0
+        times = SampleTimes(agreed_rate(path, 'a table without a column "time"', None, sample_rate_hz))
     else:
-        where = f'column "{head.names[time]}"'
-        factor = _SECONDS.get(head.units[time].strip().lower())
-        if factor is None:
-            raise ValueError(f"{path}: {where}: expected s, ms, us, ns or min, found {head.units[time]!r}")
-        rate, start = rate_of_times(path, columns.pop(time) * factor, where)
-    return {name: RawChannel(columns[i], rate, start, head.units[i]) for name, i in places.items()}
+        where, size = f'column "{head.names[time]}"', path.stat().st_size
+        digit = last_digit(head.layout, head.start, size, time)
+        stamps, unit = columns.pop(time), head.units[time]
+        times = times_of_stamps(path, where, stamps, unit, digit=digit, given_hz=sample_rate_hz)
+    return {name: RawChannel.at(times, columns[i], head.units[i]) for name, i in places.items()}
 
 
 def table_units(path: Path) -> dict[str, str]:
@@ -381,6 +406,7 @@ def read_scan_asc(path: Path) -> Scan:
 def read_scan_channels(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
     """Read a scan by `block/point`, both counted from 1; `block` alone where the scan has one point."""
     scan = read_scan_asc(path)
+    agreed_rate(path, "the scan", scan.sample_rate_hz, sample_rate_hz)
     present = {
         f"{block}/{point + 1}": channel
         for point in range(len(scan.point_m))

@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shaker.arrays import ComplexArray, FloatArray, IntArray, check_shape
-from shaker.io.channel import BLOCK, LONGEST_LINE, RawChannel, checked_rate, chosen, numbers, rate_of_times, reading
+from shaker.io.channel import BLOCK, LONGEST_LINE, RawChannel, chosen, numbers, reading
 from shaker.io.text import plain_rows
+from shaker.io.times import SampleTimes, agreed_rate, seconds_of, times_of_stamps
 
 # Data sets, and the functions of data set 58 in them.
 
@@ -383,6 +384,7 @@ def _reals(path: Path, line: int, lines: list[bytes], count: int | None = None) 
 # Universal files: time responses and other functions of data set 58, text and binary.
 
 _TIME_RESPONSE = 1
+_DIGIT, _HALF_DIGIT = 1e-5, 5e-6  # relative, of numbers with six significant digits
 _KINDS = (
     "general", "time response", "auto spectrum", "cross spectrum", "frequency response", "transmissibility",
     "coherence", "auto correlation", "cross correlation", "power spectral density", "energy spectral density",
@@ -420,9 +422,10 @@ def read_universal(path: Path, names: Sequence[str] | None, sample_rate_hz: floa
 
     A channel is called by its response entity name where it has one, else by the label of its ordinate, else by node
     and direction (`12+Z`); names that occur twice get node and direction after them (`Mic 3+X`), and where these do
-    not tell them apart either, the place in the file (`Mic #2`). Its unit is the ordinate's units label. Data sets of
-    other kinds are passed over. Text headers hold the sampling interval with six digits, so a clock read from them may
-    be wrong by several parts in 10⁷; the trigger edges put that right.
+    not tell them apart either, the place in the file (`Mic #2`). Its unit is the ordinate's units label, the unit of
+    time that of the abscissa (s without one). Data sets of other kinds are passed over. Text headers hold the sampling
+    interval with six digits, so a clock read from them may be wrong by several parts in 10⁷; the trigger edges put that
+    right.
     """
     headers = _headers(path)
     present = {name: item for name, item in _named(headers).items() if item[1].kind == _TIME_RESPONSE}
@@ -432,11 +435,16 @@ def read_universal(path: Path, names: Sequence[str] | None, sample_rate_hz: floa
             data, head = present[name]
             times, values = function_values(path, stream, data, head)
             where = f'channel "{name}"'
+            unit, axis = head.abscissa.unit, f"{where}: abscissa"
             if head.even:
-                rate, start = checked_rate(path, 1.0 / head.step if head.step else sample_rate_hz, where), head.start
+                second = seconds_of(path, axis, unit)
+                stated = 1.0 / (head.step * second) if head.step else None
+                rate = agreed_rate(path, where, stated, sample_rate_hz, _HALF_DIGIT)
+                sampled = SampleTimes(rate, head.start * second)
             else:
-                rate, start = rate_of_times(path, times, where)
-            result[name] = RawChannel(numbers(path, name, values), rate, start, head.ordinate.unit)
+                digit = None if data.more[:1].lower() == b"b" else _DIGIT * float(np.max(np.abs(times)))
+                sampled = times_of_stamps(path, axis, times, unit, digit=digit, given_hz=sample_rate_hz)
+            result[name] = RawChannel.at(sampled, numbers(path, name, values), head.ordinate.unit)
     return result
 
 

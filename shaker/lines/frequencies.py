@@ -25,6 +25,7 @@ from shaker.sine.aliasing import (
     SamplingGrid,
     alias_frequency,
     folded_harmonics,
+    nearest_grid,
     sampling_grid,
     unfolded,
     usable_lines,
@@ -75,7 +76,9 @@ def find_lines(
     nominal_hz: Sequence[float],
     harmonics: Literal["auto"] | Sequence[int] = "auto",
 ) -> Lines:
-    """Find the lines of a recording in its fastest channels: `values` (S,) or (S, C) at uniform `time_s` (S,).
+    """Find the lines of a recording in its fastest channels: `values` (S,) or (S, C) at `time_s` (S,).
+
+    Times that lie on no uniform grid are searched on the nearest one and fitted as they are.
 
     Each nominal fundamental must stand out of the spectrum within 0.5 % and two bins and is refined by least squares;
     below the Nyquist rate it is looked for at its alias. What the fit leaves is searched for further lines as
@@ -85,9 +88,9 @@ def find_lines(
     folding onto another are left out.
     """
     time, data = _complete(time_s, values)
-    grid = sampling_grid(time)
+    grid = sampling_grid(time) or nearest_grid(time)
     if grid is None:
-        raise ValueError("time_s: expected ascending times on a uniform grid, found gaps that are no multiples of it")
+        raise ValueError("time_s: expected ascending times, most of them near a uniform grid, found long gaps")
     nominal = np.array(sorted(set(nominal_hz)), dtype=np.float64)
     usable, notices = usable_lines(time, nominal)
     if not np.any(usable):

@@ -10,6 +10,8 @@ import numpy as np
 from shaker.arrays import BoolArray, FloatArray, IntArray, Notice, check_shape
 
 CAPTURE = 5e-3  # relative: how far a fundamental may lie from its nominal frequency, besides two bins
+_GAP = 3.0  # times the median interval: longer ones are gaps
+_MOST_GAPS, _LONGEST_GRID = 16, 1 << 22  # places of a grid: times the samples, and as many as any may have
 GRID_TOLERANCE = 1e-2  # of a sampling interval: times this close to a grid are treated as being on it
 
 
@@ -88,6 +90,21 @@ def sampling_grid(time_s: FloatArray) -> SamplingGrid | None:
     centred -= time_s - start
     deviation = float(np.max(np.abs(centred, out=centred)))
     return SamplingGrid(start, 1.0 / interval, index) if deviation <= GRID_TOLERANCE * interval else None
+
+
+def nearest_grid(time_s: FloatArray) -> SamplingGrid | None:
+    """Return a uniform grid with each of ascending times at its nearest place; None where gaps make it far longer.
+
+    The interval is the mean of all but the gaps. Two samples may share a place, of which `filled` keeps the later: what
+    is read off such a grid is a spectrum to search in, never a phase.
+    """
+    steps = np.diff(time_s)
+    if len(time_s) < 3 or not np.all(steps > 0.0):
+        return None
+    interval = float(np.mean(steps[steps <= _GAP * float(np.median(steps))]))
+    if (time_s[-1] - time_s[0]) / interval > max(_LONGEST_GRID, _MOST_GAPS * len(time_s)):
+        return None
+    return SamplingGrid(float(time_s[0]), 1.0 / interval, np.rint((time_s - time_s[0]) / interval).astype(np.int64))
 
 
 def sine_columns(time_s: FloatArray, frequency_hz: FloatArray) -> FloatArray:

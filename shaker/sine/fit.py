@@ -10,7 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, Stacked, check_shape, check_shapes
-from shaker.sine.aliasing import MAX_CONDITION, alias_frequency, sampling_grid, separation_bins, sine_columns
+from shaker.sine.aliasing import (
+    MAX_CONDITION,
+    alias_frequency,
+    nearest_grid,
+    sampling_grid,
+    separation_bins,
+    sine_columns,
+)
 from shaker.sine.noise import LineNoise, line_noise
 from shaker.sine.normal_equations import (
     Samples,
@@ -378,7 +385,8 @@ def _block_length(time: FloatArray, frequency_hz: FloatArray) -> tuple[float, fl
 
 def _noise(time: FloatArray, data: FloatArray, frequency_hz: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the noise variance (K, C) around the lines, and its degrees of freedom (K,)."""
-    columns, lines, grid = sine_columns(time, frequency_hz), len(frequency_hz), sampling_grid(time)
+    columns, lines = sine_columns(time, frequency_hz), len(frequency_hz)
+    grid = sampling_grid(time) or nearest_grid(time)
     if grid is not None and separation_bins(frequency_hz, grid.rate_hz, grid.length) >= _APART:
         # A drift of amplitude and phase makes skirts around each line that would count as noise.
         span = np.sqrt(3.0) * (2.0 * (time - time[0]) / (time[-1] - time[0]) - 1.0)

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Notice, check_shape, check_shapes
-from shaker.sine.aliasing import alias_frequency, condition_number, sampling_grid
+from shaker.sine.aliasing import alias_frequency, condition_number, nearest_grid, sampling_grid
 from shaker.sine.noise import LineNoise, line_noise, neighbour_bins, noise_of_ordinates
 from shaker.sine.normal_equations import (
     LONG,
@@ -411,7 +411,7 @@ def noise_at_lines(
     if left.held is None or time_s is None:
         return None
     kept = samples.kept()
-    grid = sampling_grid(time_s[kept])
+    grid = sampling_grid(time_s[kept]) or nearest_grid(time_s[kept])
     if grid is None:
         return None
     whitened = np.asarray(left.held[kept] @ whitening.T)

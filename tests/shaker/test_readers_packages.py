@@ -33,8 +33,7 @@ def test_mdf_of_three_programs(data_dir):
     clock = read_channels(folder / "test_meas_4.10.mf4")["0/MAIN_CLOCK"]
     assert (clock.samples.min(), clock.samples.max(), clock.samples.mean()) == (1123, 2605, 1864.0)
     bus = folder / "canedge_FCBF0606_00000001-60B621D9.MF4"
-    refused("expected channels of uniformly sampled numbers, found none", read_channels, bus)
-    refused("expected times in uniform steps", read_channels, bus, ["CAN_DataFrame.ID"])
+    assert str(read_channels(bus, ["CAN_DataFrame.ID"])["CAN_DataFrame.ID"].gap).endswith("gaps")  # as they arrived
     refused('expected a channel "Fz", found ', read_channels, path, ["Fz"])
 
 

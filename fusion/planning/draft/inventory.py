@@ -208,7 +208,7 @@ def _channel(name: str, raw: RawChannel) -> FoundChannel:
 def _pulses(raw: RawChannel) -> TriggerPulses | None:
     """Return the pulses of a channel that has two levels and a period, None of any other."""
     samples = raw.samples
-    if len(samples) < 8 or not np.isfinite(samples).all() or np.ptp(samples) == 0.0:
+    if len(samples) < 8 or raw.stamp_s is not None or not np.isfinite(samples).all() or np.ptp(samples) == 0.0:
         return None
     # Levels by the middle of either half: pulses may be short.
     middle = (float(samples.min()) + float(samples.max())) / 2

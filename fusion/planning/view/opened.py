@@ -151,6 +151,9 @@ class Opened:
             if name not in known:
                 alone = daq.file.suffix.lower() in ALONE
                 known |= recorded_channels(daq.model_copy(update={"channel": (channel.entry,)}) if alone else daq)
+            gap = known[name].gap
+            if gap is not None:
+                raise InputError(daq.file, channel.entry.stored_name, found=gap, expected="uniform sampling")
             return known[name]
 
     @cached_property

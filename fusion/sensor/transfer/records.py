@@ -293,6 +293,8 @@ def align(
     Raises `InputError` at `key` where they do not overlap.
     """
     blocks = {record.entry.name: record for record in records}
+    for block, entry in wanted:
+        blocks[block].check_uniform([entry])
     used = dict.fromkeys(block for block, _ in wanted)
     base = None
     if len(used) > 1:
