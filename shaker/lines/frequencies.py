@@ -38,6 +38,7 @@ _PROMINENT = 36.0  # times the noise power that a fundamental must reach; exp(-3
 _NYQUIST_SHARE = 0.98  # of the Nyquist frequency up to which harmonics are looked for
 _SMALLEST = 1e-9  # of the strongest line: below it, rounding looks like lines
 _ROUNDS = 4  # of fitting and looking at what is left, where gaps let lines leak
+_FINER = 8  # places of the searched grid to an interval, where samples lie on no grid
 _LEAK = 0.1  # of a line's uncertainty: what another line may leave in it before it is fitted too
 _MOST_NUISANCES = 12
 _NAMED = 4  # folded harmonics named in one notice
@@ -88,8 +89,9 @@ def find_lines(
     folding onto another are left out.
     """
     time, data = _complete(time_s, values)
-    grid = sampling_grid(time) or nearest_grid(time)
-    if grid is None:
+    exact = sampling_grid(time)
+    grid, fine = (exact, exact) if exact else (nearest_grid(time), nearest_grid(time, _FINER))
+    if grid is None or fine is None:
         raise ValueError("time_s: expected ascending times, most of them near a uniform grid, found long gaps")
     nominal = np.array(sorted(set(nominal_hz)), dtype=np.float64)
     usable, notices = usable_lines(time, nominal)
@@ -97,7 +99,7 @@ def find_lines(
         raise ValueError(f"nominal_hz: expected a line that the sampling can tell apart, but {notices[0].text}")
     notices += _unfiltered(nominal[usable], nominal, grid)
     nominal = nominal[usable]
-    record = _Record(time, data, grid)
+    record = _Record(time, data, grid, fine)
     chosen = _Chosen(record.peaks_near(nominal), [[1] for _ in nominal], np.empty(0))
     if harmonics != "auto":
         multiples, above = _listed(nominal, harmonics, grid)
@@ -144,11 +146,15 @@ class _Fitted:
 
 @dataclass(frozen=True)
 class _Record:
-    """Complete samples (S, C) on a grid."""
+    """Complete samples (S, C) on a grid, and the one on which peaks are searched: finer where the first only is near.
+
+    A sample at the nearest place of a grid is up to half an interval off, which would turn a line by its phase there.
+    """
 
     time_s: FloatArray
     data: Stacked
     grid: SamplingGrid
+    fine: SamplingGrid
 
     @property
     def resolution_hz(self) -> float:
@@ -161,12 +167,14 @@ class _Record:
 
     def peaks_near(self, nominal: FloatArray) -> FloatArray:
         """Return the frequencies of the peaks nearest to nominal ones (at their aliases), or raise `ValueError`."""
-        alias = self.alias(nominal)
+        rate_hz = self.fine.rate_hz
+        alias = alias_frequency(nominal, rate_hz)
         apart = np.abs(np.subtract.outer(alias, alias)) + np.where(np.eye(len(alias)) > 0.0, np.inf, 0.0)
         capture = np.minimum(CAPTURE * nominal + 2.0 * self.resolution_hz, apart.min(axis=1) / 2.0)
         capture = np.maximum(capture, self.resolution_hz)
-        intervals = np.stack([alias - capture, alias + capture], axis=1) / self.resolution_hz
-        peaks = [excess_power(self.grid.filled(own - own.mean()), intervals) for own in self.data.each()]
+        bin_hz = rate_hz / self.fine.length
+        intervals = np.stack([alias - capture, alias + capture], axis=1) / bin_hz
+        peaks = [excess_power(self.fine.filled(own - own.mean()), intervals) for own in self.data.each()]
         height = np.stack([ratio for ratio, _ in peaks], axis=1)
         for q in np.flatnonzero(~(height.max(axis=1) > _PROMINENT)):
             raise ValueError(
@@ -174,8 +182,8 @@ class _Record:
                 f"{np.sqrt(_PROMINENT):g} times the noise within {capture[q]:.3g} Hz"
             )
         best = np.argmax(height, axis=1)
-        seen = np.array([peaks[c][1][q] for q, c in enumerate(best)]) * self.resolution_hz
-        return unfolded(seen, nominal, self.grid.rate_hz)
+        seen = np.array([peaks[c][1][q] for q, c in enumerate(best)]) * bin_hz
+        return unfolded(seen, nominal, rate_hz)
 
     def fit(self, chosen: _Chosen) -> _Fitted:
         """Refine the fundamentals jointly with their harmonics, nuisances free beside them."""

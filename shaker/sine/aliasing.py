@@ -92,11 +92,11 @@ def sampling_grid(time_s: FloatArray) -> SamplingGrid | None:
     return SamplingGrid(start, 1.0 / interval, index) if deviation <= GRID_TOLERANCE * interval else None
 
 
-def nearest_grid(time_s: FloatArray) -> SamplingGrid | None:
+def nearest_grid(time_s: FloatArray, places: int = 1) -> SamplingGrid | None:
     """Return a uniform grid with each of ascending times at its nearest place; None where gaps make it far longer.
 
-    The interval is the mean of all but the gaps. Two samples may share a place, of which `filled` keeps the later: what
-    is read off such a grid is a spectrum to search in, never a phase.
+    It has so many `places` to the mean interval, gaps left out. Two samples may share a place, of which `filled` keeps
+    the later: what is read off such a grid is a spectrum to search in, never a phase.
     """
     steps = np.diff(time_s)
     if len(time_s) < 3 or not np.all(steps > 0.0):
@@ -104,6 +104,7 @@ def nearest_grid(time_s: FloatArray) -> SamplingGrid | None:
     interval = float(np.mean(steps[steps <= _GAP * float(np.median(steps))]))
     if (time_s[-1] - time_s[0]) / interval > max(_LONGEST_GRID, _MOST_GAPS * len(time_s)):
         return None
+    interval /= places
     return SamplingGrid(float(time_s[0]), 1.0 / interval, np.rint((time_s - time_s[0]) / interval).astype(np.int64))
 
 

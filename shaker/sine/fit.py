@@ -13,7 +13,6 @@ from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, Stacked, 
 from shaker.sine.aliasing import (
     MAX_CONDITION,
     alias_frequency,
-    nearest_grid,
     sampling_grid,
     separation_bins,
     sine_columns,
@@ -203,6 +202,7 @@ def _check_arguments(
 # Whether amplitude and phase of lines stay the same through a record, from blocks of whole periods.
 
 MAX_BLOCKS = 10
+_FULL, _FEWEST = 0.5, 2  # of the mean number of samples in a block that it must have; blocks that show a drift
 _UNUSED = 0.02  # of the record may be left over for the sake of more blocks
 _APART = 8.0  # bins between lines from which on a drift can be taken off without touching their noise
 _SLOPES = ("amplitude_per_s", "u_amplitude_per_s", "phase_rad_per_s", "u_phase_rad_per_s", "p_value")
@@ -304,7 +304,8 @@ def stationarity(
     the record has fewer than two, its halves are the blocks. At most ten blocks. Phasors of a block come from the fit
     of all lines and an offset to its samples, their noise from the density around each line of what the whole record's
     fit leaves, without the sidebands that a drift makes. The test is that of Fisher for 2(B - 1) real residuals about
-    the weighted mean. None where the blocks are too short to tell the lines apart. Rows with a NaN are left out.
+    the weighted mean. None where the blocks are too short to tell the lines apart, or gaps leave one only.
+    Blocks with less than half of their samples are left out, and so are rows with a NaN.
     """
     tiny = np.finfo(np.float64).tiny
     check_shape("time_s", time_s, (None,))
@@ -317,6 +318,9 @@ def stationarity(
     count = int(np.floor(length / block_s + 0.5 / len(time)))  # the last block may lack half a sample
     start = float(time[0]) - interval / 2.0 + (length - count * block_s) / 2.0  # the blocks lie in the record's middle
     blocks = [slice(low, high) for low, high in pairwise(np.searchsorted(time, start + block_s * np.arange(count + 1)))]
+    blocks = [rows for rows in blocks if rows.stop - rows.start > _FULL * len(time) / count]
+    if len(blocks) < _FEWEST:
+        return None
     try:
         every = (solve_sines(sine_columns(time[rows], frequency_hz), data[rows]) for rows in blocks)
         found = [(one.condition, *one.phasors(len(frequency_hz))) for one in every]  # the residuals are not held
@@ -385,8 +389,7 @@ def _block_length(time: FloatArray, frequency_hz: FloatArray) -> tuple[float, fl
 
 def _noise(time: FloatArray, data: FloatArray, frequency_hz: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the noise variance (K, C) around the lines, and its degrees of freedom (K,)."""
-    columns, lines = sine_columns(time, frequency_hz), len(frequency_hz)
-    grid = sampling_grid(time) or nearest_grid(time)
+    columns, lines, grid = sine_columns(time, frequency_hz), len(frequency_hz), sampling_grid(time)
     if grid is not None and separation_bins(frequency_hz, grid.rate_hz, grid.length) >= _APART:
         # A drift of amplitude and phase makes skirts around each line that would count as noise.
         span = np.sqrt(3.0) * (2.0 * (time - time[0]) / (time[-1] - time[0]) - 1.0)

@@ -411,11 +411,14 @@ def noise_at_lines(
     if left.held is None or time_s is None:
         return None
     kept = samples.kept()
-    grid = sampling_grid(time_s[kept]) or nearest_grid(time_s[kept])
+    exact = sampling_grid(time_s[kept])
+    grid = exact or nearest_grid(time_s[kept])
     if grid is None:
         return None
     whitened = np.asarray(left.held[kept] @ whitening.T)
-    return line_noise(grid.filled(whitened), len(whitened), line_bins(columns, grid.length, grid.rate_hz))
+    found = line_noise(grid.filled(whitened), len(whitened), line_bins(columns, grid.length, grid.rate_hz))
+    # Uneven times bring noise of all frequencies to a line: that of a white series of this power is the least.
+    return found if exact or found is None else replace(found, variance=np.maximum(found.variance, 1.0))
 
 
 def line_bins(columns: Columns, length: int, rate: float) -> FloatArray:
