@@ -14,7 +14,8 @@ from pydantic_core import PydanticCustomError
 
 from fusion.base import Identity, InputError
 from fusion.instruments.transducer import TRANSDUCERS
-from fusion.recording.dcc import SUFFIX, CalibrationCertificate, CertifiedQuantity, curve_named, read_dcc
+from fusion.recording.dcc import SUFFIX, CalibrationCertificate, CertifiedQuantity, read_dcc
+from fusion.recording.dcc_curves import curve_named, in_hertz
 from fusion.recording.dsi import CELSIUS_AT_0_K, Dimension, parse_unit
 from fusion.recording.response import certified_table
 from fusion.recording.toml import UNFILLED, Stated, UncertainInput, checked_table, key_path
@@ -169,6 +170,7 @@ class CertifiedInputs:
             told = {**UNIT_OF, **UNIT_OF_THREE, "step_amplitude": "N m" if moment else "N"}[name]
             ways[parse_unit(told).dimension] = False
         found = self._picked(certificate, table, key, (ways, 3 if name in UNIT_OF_THREE else 1, told))
+        found = in_hertz(certificate, found) if told == "Hz" else found
         conventional = "conventional" in " ".join((*found.types, found.name)).lower()
         if name == "mass" and conventional and beside.get("mass_kind", "true") != "conventional":
             expected = f'mass_kind = "conventional" and the density, or a true mass in {certificate.path.name}'
@@ -186,17 +188,19 @@ class CertifiedInputs:
     ) -> CertifiedQuantity:  # fmt: skip
         """Return the one quantity of a certificate that a name, or its unit, picks; it has to have an uncertainty."""
         (ways, count, told), file = fits, certificate.path.name
-        real = [q for q in certificate.quantities if not np.any(q.value.imag) and q.covariance is None]
+        real = [q for q in certificate.quantities if q.is_real]
         named = [q for q in real if not table.result or q.called(table.result)]
         if not named:
             known = ", ".join(dict.fromkeys(f'"{q.result or q.name}"' for q in real[:8])) or "none"
             found = f'"{table.result}"' if table.result else "no result with numbers"
             raise InputError(self.path, f"{key}.result", found, f"a result of {file}, which has {known}")
-        fitting = [q for q in named if q.unit.dimension in ways]
+        fitting = [own for q in named if (own := q.in_one_of(ways)) is not None]
         if not fitting:
-            units = ", ".join(dict.fromkeys(q.unit.text for q in named[:8]))
+            if table.result:
+                named[0].usable()
+            units = ", ".join(dict.fromkeys(q.unit.text for q in named[:8] if q.unit.text))
             raise InputError(self.path, key, f"{units} ({named[0].where} of {file})", f"a quantity in {told}")
-        sized = [q for q in fitting if len(q.value) == count]
+        sized = [q for q in fitting if len(q.value) == count or q.problem is not None]
         if not sized:
             found = f"a list of {len(fitting[0].value)} ({fitting[0].where} of {file})"
             raise InputError(self.path, key, found, f"{count} numbers" if count > 1 else "a result with one value")
@@ -204,11 +208,14 @@ class CertifiedInputs:
             where = "; ".join(q.where for q in sized[:4])
             expected = f"the id, name or type of one of the {len(sized)} results in {told} of {file} ({where})"
             raise InputError(self.path, f"{key}.result", f'"{table.result}"' if table.result else "nothing", expected)
-        if not np.all(np.isfinite(sized[0].expanded)):
-            raise certificate.refusal(sized[0].where, "no uncertainty", "U with its coverage factor")
-        if np.ptp(sized[0].k) > 0.0:
-            raise certificate.refusal(sized[0].where, "several coverage factors", "one for all three numbers")
-        return sized[0]
+        picked = sized[0].usable()
+        if np.any(np.isnan(picked.value)):
+            raise certificate.refusal(picked.where, "nan", "finite numbers" if count > 1 else "a finite number")
+        if not np.all(np.isfinite(picked.expanded)):
+            raise certificate.refusal(picked.where, "no uncertainty", "U with its coverage factor")
+        if np.ptp(picked.k) > 0.0:
+            raise certificate.refusal(picked.where, "several coverage factors", "one for all three numbers")
+        return picked
 
     def _curve(
         self, certificate: CalibrationCertificate, table: Certified, at: tuple[At, dict[str, Any]],
@@ -217,9 +224,9 @@ class CertifiedInputs:
         """Check the list over frequency that a channel follows, and keep where it comes from."""
         inside, source = at
         key = key_path(*inside)
-        curve, read = curve_named(certificate, table.result), certified_table(certificate, table.result)
         plain, across = [parse_unit(unit).dimension for unit in ELECTRICAL], self._dimension(beside)
         fits = {_over(one, other) for one in plain for other in (*plain, across) if other is not None}
+        curve, read = curve_named(certificate, table.result), certified_table(certificate, table.result)
         if curve.unit.dimension not in fits:
             found = f'{curve.unit.text} (result "{curve.name}" of {certificate.path.name})'
             expected = f"a response in V, A or C, to each other or per {beside.get('quantity')}"
@@ -237,8 +244,7 @@ def _is_certificate(value: object) -> bool:
 
 
 def _over(one: Dimension, other: Dimension) -> Dimension:
-    metre, kilogram, second, ampere, kelvin = (a - b for a, b in zip(one, other, strict=True))
-    return metre, kilogram, second, ampere, kelvin
+    return tuple(a - b for a, b in zip(one, other, strict=True))
 
 
 def certified_inputs(text: dict[str, Any], path: Path, scope: PathScope, sensor_unit: str = "1") -> CertifiedInputs:

@@ -1,12 +1,14 @@
-"""Digital Calibration Certificates read: quantities with U and k, lists over frequency, number, laboratory, dates.
+"""Digital Calibration Certificates read: quantities with U and k, number, laboratory, dates.
 
-DCC (PTB's schema, versions 2.4 to 3.3) with the D-SI in it. Everything is turned into coherent SI units.
+DCC (PTB's schema, versions 2.4 to 3.3) with the D-SI in it. Everything is turned into coherent SI units. What cannot be
+used is refused when somebody asks for it.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import date as Date
 from functools import lru_cache
@@ -16,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from fusion.base import Identity, InputError
-from fusion.recording.dsi import CELSIUS_AT_0_K, NONE, Unit, parse_unit
+from fusion.recording.dsi import CELSIUS_AT_0_K, LEVEL, NONE, Dimension, Unit, parse_unit
 from fusion.recording.toml import read_text
 from fusion.recording.values import describe, wrong_size
 from shaker.arrays import ComplexArray, FloatArray
@@ -25,9 +27,12 @@ SUFFIX = ".xml"
 ROOT = "{https://ptb.de/dcc}digitalCalibrationCertificate"
 LARGEST = 20_000_000  # bytes
 MOST_QUANTITIES, MOST_KEPT = 10_000, 32
-HERTZ = parse_unit(r"\hertz").dimension
-KINDS = ("real", "realListXMLList", "complex", "complexListXMLList", "hybrid", "list", "constant")
+KINDS = ("real", "realList", "realListXMLList", "complex", "complexListXMLList", "hybrid", "list", "constant")
 """Elements of the D-SI that hold the values of a quantity."""
+LIST_UNCERTAINTY = ("listMeasurementUncertaintyUnivariate", "listUnivariateUnc")
+NO_UNIT = Unit(np.nan, (), "")
+SAME_VALUE = 0.01
+"""Relative difference up to which rounding explains that two units of one quantity state different values."""
 RECALIBRATION = re.compile(r"recalibration|valid_?until", re.IGNORECASE)
 """Types of a statement whose date is the last on which the certificate holds."""
 
@@ -38,7 +43,8 @@ class CertifiedQuantity:
 
     `expanded`, `k`, `probability` (N,) each; `covariance` (N, 2, 2) of real and imaginary part, standard, of a complex
     one; `types`: the words of its `refType`; `where`: result and quantity for people; `listed`: it stands in a list;
-    `ids`: of the quantity, its result and its data.
+    `ids`: of the quantity, its result and its data; `names`: in every language; `about`: its description. `problem`:
+    why its numbers cannot be used, None where they can; then it has no values, and `NO_UNIT` where its unit is none.
     """
 
     result: str
@@ -54,36 +60,45 @@ class CertifiedQuantity:
     group: int
     listed: bool
     ids: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()
+    about: str = ""
+    problem: InputError | None = None
 
     @property
     def where(self) -> str:
         """Return what it is for people."""
         return ", ".join(filter(None, (f'result "{self.result}"', f'quantity "{self.name}"' if self.name else "")))
 
+    @property
+    def is_real(self) -> bool:
+        """Whether it has real numbers; unknown of one that cannot be used, which counts as such."""
+        return self.covariance is None and not np.any(np.nan_to_num(self.value.imag))
+
+    @property
+    def words(self) -> str:
+        """Return types and names, in small letters, `phaseLag` as `phase lag`."""
+        told = re.sub(r"(?<=[a-z])(?=[A-Z])|_", " ", " ".join((*self.types, *self.names)))
+        return told.lower()
+
     def called(self, name: str) -> bool:
         """Whether a name or type that a user gives is this quantity's or its result's."""
-        return name in (self.result, self.name, *self.types, *self.ids)
+        return name in (self.result, self.name, *self.names, *self.types, *self.ids)
 
+    def in_one_of(self, dimensions: Collection[Dimension]) -> CertifiedQuantity | None:
+        r"""Return the quantity if its unit has one of some dimensions, by its other reading of `\per` if need be."""
+        if self.unit.dimension in dimensions:
+            return self
+        other = self.unit.other
+        if other is None or other.dimension not in dimensions:
+            return None
+        factor = other.factor / self.unit.factor
+        return replace(self, unit=other, value=self.value * factor, expanded=self.expanded * factor)
 
-@dataclass(frozen=True)
-class CertifiedCurve:
-    """A complex quantity over N frequencies (Hz): magnitude and phase (rad) with standard uncertainties, SI.
-
-    u = U/k with k no larger than 2, so that 2·u stays the stated U. `phase_rad` with its u is NaN where the certificate
-    has none; `value` (N,) and `covariance` (N, 2, 2) where it states the complex values.
-    """
-
-    name: str
-    types: tuple[str, ...]
-    ids: tuple[str, ...]
-    unit: Unit
-    frequency_hz: FloatArray
-    magnitude: FloatArray
-    u_magnitude: FloatArray
-    phase_rad: FloatArray
-    u_phase_rad: FloatArray
-    value: ComplexArray | None = None
-    covariance: FloatArray | None = None
+    def usable(self) -> CertifiedQuantity:
+        """Return the quantity; raise what is wrong with its numbers."""
+        if self.problem is not None:
+            raise self.problem
+        return self
 
 
 @dataclass(frozen=True)
@@ -193,7 +208,6 @@ def _quantities(path: Path, root: Any) -> Iterator[CertifiedQuantity]:
     """Yield every quantity with numbers of every result; those of one `group` stand in one list."""
     count, group = 0, 0
     for result in root.iterfind("{*}measurementResults/{*}measurementResult/{*}results/{*}result"):
-        name, types = _name(result), (result.get("refType") or "").split()
         data = result.find("{*}data")
         waiting = [] if data is None else [(child, group) for child in data]
         while waiting:
@@ -206,20 +220,42 @@ def _quantities(path: Path, root: Any) -> Iterator[CertifiedQuantity]:
                 if count > MOST_QUANTITIES:
                     raise InputError(path, "dcc:results", "more", f"at most {MOST_QUANTITIES} quantities")
                 for values in [child for child in element if _tag(child) in KINDS][:1]:
-                    found = _quantity(path, (name, types, own_group), element, values)
+                    found = _quantity(path, result, element, values)
                     places = (result, data, element, *element.iterfind("{*}name/{*}content"))
-                    yield replace(found, ids=tuple(own for own in (place.get("id") for place in places) if own))
+                    ids = tuple(own for own in (place.get("id") for place in places) if own)
+                    yield replace(found, group=own_group, ids=ids)
         group += 1
 
 
-def _quantity(path: Path, inside: tuple[str, list[str], int], element: Any, values: Any) -> CertifiedQuantity:
-    """Read one quantity."""
-    result, types, group = inside
-    name = _name(element)
-    reader = _Numbers(path, ", ".join(filter(None, (f'result "{result}"', f'quantity "{name}"' if name else ""))))
-    found = reader.quantity(values)
-    own = tuple(dict.fromkeys([*types, *(element.get("refType") or "").split()]))
-    return replace(found, result=result, name=name, types=own, group=group)
+def _quantity(path: Path, result: Any, element: Any, values: Any) -> CertifiedQuantity:
+    """Read one quantity; what is wrong with its numbers is its `problem`, which is told if somebody asks for it."""
+    about, name = _name(result), _name(element)
+    reader = _Numbers(path, ", ".join(filter(None, (f'result "{about}"', f'quantity "{name}"' if name else ""))))
+    try:
+        found = reader.quantity(values)
+    except InputError as error:
+        none = np.empty(0)
+        matrix = np.empty((0, 2, 2)) if _tag(values).startswith("complex") else None
+        listed = _tag(values) not in ("real", "constant", "complex")
+        found = CertifiedQuantity("", "", (), none + 0j, _unit_of(values), none, none, none, "", matrix, 0, listed)
+        found = replace(found, problem=error)
+    return replace(
+        found,
+        result=about,
+        name=name,
+        types=tuple(dict.fromkeys(f"{result.get('refType') or ''} {element.get('refType') or ''}".split())),
+        names=tuple(dict.fromkeys(filter(None, map(_text, element.iterfind("{*}name/{*}content"))))),
+        about=" ".join(filter(None, map(_text, element.iterfind("{*}description/{*}content")))),
+    )
+
+
+def _unit_of(values: Any) -> Unit:
+    """Return the unit of a quantity whose numbers cannot be read."""
+    for element in values.iter():
+        if _tag(element) in ("unit", "unitXMLList", "listUnit"):
+            with suppress(ValueError, IndexError):
+                return parse_unit((element.text or "").split()[0])
+    return NO_UNIT
 
 
 @dataclass(frozen=True)
@@ -242,7 +278,8 @@ class _Numbers:
             found = np.array([float(text) for text in texts])
         except ValueError as error:
             raise self.refusal(tag, f'"{describe(" ".join(texts), plain=True)[:60]}"', "numbers") from error
-        wrong = [value for value in found.tolist() if not np.isfinite(value) or wrong_size(value)]
+        # NaN is what was not measured: whoever needs it finds out.
+        wrong = [value for value in found.tolist() if np.isinf(value) or (not np.isnan(value) and wrong_size(value))]
         if wrong:
             raise self.refusal(tag, f"{wrong[0]:g}", wrong_size(wrong[0]) or "finite numbers")
         if count is not None and len(found) not in (1, count):
@@ -268,21 +305,53 @@ class _Numbers:
         """Read the numbers of a quantity of any kind."""
         tag = _tag(values)
         inner = [child for child in values if _tag(child) in KINDS]
-        if tag in ("hybrid", "list"):
+        if tag == "hybrid":
+            return self._hybrid(inner)
+        if tag in ("list", "realList"):
             if not inner:
                 raise self.refusal(tag, "nothing", "values")
-            parts = [self.quantity(child) for child in (inner[:1] if tag == "hybrid" else inner)]
+            parts = [self.quantity(child) if tag == "list" else self._real(child, "", values) for child in inner]
             if len({part.unit.dimension for part in parts}) > 1:
                 raise self.refusal(tag, "units of different quantities", "units that convert into each other")
             return parts[0] if len(parts) == 1 else _joined(parts)
         suffix = "XMLList" if tag.endswith("XMLList") else ""
         return self._complex(values, suffix) if tag.startswith("complex") else self._real(values, suffix)
 
-    def _real(self, values: Any, suffix: str) -> CertifiedQuantity:
-        """Read `si:real`, `si:constant` or a list of real numbers."""
+    def _hybrid(self, inner: Sequence[Any]) -> CertifiedQuantity:
+        """Read one quantity stated in several units: in the coherent SI unit, else in the first known one.
+
+        All that can be read have to say the same.
+        """
+        found, wrong = list[CertifiedQuantity](), list[InputError]()
+        for child in inner:
+            try:
+                found.append(self.quantity(child))
+            except InputError as error:
+                wrong.append(error)
+        found = [own for own in found if own.unit.dimension != LEVEL] or found
+        if not found:
+            raise next(iter(wrong), self.refusal("hybrid", "nothing", "values"))
+        best = min(found, key=lambda own: own.unit.factor != 1.0 or own.unit.celsius)
+        for own in found:
+            if own.unit.dimension != best.unit.dimension or own.value.shape != best.value.shape:
+                raise self.refusal("hybrid", f"{own.unit.text} and {best.unit.text}", "one quantity in several units")
+            apart = np.abs(own.value - best.value) - SAME_VALUE * np.abs(best.value)
+            if np.any(apart > np.nan_to_num(best.expanded)):
+                row = int(np.nanargmax(apart))
+                values = " and ".join(f"{abs(one.value[row]):g}" for one in (best, own))
+                raise self.refusal("hybrid", f"{values} (in SI, by {best.unit.text} and {own.unit.text})", "one value")
+        return best
+
+    def _real(self, values: Any, suffix: str, around: Any = None) -> CertifiedQuantity:
+        """Read `si:real`, `si:constant` or a list of real numbers; of one in a list, also what the list states."""
         value = self.numbers(values, f"value{suffix}")
-        unit, factor = self.units(values, f"unit{suffix}", len(value))
+        own_unit = around is None or values.find("{*}unit") is not None
+        unit, factor = self.units(*((values, f"unit{suffix}") if own_unit else (around, "listUnit")), len(value))
         expanded, k, probability, shape = self._uncertainty(values, suffix, len(value))
+        if around is not None and not np.any(np.isfinite(expanded)):
+            shared = [child for child in around if _tag(child) in LIST_UNCERTAINTY]
+            if shared:
+                expanded, k, probability, shape = self._uncertainty(shared[0], suffix, len(value))
         shift = -CELSIUS_AT_0_K if unit.celsius else 0.0
         total = np.asarray(value * factor + shift, dtype=np.complex128)
         own = expanded * factor, k, probability, shape
@@ -292,18 +361,19 @@ class _Numbers:
         """Read U with k, probability and distribution in all ways in which the D-SI states them; NaN where none is."""
         nothing = np.full(count, np.nan)
         places: tuple[tuple[str, tuple[str, ...]], ...] = (
-            (
-                f"measurementUncertaintyUnivariate{suffix}/{{*}}expandedMU{suffix}",
-                ("valueExpandedMU", "coverageFactor"),
-            ),
-            (f"measurementUncertaintyUnivariate{suffix}/{{*}}standardMU{suffix}", ("valueStandardMU",)),
-            (f"measurementUncertaintyUnivariate{suffix}/{{*}}coverageIntervalMU{suffix}", ("valueStandardMU",)),
+            (f"expandedMU{suffix}", ("valueExpandedMU", "coverageFactor")),
+            (f"standardMU{suffix}", ("valueStandardMU",)),
+            (f"coverageIntervalMU{suffix}", ("valueStandardMU",)),
             (f"expandedUnc{suffix}", ("uncertainty", "coverageFactor")),
             (f"coverageInterval{suffix}", ("standardUnc",)),
+            ("", ("valueStandardMU",)),  # of a constant
+            ("", ("uncertainty",)),
         )
-        for place, tags in places:
-            element = values.find("{*}" + place)
-            if element is None:
+        # measurementUncertaintyUnivariate, which the schema misspells in lists
+        holders = [values, *(child for child in values if _tag(child).startswith("measurementUncertaintyUniv"))]
+        for holder, (place, tags) in ((holder, place) for place in places for holder in holders):
+            element = holder.find("{*}" + place) if place else holder
+            if element is None or (not place and element.find(f"{{*}}{tags[0]}") is None):
                 continue
             expanded = self.numbers(element, f"{tags[0]}{suffix}", count)
             k = self.numbers(element, f"{tags[1]}{suffix}", count) if len(tags) > 1 else np.ones(count)
@@ -327,7 +397,7 @@ class _Numbers:
         unit, factor = self.units(values, f"unit{suffix}", len(first))
         if polar:
             turn, radian = self.units(values, f"unitPhase{suffix}", len(first))
-            if turn.dimension != NONE:
+            if turn.dimension != NONE or not (turn.angle or turn.factor == 1.0):
                 raise self.refusal(f"unitPhase{suffix}", turn.text, "a unit of an angle")
             value = first * np.exp(1j * second * radian)
         else:
@@ -377,85 +447,3 @@ def _joined(parts: Sequence[CertifiedQuantity]) -> CertifiedQuantity:
         covariance=covariance,
         listed=True,
     )
-
-
-# What users take from a certificate: lists over frequency, single values.
-
-
-def _kind(quantity: CertifiedQuantity, *words: str) -> bool:
-    """Whether one of some words stands in a quantity's types or, where these say nothing, in its name."""
-    told = " ".join((*quantity.types, quantity.name)).lower()
-    return any(word in told for word in words)
-
-
-def curves(certificate: CalibrationCertificate) -> tuple[CertifiedCurve, ...]:
-    """Return every list of a certificate that gives something over frequency; `InputError` for one that lacks U."""
-    groups: dict[int, list[CertifiedQuantity]] = {}
-    for quantity in certificate.quantities:
-        groups.setdefault(quantity.group, []).append(quantity)
-    found = [_curve(certificate, members) for members in groups.values()]
-    return tuple(curve for curve in found if curve is not None)
-
-
-def _curve(certificate: CalibrationCertificate, members: Sequence[CertifiedQuantity]) -> CertifiedCurve | None:
-    """Return the list over frequency that quantities make, None where they make none."""
-    frequencies = [q for q in members if q.unit.dimension == HERTZ and _kind(q, "frequen", "tableindex")]
-    if not frequencies:
-        return None
-    frequency, rest = frequencies[0], [q for q in members if q not in frequencies]
-    real = [q for q in rest if q.covariance is None and not np.any(q.value.imag)]
-    turns = [q for q in real if q.unit.dimension == NONE and _kind(q, "phase")]
-    sizes = [q for q in real if not any(q is turn for turn in turns)]
-    sizes = [q for q in sizes if _kind(q, "magnitude")] or [q for q in sizes if _kind(q, "measuredvalue")] or sizes
-    whole = next((q for q in rest if not any(q is own for own in real)), None)
-    if not sizes and whole is None:
-        return None
-    main = sizes[0] if sizes else whole
-    assert main is not None
-    used = [q for q in (frequency, *sizes[:1], *turns[:1], whole) if q is not None]
-    short = next((q for q in used if len(q.value) != len(main.value)), None)
-    if short is not None:
-        expected = f"{len(main.value)}, as there are of {main.name or 'the values'}"
-        raise certificate.refusal(short.where, f"{len(short.value)} numbers", expected)
-    nothing = np.full(len(main.value), np.nan)
-    if sizes:
-        magnitude, u_magnitude = main.value.real, _standard(certificate, main)
-        phase, u_phase = (turns[0].value.real, _standard(certificate, turns[0])) if turns else (nothing, nothing)
-    else:
-        if main.covariance is None:
-            raise certificate.refusal(main.where, "no uncertainty", "their covariance, in their unit squared")
-        magnitude, phase = np.abs(main.value), np.angle(main.value)
-        along = np.stack([np.cos(phase), np.sin(phase)], axis=1)
-        across = np.stack([-np.sin(phase), np.cos(phase)], axis=1)
-        u_magnitude = np.sqrt(np.einsum("ni,nij,nj->n", along, main.covariance, along))
-        u_phase = np.sqrt(np.einsum("ni,nij,nj->n", across, main.covariance, across)) / np.where(
-            magnitude, magnitude, 1
-        )
-    exact = whole is not None and whole.covariance is not None and whole.unit.dimension == main.unit.dimension
-    types = tuple(dict.fromkeys(word for q in used for word in q.types))
-    return CertifiedCurve(
-        name=main.result or main.name, types=types,
-        ids=tuple(i for q in used for i in q.ids), unit=main.unit, frequency_hz=np.asarray(frequency.value.real),
-        magnitude=np.asarray(magnitude), u_magnitude=u_magnitude, phase_rad=phase, u_phase_rad=u_phase,
-        value=whole.value if exact and whole is not None else None,
-        covariance=whole.covariance if exact and whole is not None else None,
-    )  # fmt: skip
-
-
-def _standard(certificate: CalibrationCertificate, quantity: CertifiedQuantity) -> FloatArray:
-    """Return u of every value; `InputError` where no U is stated."""
-    if not np.all(np.isfinite(quantity.expanded)):
-        raise certificate.refusal(quantity.where, "no uncertainty", "U with its coverage factor")
-    return np.asarray(quantity.expanded / np.minimum(quantity.k, 2.0))
-
-
-def curve_named(certificate: CalibrationCertificate, result: str) -> CertifiedCurve:
-    """Return the list over frequency of a name, or the only one; `InputError` where none or several are that."""
-    every = curves(certificate)
-    fitting = [curve for curve in every if not result or result in (curve.name, *curve.types, *curve.ids)]
-    if len(fitting) != 1:
-        known = ", ".join(f'"{curve.name}"' for curve in every[:8])
-        found = f"{len(fitting)} of {known}" if every else "no list over frequency"
-        key = f'result "{describe(result, plain=True)}"' if result else "dcc:results"
-        raise certificate.refusal(key, found, "one result over frequency, by its id, name or type")
-    return fitting[0]

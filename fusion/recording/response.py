@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
 from fusion.base import InputError, as_input_error
-from fusion.recording.dcc import SUFFIX, CalibrationCertificate, curve_named, read_dcc
+from fusion.recording.dcc import SUFFIX, CalibrationCertificate, read_dcc
+from fusion.recording.dcc_curves import CertifiedCurve, curve_named
 from fusion.recording.dsi import parse_unit
 from fusion.recording.toml import read_rows, read_toml, validate
 from fusion.recording.values import (
@@ -28,7 +29,7 @@ from fusion.recording.values import (
     rows_of,
     wrong_size,
 )
-from shaker.arrays import FloatArray
+from shaker.arrays import BoolArray, FloatArray
 from shaker.frf.chain import (
     ChainResponse,
     FilterKind,
@@ -150,8 +151,12 @@ def read_response(
     if path.suffix.lower() == ELEMENTS:
         with as_input_error(path, "element"):
             return product([element.response(frequency_hz) for element in read_chain(path).element])
-    certified = path.suffix.lower() == SUFFIX
-    table = certified_table(read_dcc(path), result or "") if certified else read_table(path, columns)
+    if path.suffix.lower() == SUFFIX:
+        certificate = read_dcc(path)
+        table = certified_table(certificate, result or "")
+        _refuse_unmeasured(certificate, curve_named(certificate, result or ""), table, frequency_hz)
+    else:
+        table = read_table(path, columns)
     outside = [f for f in frequency_hz if not table.frequency_hz[0] <= f <= table.frequency_hz[-1]]
     if outside:
         found = f"{table.frequency_hz[0]:g} to {table.frequency_hz[-1]:g} Hz"
@@ -169,16 +174,47 @@ def certified_table(certificate: CalibrationCertificate, result: str) -> Respons
     """Return a list over frequency of a certificate, in SI; `InputError` for one without phase, or of no response."""
     curve = curve_named(certificate, result)
     key = f'result "{curve.name}"'
-    if not np.all(np.isfinite(curve.phase_rad)):
+    if not np.any(np.isfinite(curve.phase_rad)):
         raise certificate.refusal(key, "no phase", "magnitude and phase, each with U, which a response needs")
-    order = np.argsort(curve.frequency_hz)
+    if np.any(np.isnan(curve.frequency_hz)):
+        raise certificate.refusal(key, "nan", "finite frequencies")
+    measured = np.flatnonzero(_measured(curve))
+    if len(measured) == 0:
+        raise certificate.refusal(key, "nan", "a frequency with magnitude and phase, each with U")
+    order = measured[np.argsort(curve.frequency_hz[measured])]
     frequency_hz = curve.frequency_hz[order]
     if frequency_hz[0] < 0.0 or np.any(np.diff(frequency_hz) <= 0.0):
         raise certificate.refusal(key, "a negative frequency, or one twice", "each frequency once")
-    if np.any(curve.magnitude <= 0.0):
-        raise certificate.refusal(key, f"{curve.magnitude.min():g}", "magnitudes above 0")
     columns = curve.magnitude, curve.phase_rad, curve.u_magnitude, curve.u_phase_rad
+    if np.any(columns[0][order] <= 0.0):
+        raise certificate.refusal(key, f"{columns[0][order].min():g}", "magnitudes above 0")
     return ResponseTable(frequency_hz, *(column[order] for column in columns))
+
+
+def _measured(curve: CertifiedCurve) -> BoolArray:
+    """Whether the certificate states magnitude, phase and both uncertainties at each frequency (N,)."""
+    columns = curve.magnitude, curve.phase_rad, curve.u_magnitude, curve.u_phase_rad
+    return np.asarray(np.isfinite(columns).all(axis=0))
+
+
+def _refuse_unmeasured(
+    certificate: CalibrationCertificate, curve: CertifiedCurve, table: ResponseTable, frequency_hz: FloatArray
+) -> None:
+    """Raise `InputError` for a frequency that lies nearest to one at which nothing was measured."""
+    for missing in np.sort(curve.frequency_hz[~_measured(curve)]).tolist():
+        below, above = (
+            np.searchsorted(table.frequency_hz, missing, "left") - 1,
+            np.searchsorted(table.frequency_hz, missing, "right"),
+        )
+        low = table.frequency_hz[below] if below >= 0 else -np.inf
+        high = table.frequency_hz[above] if above < len(table.frequency_hz) else np.inf
+        needed = frequency_hz[(frequency_hz > low) & (frequency_hz < high)]
+        if len(needed):
+            raise certificate.refusal(
+                f'result "{curve.name}"',
+                f"nan at {missing:g} Hz",
+                f"numbers around {needed[0]:g} Hz, where they are needed",
+            )
 
 
 def read_chain(path: Path) -> Chain:

@@ -12,7 +12,8 @@ import h5py
 import numpy as np
 
 from fusion.base import InputError
-from fusion.recording.dcc import SUFFIX, curves, read_dcc
+from fusion.recording.dcc import SUFFIX, read_dcc
+from fusion.recording.dcc_curves import curves
 from fusion.recording.toml import read_rows
 from fusion.recording.values import describe, wrong_size
 from fusion.report.folder import CURVE_FILE, RESULT_FILE, SENSITIVITY_FILE
@@ -184,7 +185,13 @@ def _certified(name: str, file: Path) -> Result:
         element = ELEMENT.search(curve.name)
         if element is None:
             continue
-        u_magnitude, phased = curve.u_magnitude / curve.unit.factor, np.isfinite(curve.phase_rad)
+        curve.usable()
+        u_magnitude = curve.u_magnitude / curve.unit.factor
+        phased = np.isfinite(curve.phase_rad)
+        columns = [curve.frequency_hz, curve.magnitude, u_magnitude]
+        columns += [curve.phase_rad, curve.u_phase_rad] if np.any(phased) else []
+        if not np.isfinite(columns).all():
+            raise InputError(file, f'result "{curve.name}"', found="nan", expected="finite numbers")
         if np.any(curve.u_magnitude <= 0.0) or np.any(curve.u_phase_rad[phased] <= 0.0):
             raise InputError(file, f'result "{curve.name}"', found="an uncertainty of 0", expected="one above 0")
         for n, frequency_hz in enumerate(curve.frequency_hz.tolist()):

@@ -1,0 +1,244 @@
+"""Lists over frequency in a Digital Calibration Certificate: which columns make one, their sign and units."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fusion.base import InputError
+from fusion.recording.dcc import NO_UNIT, CalibrationCertificate, CertifiedQuantity
+from fusion.recording.dsi import BASE, LEVEL, NONE, Unit, parse_unit
+from fusion.recording.values import describe
+from shaker.arrays import ComplexArray, FloatArray
+
+HERTZ = parse_unit(r"\hertz").dimension
+ELECTRICAL = tuple(parse_unit(unit).dimension for unit in (r"\volt", r"\ampere", r"\coulomb"))
+RATIOS = {tuple(a - b for a, b in zip(one, other, strict=True)) for one in ELECTRICAL for other in ELECTRICAL}
+"""Dimensions of what an amplifier does; 1 among them."""
+AMPERE = BASE.index("A")
+FREQUENCY = ("frequen", "frequên", "fréquen", "frecuen", "table index")
+ANGULAR = re.compile(r"angular|kreis|circular|omega|ω|puls")
+"""Names of 2πf."""
+MAGNITUDE = (
+    ("magnitude",),
+    ("sensitiv", "gain", "amplitude", "empfindlich", "verstärk", "betrag", "module"),
+    ("measured value",),
+)
+"""Words by which the magnitude is found where a list has several columns that could be it, the first that any has."""
+PHASE = (("phase", "fase", "argument"), ("measured value",))
+LAG = re.compile(r"\b(phase)?lag(s|ging)?\b|verzug|nacheil")
+UNSURE = re.compile(r"delay|verzögerung|retard|retras|ritard|atras|negativ|minus")
+"""Names that may mean a lag, or the sign of one."""
+LEAD = re.compile(r"\b(phase)?lead(s|ing)?\b|voreil|advance|avance|adelant|anticip|avanç")
+LOSS = re.compile(r"attenuation|\bloss|dämpfung|affaiblissement|atenua|attenuazione")
+"""Names of what is large where a response is small."""
+
+
+@dataclass(frozen=True)
+class CertifiedCurve:
+    """A complex quantity over N frequencies (Hz): magnitude and phase (rad) with standard uncertainties, SI.
+
+    u = U/k with k no larger than 2, so that 2·u stays the stated U. `phase_rad` with its u is NaN where the certificate
+    has none; `value` (N,) and `covariance` (N, 2, 2) where it states the complex values. NaN is what was not measured.
+    `problem`: why it cannot be used, None where it can; then it has no values.
+    """
+
+    name: str
+    types: tuple[str, ...]
+    ids: tuple[str, ...]
+    unit: Unit
+    frequency_hz: FloatArray
+    magnitude: FloatArray
+    u_magnitude: FloatArray
+    phase_rad: FloatArray
+    u_phase_rad: FloatArray
+    value: ComplexArray | None = None
+    covariance: FloatArray | None = None
+    problem: InputError | None = None
+
+    def usable(self) -> CertifiedCurve:
+        """Return the curve; raise what is wrong with it."""
+        if self.problem is not None:
+            raise self.problem
+        return self
+
+
+def curve_named(certificate: CalibrationCertificate, result: str) -> CertifiedCurve:
+    """Return the list over frequency of a name, or the only one; `InputError` where none or several are that."""
+    every = list(curves(certificate))
+    fitting = [curve for curve in every if not result or result in (curve.name, *curve.types, *curve.ids)]
+    if len(fitting) != 1:
+        known = ", ".join(f'"{curve.name}"' for curve in every[:8])
+        found = f"{len(fitting)} of {known}" if every else "no list over frequency"
+        key = f'result "{describe(result, plain=True)}"' if result else "dcc:results"
+        raise certificate.refusal(key, found, "one result over frequency, by its id, name or type")
+    return fitting[0].usable()
+
+
+def curves(certificate: CalibrationCertificate) -> Iterator[CertifiedCurve]:
+    """Yield every list of a certificate that gives something over frequency, those that cannot be used among them."""
+    groups: dict[int, list[CertifiedQuantity]] = {}
+    for quantity in certificate.quantities:
+        groups.setdefault(quantity.group, []).append(quantity)
+    for members in groups.values():
+        frequencies = [q for q in members if q.unit.dimension in (HERTZ, ()) and any(w in q.words for w in FREQUENCY)]
+        plain = [q for q in members if q.unit.dimension == HERTZ and not q.unit.angle]
+        frequencies = frequencies or (plain if len(plain) == 1 else [])
+        rest = [q for q in members if not any(q is own for own in frequencies)]
+        if not frequencies or not rest:
+            continue
+        try:
+            curve = _curve(certificate, frequencies, rest)
+        except InputError as error:
+            if not any(q.listed for q in members):
+                continue
+            none = np.empty(0)
+            curve = CertifiedCurve("", (), (), NO_UNIT, none, none, none, none, none, problem=error)
+        if curve is not None:
+            yield replace(
+                curve,
+                name=members[0].result or curve.name or members[0].name,
+                types=tuple(dict.fromkeys(word for q in members for word in q.types)),
+                ids=tuple(dict.fromkeys(i for q in members for i in q.ids)),
+            )
+
+
+def _of_transducer(quantity: CertifiedQuantity) -> CertifiedQuantity | None:
+    """Return a quantity in V, A or C per something that is not electrical, by its unit's other reading if need be."""
+    for unit in filter(None, (quantity.unit, quantity.unit.other)):
+        if unit.dimension and unit.dimension[AMPERE] and unit.dimension not in (*RATIOS, *ELECTRICAL):
+            return quantity.in_one_of((unit.dimension,))
+    return None
+
+
+def in_hertz(certificate: CalibrationCertificate, quantity: CertifiedQuantity) -> CertifiedQuantity:
+    """Return frequencies in Hz, angular ones (rad/s, or 1/s by their name) divided by 2π."""
+    angular = ANGULAR.search(quantity.words) is not None
+    if angular and "hertz" in quantity.unit.text.lower():
+        raise certificate.refusal(quantity.where, f"an angular frequency in {quantity.unit.text}", "rad/s, or f in Hz")
+    if quantity.unit.angle not in (0, 1):
+        raise certificate.refusal(quantity.where, quantity.unit.text, "a frequency in Hz or rad/s")
+    if not angular and not quantity.unit.angle:
+        return quantity
+    turn = 1.0 / (2.0 * np.pi)
+    return replace(quantity, value=quantity.value * turn, expanded=quantity.expanded * turn, unit=parse_unit(r"\hertz"))
+
+
+def _one_of(
+    certificate: CalibrationCertificate, what: str, found: Sequence[CertifiedQuantity], words: Sequence[Sequence[str]]
+) -> CertifiedQuantity | None:
+    """Return the one quantity that is meant, by words that it has and the others lack; None where there is none."""
+    for group in words:
+        named = [q for q in found if any(word in q.words for word in group)]
+        found = named or found
+    found = [q for q in found if q.unit.dimension] or found
+    if len(found) > 1:
+        columns = ", ".join(f'"{q.name}"' for q in found[:4])
+        raise certificate.refusal(
+            f'result "{found[0].result}"', f"{len(found)} ({columns})", f"one column with the {what}"
+        )
+    return found[0].usable() if found else None
+
+
+def _curve(
+    certificate: CalibrationCertificate,
+    frequencies: Sequence[CertifiedQuantity],
+    rest: Sequence[CertifiedQuantity],
+) -> CertifiedCurve | None:
+    """Return the list over frequency that quantities make, None where they make none."""
+    real = [q for q in rest if q.is_real]
+    named = [q for q in real if q.unit.dimension in (NONE, ()) and any(word in q.words for word in PHASE[0])]
+    turns = named or [q for q in real if q.unit.dimension == NONE and q.unit.angle == 1]
+    sizes = [q for q in real if not any(q is turn for turn in turns)]
+    unknown = [q for q in sizes if not q.unit.dimension]
+    responses = [[own for q in sizes if (own := q.in_one_of(group)) is not None] for group in (RATIOS, (LEVEL,))]
+    transducers = [own for q in sizes if (own := _of_transducer(q)) is not None]
+    sizes = [*(transducers or responses[0] or responses[1]), *unknown] or sizes
+    size = _one_of(certificate, "magnitude", sizes, MAGNITUDE)
+    whole = next((q for q in rest if not q.is_real), None)
+    if size is None and whole is None:
+        return None
+    frequency = _one_of(
+        certificate, "frequencies", frequencies, (("table index",), ("measured", "actual"), ("nominal",))
+    )
+    assert frequency is not None
+    frequency_hz = np.asarray(in_hertz(certificate, frequency).value.real)
+    if size is None:
+        assert whole is not None
+        return _of_complex(certificate, frequency_hz, whole)
+    turn = _one_of(certificate, "phase", turns, PHASE)
+    for column in filter(None, (frequency, turn)):
+        if len(column.value) != len(size.value):
+            expected = f"{len(size.value)}, as there are of {size.name or 'the values'}"
+            raise certificate.refusal(column.where, f"{len(column.value)} numbers", expected)
+    size = _as_ratio(certificate, size)
+    nothing = np.full(len(size.value), np.nan)
+    phase, u_phase = (nothing, nothing) if turn is None else (_phase(certificate, turn), _standard(certificate, turn))
+    exact = whole is not None and whole.covariance is not None and whole.unit.dimension == size.unit.dimension
+    exact = exact and whole is not None and len(whole.value) == len(size.value)
+    return CertifiedCurve(
+        size.name, (), (), size.unit, frequency_hz, size.value.real, _standard(certificate, size), phase, u_phase,
+        value=whole.value if exact and whole is not None else None,
+        covariance=whole.covariance if exact and whole is not None else None,
+    )  # fmt: skip
+
+
+def _of_complex(
+    certificate: CalibrationCertificate, frequency_hz: FloatArray, whole: CertifiedQuantity
+) -> CertifiedCurve:
+    """Return a list whose complex values alone are stated."""
+    if len(frequency_hz) != len(whole.value):
+        raise certificate.refusal(whole.where, f"{len(whole.value)} numbers", f"{len(frequency_hz)}, one per frequency")
+    if whole.covariance is None:
+        raise certificate.refusal(whole.where, "no uncertainty", "their covariance, in their unit squared")
+    magnitude, phase = np.abs(whole.value), np.angle(whole.value)
+    along = np.stack([np.cos(phase), np.sin(phase)], axis=1)
+    across = np.stack([-np.sin(phase), np.cos(phase)], axis=1)
+    u_magnitude = np.sqrt(np.einsum("ni,nij,nj->n", along, whole.covariance, along))
+    u_phase = np.sqrt(np.einsum("ni,nij,nj->n", across, whole.covariance, across)) / np.where(magnitude, magnitude, 1)
+    return CertifiedCurve(
+        whole.name, (), (), whole.unit, frequency_hz, magnitude, u_magnitude, phase, u_phase, whole.value,
+        whole.covariance,
+    )  # fmt: skip
+
+
+def _as_ratio(certificate: CalibrationCertificate, size: CertifiedQuantity) -> CertifiedQuantity:
+    """Return a magnitude as a number, a level in Np or dB (of a field quantity, re 1) as the ratio that it means."""
+    if size.unit.dimension != LEVEL:
+        return size
+    if LOSS.search(f"{size.words} {size.about.lower()}"):
+        raise certificate.refusal(
+            size.where, f"a loss in {size.unit.text}", "a gain, whose sign is that of the response"
+        )
+    ratio = np.exp(size.value.real)
+    return replace(size, value=ratio + 0j, expanded=size.expanded * ratio, unit=parse_unit(r"\one"))
+
+
+def _phase(certificate: CalibrationCertificate, turn: CertifiedQuantity) -> FloatArray:
+    """Return phases in rad, positive where the output leads; the sign of what is named a lag is changed."""
+    if not (turn.unit.angle == 1 or turn.unit.factor == 1.0):
+        raise certificate.refusal(turn.where, turn.unit.text, "a phase in rad or degrees")
+    phase = np.asarray(turn.value.real)
+    lag = LAG.search(turn.words) is not None
+    expected = "a phase whose sign is plain: positive where the output leads, or a phase lag of positive numbers"
+    for names, text in ((turn.words, turn.name), (turn.about.lower(), turn.about)):
+        said = [words.search(names) is not None for words in (LAG, LEAD, UNSURE)]
+        if said in ([True, True, False], [True, True, True], [True, False, True], [False, False, True]) or (
+            said[0] and not lag
+        ):
+            raise certificate.refusal(turn.where, f'"{text[:60]}"', expected)
+    if not lag:
+        return phase
+    if np.any(phase < -np.nan_to_num(turn.expanded)) and not np.any(phase > 0.0):
+        raise certificate.refusal(turn.where, f"a lag of {np.nanmin(phase):g} rad", expected)
+    return np.asarray(-phase)
+
+
+def _standard(certificate: CalibrationCertificate, quantity: CertifiedQuantity) -> FloatArray:
+    """Return u of every value; `InputError` where no U is stated."""
+    if not np.any(np.isfinite(quantity.expanded)):
+        raise certificate.refusal(quantity.where, "no uncertainty", "U with its coverage factor")
+    return np.asarray(quantity.expanded / np.minimum(quantity.k, 2.0))
