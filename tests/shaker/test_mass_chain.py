@@ -278,7 +278,8 @@ def test_an_interpolated_table_errs_no_more_than_it_says(model, knots):
     assert error.max() < 0.5 * np.abs(linear / true - 1.0).max()
 
 
-def test_a_table_is_met_at_its_points_a_delay_exact_between_them_and_scatter_an_error_of_interpolation():
+def test_a_table_is_met_at_its_points_a_delay_exact_between_them_and_scatter_an_error_between_them():
+    """Points that scatter by the table's own u: between them the curve is as wrong, and its U covers that."""
     knots = np.array([0.0, 300.0, 700.0, 1500.0])
     late = np.exp(-2j * np.pi * knots * 2e-4)
     np.testing.assert_allclose(table_response(_table(knots, late), knots).value, late, rtol=1e-12)
@@ -286,10 +287,39 @@ def test_a_table_is_met_at_its_points_a_delay_exact_between_them_and_scatter_an_
     np.testing.assert_allclose(table_response(_table(knots, late), between).value, np.exp(-2j * np.pi * between * 2e-4))
     rng, knots = np.random.default_rng(4), np.linspace(10.0, 5000.0, 40)
     scatter = 1e-3 * (rng.standard_normal(40) + 1j * rng.standard_normal(40))
-    said = table_response(_table(knots, 1.0 + scatter, 0.0), DECADES_HZ)
+    said = table_response(_table(knots, 1.0 + scatter, 1e-3), DECADES_HZ)
     error = np.abs(said.value - 1.0)
     assert np.mean(error > 2.0 * np.hypot(said.u_magnitude, said.u_phase_rad)) < 0.15
-    assert 0.5e-3 < np.median(said.u_magnitude) < 4e-3
+    middle = np.abs(table_response(_table(knots, 1.0 + scatter), (knots[1:] + knots[:-1]) / 2.0).errors[-1])
+    assert 0.5e-3 < np.median(middle) < 4e-3
+
+
+SMOOTH = [
+    filter_poles("resonance", 2, 28e3, damping=0.015),
+    filter_poles("butterworth", 4, 20e3),
+    replace(filter_poles("bessel", 4, 9e3), delay_s=2e-4),
+]
+
+
+@pytest.mark.parametrize("model", SMOOTH)
+@pytest.mark.parametrize("knots", [np.geomspace(10, 5000, 28), np.linspace(50, 5000, 100), np.geomspace(40, 320, 4)])
+def test_interpolation_costs_nothing_at_the_points_of_a_table_and_little_between_them(model, knots):
+    """An accelerometer, an amplifier, a filter: u is zero at the points, and covers the error between them, nearly."""
+    table = _table(knots, pole_response(knots, model).value)
+    assert np.abs(table_response(table, knots).errors[-1]).max() < 1e-15
+    between = np.sqrt(knots[1:] * knots[:-1])
+    found, true = table_response(table, between), pole_response(between, model).value
+    error, u = np.abs(found.value / true - 1.0), np.abs(found.errors[-1])
+    assert np.all(error <= 2.0 * u + 1e-12)
+    assert np.median(u) < 1e-5, "a tenth of the certificate's"
+    assert len(knots) < 6 or np.median(u) < 60.0 * np.median(error) + 1e-12
+
+
+def test_two_points_of_a_table_leave_the_curve_between_them_open():
+    table = _table(np.array([100.0, 300.0]), np.array([1.0, 1.1]))
+    middle, at = (table_response(table, np.array([hertz])).errors[-1] for hertz in (200.0, 300.0))
+    assert middle[0] == pytest.approx(np.log(1.1) / 2.0 / np.sqrt(3.0))
+    assert at[0] == 0.0
 
 
 @pytest.mark.parametrize("count", [2, 3, 4, 5, 40])
