@@ -32,6 +32,7 @@ from shaker.sine.phasor import Phasors, stack_phasors
 
 if TYPE_CHECKING:
     from fusion.recording.manifest import ChannelEntry
+    from shaker.frf.chain import ChainResponse
 
 CLOCK_RATE = "clock rate"
 FOUND: tuple[Scope, ...] = ("recording", "start")
@@ -162,6 +163,19 @@ def clock_rate(design: ComplexArray, orders: FloatArray, clock_uncertainty: floa
     relative = np.broadcast_to(-clock_uncertainty * orders + 0j, design.shape[:2])
     rate = RelativeError(CLOCK_RATE, CLOCK_RATE, clock_uncertainty, "1", relative, "rig").of_rows(design)
     return [rate] if np.any(rate.slope != 0.0) else []
+
+
+def scale_is_stated(entry: ChannelEntry, response: ChainResponse | None) -> bool:
+    """Whether the manifest, or the response of the channel at some lines, states how uncertain its scale is."""
+    by_response = response is not None and bool(np.any(response.u_magnitude > 0.0))
+    return by_response or bool(entry.scale_uncertainty or entry.individual_uncertainty)
+
+
+def errors_are_stated(entry: ChannelEntry, response: ChainResponse | None, beams: Beams) -> bool:
+    """Whether any systematic uncertainty of a motion channel is stated: without one `fuse` uses it if it must."""
+    of_chain = scale_is_stated(entry, response) or entry.delay_uncertainty > 0.0
+    of_chain = of_chain or (response is not None and bool(np.any(response.errors != 0.0)))
+    return of_chain or bool(geometry_errors(TRANSDUCERS[entry.quantity], entry, beams))
 
 
 # Where and along what the channels measure, and what is uncertain of that.

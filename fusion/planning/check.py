@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from fusion.base import ComputeError, InputError, rounded
+from fusion.instruments.channel import errors_are_stated, scale_is_stated
 from fusion.instruments.stereo import GEOMETRY, carrier_of
-from fusion.instruments.transducer import ROOM, TRANSDUCERS, carrier, main_direction, placed_at
+from fusion.instruments.transducer import ROOM, TRANSDUCERS, Beams, carrier, chain_name, main_direction, placed_at
 from fusion.instruments.vibrometer import beam_notices
 from fusion.phasors.channels import folding, folds_told
 from fusion.phasors.timing import no_pulse_width
@@ -20,17 +22,20 @@ from fusion.recording.files import AlreadyRead, read_set_ups, recorded_channels,
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry, Daq, Frames, Images
 from fusion.recording.plausible import doubts
-from fusion.recording.response import check_response
+from fusion.recording.response import check_response, read_response
 from fusion.recording.rig import Rig, Stereo
 from fusion.recording.toml import quoted
 from fusion.recording.values import PULSE
 from photogram.images.sequence import ImageSequence
 from shaker.arrays import BoolArray, FloatArray
+from shaker.frf.chain import ChainResponse
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
 
 BODIES = ("load", "base")
 NO_REFERENCE, TOGETHER = "no channel", "all together"
 EXACT, FEWEST_SUBSETS = 1e-4, 6
+REFERENCE_HZ = 160.0
+"""At which responses are read where no lines are stated (ISO 16063-21)."""
 ROW_TOLERANCE = 1e-9
 """Relative singular value below which instruments do not tell two motions apart."""
 
@@ -136,6 +141,8 @@ def check(manifest: Manifest) -> CheckReport:
         remarks += [f"{notice.where}: {notice.text}" for notice in beam_notices(placed)]
         remarks += told_alone
         remarks += _motion_remarks(manifest.rig, excitation.direction or (), entries, observed)
+        seen = {manifest.rig.stereo[one.stereo].body for take in takes for one in (*take.images, *take.points)}
+        remarks += _unstated(manifest, entries, seen)
         remarks += [remark for take in takes for remark in _clock_remarks(take.daq)]
         problems += _without_place(manifest, takes) if "run" in kind.commands else []
     else:
@@ -518,11 +525,35 @@ def _motion_remarks(
     if rig.surroundings.free_fall_mps2[0] is None:
         size = "" if rig.surroundings.latitude is None else ", only where its size follows from (down is missing)"
         told.append(f"rig.toml states no gravity{size}: tilt is not corrected")
-    return told + [
-        f"channel {entry.name} states no uncertainty of its scale: compared with the others, not fused"
-        for entry in entries
-        if entry.quantity in TRANSDUCERS and not (entry.scale_uncertainty or entry.individual_uncertainty)
-    ]
+    return told
+
+
+def _unstated(manifest: Manifest, entries: Sequence[ChannelEntry], pairs: Collection[str]) -> list[str]:
+    """Name the motion channels whose scale counts as exact, and what `run` does with instruments that state no errors.
+
+    `pairs`: bodies that stereo pairs see, whose calibrations state theirs.
+    """
+    motion = [entry for entry in entries if entry.quantity in TRANSDUCERS]
+    lines, beams = np.array(manifest.excitation.frequencies or (REFERENCE_HZ,)), Beams.of(motion)
+    responses, stated = dict[str, ChainResponse | None](), set[tuple[str, str, str]]()
+    for entry in motion:
+        response = responses[entry.name] = None
+        with suppress(InputError):  # told where it is read
+            if entry.response is not None:
+                response = read_response(entry.response, lines, entry.response_result, entry.response_columns)
+        responses[entry.name] = response
+        if errors_are_stated(entry, response, beams):
+            stated.add((str(entry.body), entry.quantity, chain_name(entry)))
+    told = []
+    for entry in motion:
+        body, readable = str(entry.body), entry.response is None or responses[entry.name] is not None
+        if scale_is_stated(entry, responses[entry.name]) or not readable:
+            continue
+        fused = (body, entry.quantity, chain_name(entry)) in stated
+        fused = fused or (body not in pairs and not any(other == body for other, _, _ in stated))
+        effect = "taken as exact" if fused else "compared with the others, not fused"
+        told.append(f"channel {entry.name} states no uncertainty of its scale: {effect}")
+    return told
 
 
 def _clock_remarks(blocks: Sequence[Daq]) -> list[str]:

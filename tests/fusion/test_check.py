@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -19,6 +20,7 @@ from support import AT_ORIGIN, DOCS, block, channel, edit, examples, recording_h
 
 from fusion.base import InputError
 from fusion.cli import main
+from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels
 from fusion.instruments.transducer import TRANSDUCERS, placed_at, unit_direction
 from fusion.planning.check import check, observable
 from fusion.recording.load import load_manifest
@@ -26,6 +28,7 @@ from fusion.recording.manifest import ChannelEntry
 from fusion.recording.response import Element, read_chain, read_response
 from fusion.simulate import simulate
 from shaker.labels import MOTION_COMPONENTS
+from shaker.sine.phasor import Phasors
 
 Campaign = Callable[..., Path]
 
@@ -168,10 +171,54 @@ def test_what_will_be_missing_is_remarked(make_campaign):
         "rig.toml has no [load]: no load and no sensitivity",
         "rig.toml has no [sensor]: no sensitivity",
         "rig.toml states no gravity: tilt is not corrected",
-        "channel velocity states no uncertainty of its scale: compared with the others, not fused",
+        "channel velocity states no uncertainty of its scale: taken as exact",
         "daq drive shares no trigger channel with another block: its clock cannot be tied",
     ):
         assert text in remarks
+
+
+TWO_LASERS = (
+    recording_head("two lasers").replace('"daq', '"vibrometer')
+    + channel("velocity", "velocity", body="load", **AT_ORIGIN)
+    + channel("second", "velocity", body="load", **AT_ORIGIN)
+)
+TABLE = "frequency_hz,magnitude,phase_rad,u_magnitude,u_phase_rad\n50,1,0,{u},{u}\n200,1,0,{u},{u}\n"
+
+
+@pytest.mark.parametrize(
+    ("keys", "u", "effect"),
+    [
+        ("", 0.0, ("taken as exact", "taken as exact")),  # no instrument states anything: both are used
+        ('response = "table.csv"', 0.002, (None, "compared with the others, not fused")),
+        ('response = "table.csv"', 0.0, ("taken as exact", "taken as exact")),
+        ("individual_uncertainty = 0.002", 0.0, (None, "compared with the others, not fused")),
+        ("direction_uncertainty = 0.002", 0.0, ("taken as exact", "compared with the others, not fused")),
+    ],
+)
+def test_what_is_said_of_an_unstated_scale_is_what_the_fusion_does(make_campaign, keys, u, effect):
+    """The remark against `fuse`: which of two lasers its observations count as stated."""
+    text = TWO_LASERS.replace('name = "velocity"', f'name = "velocity"\n{keys}', 1)
+    folder = make_campaign(rig='format = 1\nname = "bare"\n', recording=text)
+    (folder / "table.csv").write_text(TABLE.format(u=u), encoding="utf-8")
+    manifest = load_manifest(folder)
+    remarks = [remark for remark in check(manifest).remarks if "no uncertainty of its scale" in remark]
+    names = ("velocity", "second")
+    said = [
+        f"channel {name} states no uncertainty of its scale: {one}"
+        for name, one in zip(names, effect, strict=True)
+        if one
+    ]
+    assert remarks == said
+    lines = np.array([106.25])
+    phasors = Phasors(lines, np.ones((1, 1), complex), np.eye(2)[None] * 1e-12, ("a",), ("m/s",), np.full(1, 50.0))
+    readings = []
+    for entry in manifest.daq[0].channel:
+        response = None if entry.response is None else read_response(entry.response, lines)
+        chain = ChainUncertainty() if response is None else ChainUncertainty(response.u_magnitude, response.u_phase_rad)
+        readings.append(Reading(entry, replace(phasors, channels=(entry.name,)), chain))
+    stated = [observation.stated for observation in observe_channels(readings)]
+    used = stated if any(stated) else [True, True]
+    assert used == ["not fused" not in (one or "") for one in effect]
 
 
 FREQUENCY = np.array([100.0, 1000.0, 4000.0])

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fusion.base import ARGUMENT, InputError
+from fusion.instruments.channel import scale_is_stated
 from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.excitation import kinds_of
 from fusion.recording.load import Manifest
@@ -356,9 +357,7 @@ def _as_wanted(entry: ChannelEntry, unit: str, quantity: Quantity | None) -> tup
 def _silent(chains: Sequence[ChannelChain]) -> list[Notice]:
     """Name the channels whose scale is taken as exact because nothing else is stated."""
     names = [
-        chain.entry.name
-        for chain in chains
-        if not (chain.entry.scale_uncertainty or chain.entry.individual_uncertainty or chain.entry.common)
+        chain.entry.name for chain in chains if not (scale_is_stated(chain.entry, chain.response) or chain.entry.common)
     ]
     if not names:
         return []
