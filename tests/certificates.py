@@ -1,4 +1,4 @@
-"""A filled certificate.toml, and what tests of certificates read: texts of the XML, rules of a Schematron file."""
+"""A filled certificate.toml, a signed certificate, texts of the XML, rules of a Schematron file."""
 
 from __future__ import annotations
 
@@ -88,3 +88,35 @@ def broken_rules(document: Path, rules: Path) -> Iterator[tuple[str, str]]:
                         (holds,) = value(f"boolean({child.get('test')})", node, known)
                         if holds == child.tag.endswith("report"):
                             yield child.get("role", "error"), " ".join("".join(child.itertext()).split())
+
+
+SIGNED = r"""<?xml version='1.0' encoding='utf-8'?>
+<?style sheet?><!-- of the laboratory --><dcc:digitalCalibrationCertificate
+  xmlns:si="https://ptb.de/si" xmlns:dcc="https://ptb.de/dcc" xmlns:unused="urn:unused" schemaVersion="3.3.0">
+<dcc:administrativeData><dcc:coreData><dcc:uniqueIdentifier>S&#252;d &amp; 7</dcc:uniqueIdentifier
+></dcc:coreData></dcc:administrativeData>
+<dcc:measurementResults><dcc:measurementResult><dcc:results
+><dcc:result id='m1'   refType='basic_mass'><!-- weighed --><dcc:name
+><dcc:content lang="en">load mass</dcc:content></dcc:name>
+<dcc:data><dcc:quantity><si:real><si:value>7</si:value><si:unit><![CDATA[\kilogram]]></si:unit
+><si:expandedUnc><si:uncertainty>0.01</si:uncertainty><si:coverageFactor>2</si:coverageFactor
+></si:expandedUnc></si:real></dcc:quantity></dcc:data></dcc:result></dcc:results></dcc:measurementResult
+></dcc:measurementResults>
+<Signature xmlns="http://www.w3.org/2000/09/xmldsig#">
+<SignedInfo>
+<CanonicalizationMethod Algorithm="http://www.w3.org/2001/10/xml-exc-c14n#"/>
+<SignatureMethod Algorithm="http://www.w3.org/2001/04/xmldsig-more#ecdsa-sha256"/>
+<Reference URI="">
+<Transforms>
+<Transform Algorithm="http://www.w3.org/2000/09/xmldsig#enveloped-signature"/>
+<Transform Algorithm="http://www.w3.org/2006/12/xml-c14n11"/>
+</Transforms>
+<DigestMethod Algorithm="http://www.w3.org/2001/04/xmlenc#sha256"/>
+<DigestValue>2rb989WTmt6s/2tEU4aXawE0DOgH9dufyA4zIir8NBU=</DigestValue>
+</Reference>
+</SignedInfo>
+<SignatureValue>eIU5FB0opw3F7LYgybtn7T0ESo7z6M5kh5z7xz+nzv5uMYgXpmDWxQpcQCUccKbF
+epXjEkLLKKUoCBQVHKKT/Q==</SignatureValue>
+</Signature></dcc:digitalCalibrationCertificate>
+"""
+"""Signed by libxmlsec1 1.3 (ECDSA, SHA-256, C14N 1.1), then written in other words of XML: quotes, entities, CDATA."""

@@ -122,7 +122,7 @@ def check(manifest: Manifest) -> CheckReport:
     kind, excitation = KINDS[manifest.excitation.kind], manifest.excitation
     remarks = [
         *kind.command_remark,
-        *(f"{notice.where}: {notice.text}" for notice in (*manifest.expired, *doubts(manifest))),
+        *(f"{notice.where}: {notice.text}" for notice in (*manifest.certified, *doubts(manifest))),
     ]
     if kind.tabled and excitation.file is not None:
         contents, problems = _table(manifest, excitation.file)

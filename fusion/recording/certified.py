@@ -20,6 +20,7 @@ from fusion.recording.dsi import CELSIUS_AT_0_K, Dimension, parse_unit
 from fusion.recording.response import certified_table
 from fusion.recording.toml import UNFILLED, Stated, UncertainInput, checked_table, key_path
 from fusion.recording.values import Block, PathScope, Text, describe
+from shaker.arrays import Notice
 
 UNIT_OF = {
     **dict.fromkeys(("mass", "internal_mass", "tip_mass"), "kg"),
@@ -62,7 +63,8 @@ class Certified(Block):
 class CertifiedInputs:
     """What the certificates of one manifest say: its text without them, their files, the curves that channels follow.
 
-    `files`: with what they were before they were read. `wrong`: every table that cannot be used.
+    `files`: with what they were before they were read. `wrong`: every table that cannot be used. `signed`: what the
+    signatures of the files tell.
     """
 
     path: Path
@@ -72,6 +74,7 @@ class CertifiedInputs:
     files: dict[Path, Identity | None] = field(default_factory=dict)
     curves: list[UncertainInput] = field(default_factory=list)
     wrong: list[InputError] = field(default_factory=list)
+    signed: list[Notice] = field(default_factory=list)
 
     def replaced(self, value: Any, whole: dict[str, Any], place: list[int | str]) -> Any:
         """Return a part of a manifest, tables with `dcc` replaced by what the certificate states."""
@@ -139,7 +142,9 @@ class CertifiedInputs:
         except OSError as error:
             raise InputError(self.path, key, error.strerror or str(error), "a path that can be read") from error
         self.files.setdefault(path, Identity.of(path))
-        return read_dcc(path)
+        certificate = read_dcc(path)
+        self.signed += certificate.signed
+        return certificate
 
     def _dimension(self, beside: Mapping[str, Any]) -> Dimension | None:
         """Return of what a channel's scale or response makes electrical quantities; None where that is no SI unit."""
@@ -196,8 +201,9 @@ class CertifiedInputs:
             raise InputError(self.path, f"{key}.result", found, f"a result of {file}, which has {known}")
         fitting = [own for q in named if (own := q.in_one_of(ways)) is not None]
         if not fitting:
-            if table.result:
-                named[0].usable()
+            unusable = [q for q in named if q.problem is not None]
+            if unusable and (table.result or len(unusable) == len(named)):
+                unusable[0].usable()
             units = ", ".join(dict.fromkeys(q.unit.text for q in named[:8] if q.unit.text))
             raise InputError(self.path, key, f"{units} ({named[0].where} of {file})", f"a quantity in {told}")
         sized = [q for q in fitting if len(q.value) == count or q.problem is not None]
@@ -211,7 +217,7 @@ class CertifiedInputs:
         picked = sized[0].usable()
         if np.any(np.isnan(picked.value)):
             raise certificate.refusal(picked.where, "nan", "finite numbers" if count > 1 else "a finite number")
-        if not np.all(np.isfinite(picked.expanded)):
+        if not np.all(np.isfinite(picked.expanded / picked.k)):
             raise certificate.refusal(picked.where, "no uncertainty", "U with its coverage factor")
         if np.ptp(picked.k) > 0.0:
             raise certificate.refusal(picked.where, "several coverage factors", "one for all three numbers")

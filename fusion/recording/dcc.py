@@ -21,7 +21,7 @@ from fusion.base import Identity, InputError
 from fusion.recording.dsi import CELSIUS_AT_0_K, LEVEL, NONE, Dimension, Unit, parse_unit
 from fusion.recording.toml import read_text
 from fusion.recording.values import describe, wrong_size
-from shaker.arrays import ComplexArray, FloatArray
+from shaker.arrays import ComplexArray, FloatArray, Notice
 
 SUFFIX = ".xml"
 ROOT = "{https://ptb.de/dcc}digitalCalibrationCertificate"
@@ -30,6 +30,8 @@ MOST_QUANTITIES, MOST_KEPT = 10_000, 32
 KINDS = ("real", "realList", "realListXMLList", "complex", "complexListXMLList", "hybrid", "list", "constant")
 """Elements of the D-SI that hold the values of a quantity."""
 LIST_UNCERTAINTY = ("listMeasurementUncertaintyUnivariate", "listUnivariateUnc")
+SIGNED = ("{*}administrativeData", "{*}measurementResults")
+"""Of a certificate: what a signature has to cover."""
 NO_UNIT = Unit(np.nan, (), "")
 SAME_VALUE = 0.01
 """Relative difference up to which rounding explains that two units of one quantity state different values."""
@@ -103,7 +105,7 @@ class CertifiedQuantity:
 
 @dataclass(frozen=True)
 class CalibrationCertificate:
-    """What a DCC states: its number, laboratory, day, last day of validity, quantities."""
+    """What a DCC states: its number, laboratory, day, last day of validity, quantities; what its signatures tell."""
 
     path: Path
     number: str
@@ -111,6 +113,7 @@ class CalibrationCertificate:
     date: Date | None
     valid_until: Date | None
     quantities: tuple[CertifiedQuantity, ...]
+    signed: tuple[Notice, ...] = ()
 
     def refusal(self, key: str, found: str, expected: str) -> InputError:
         """Return the mistake of an element of this file."""
@@ -151,19 +154,41 @@ def _parsed(path: Path, _: Identity | None) -> CalibrationCertificate:
         date=next((day for day in days if day is not None), None),
         valid_until=min((day for day in statements if day is not None), default=None),
         quantities=tuple(_quantities(path, root)),
+        signed=tuple(_signatures(path)),
     )
 
 
-def _root(path: Path) -> Any:
-    """Return the root of a file of XML, in which no entity is defined and nothing is fetched from elsewhere."""
+def _signatures(path: Path) -> Iterator[Notice]:
+    """Yield what the signatures of a certificate tell; `InputError` for one that was changed since it was signed."""
+    if b"xmldsig#" not in path.read_bytes():
+        return
+    from fusion.recording.signature import check_signatures
+
+    found = check_signatures(_root(path, whole=True), SIGNED)
+    if found.changed:
+        expected = "the content that was signed; ask the laboratory for the certificate again"
+        raise InputError(path, "ds:Signature", f"a change since then: {found.changed}", expected)
+    if found.unchecked:
+        text = f"the signature was not checked ({found.unchecked}): a change of the content since then would not show"
+        yield Notice("warning", f"{text}; check it with the laboratory's tool", path.name)
+    elif found.count:
+        text = "the content is what was signed, by its digests; who signed it was not checked"
+        yield Notice("info", text, path.name)
+
+
+def _root(path: Path, *, whole: bool = False) -> Any:
+    """Return the root of a file of XML, in which no entity is defined and nothing is fetched from elsewhere.
+
+    `whole`: with comments and processing instructions.
+    """
     from lxml import etree
 
     text = read_text(path, LARGEST, "a Digital Calibration Certificate")
     if re.search(r"<!(DOCTYPE|ENTITY)", text, re.IGNORECASE):
         raise InputError(path, "", "a document type declaration", "XML without one, as a certificate has")
     parser = etree.XMLParser(
-        resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False, remove_comments=True, remove_pis=True,
-        encoding="utf-8",
+        resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False,
+        remove_comments=not whole, remove_pis=not whole, encoding="utf-8",
     )  # fmt: skip
     try:
         root = etree.fromstring(text.encode(), parser)

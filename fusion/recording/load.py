@@ -86,6 +86,7 @@ class Manifest:
     operator: str | None = None
     procedure: str | None = None
     inputs: tuple[UncertainInput, ...] = ()
+    signed: tuple[Notice, ...] = ()
     read: Mapping[Path, Identity] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -99,6 +100,11 @@ class Manifest:
             part = replace(self, daq=take.daq, images=take.images, points=take.points, take=())
             blocks.append((f"take[{number}].", part))
         return blocks
+
+    @property
+    def certified(self) -> tuple[Notice, ...]:
+        """Return what has to be known of the certificates: which were not valid, what their signatures tell."""
+        return (*self.expired, *self.signed)
 
     @property
     def expired(self) -> tuple[Notice, ...]:
@@ -253,6 +259,7 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
         operator=record.operator,
         procedure=record.procedure,
         inputs=(*of_rig, *uncertain_inputs(text, path), *(item for found in of_certificates for item in found.curves)),
+        signed=tuple(dict.fromkeys(notice for found in of_certificates for notice in found.signed)),
         read={file: identity for file, identity in seen.items() if identity is not None},
     )
 

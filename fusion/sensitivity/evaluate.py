@@ -77,7 +77,7 @@ def evaluate_recording(
         entries = [reading.entry for reading in joined.readings]
         found = analysis.element or analysis.sensitivity
         missing += unstated_chain(found, entries, driven_component(direction, sensor.capacity))
-    told = [*manifest.expired, *doubts(manifest), *joined.notices, *shaken, *parallel, *unseen, *measured]
+    told = [*manifest.certified, *doubts(manifest), *joined.notices, *shaken, *parallel, *unseen, *measured]
     told += [*analysis.notices, *missing, *(drawn.notices if drawn else ())]
     return Evaluation(
         manifest=manifest,

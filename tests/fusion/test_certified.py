@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import os
+import re
 import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
+from certificates import SIGNED
 from support import DOCS, examples
 
 from fusion.base import InputError
@@ -20,6 +24,17 @@ from fusion.recording.values import PathScope
 from fusion.report.uncertainty_tables import inputs_table
 from fusion.sensor.certificate.evaluate import _sources
 
+ENVELOPED = (
+    '<ds:Transform Algorithm="http://www.w3.org/2000/09/xmldsig#enveloped-signature"></ds:Transform>'
+    '<ds:Transform Algorithm="http://www.w3.org/TR/2001/REC-xml-c14n-20010315"></ds:Transform>'
+)
+ALGORITHMS = {
+    "sha1": "http://www.w3.org/2000/09/xmldsig#sha1",
+    "sha224": "http://www.w3.org/2001/04/xmldsig-more#sha224",
+    "sha256": "http://www.w3.org/2001/04/xmlenc#sha256",
+    "sha384": "http://www.w3.org/2001/04/xmldsig-more#sha384",
+    "sha512": "http://www.w3.org/2001/04/xmlenc#sha512",
+}
 REAL = Path(os.environ.get("SHAKERCAL_DATA", Path(__file__).parents[3] / "shared/data")) / "dcc"
 TYPED = '{ value = 6.9605, U = 0.0020, k = 2, certificate = "K 7", laboratory = "Lab", date = 2026-03-01 }'
 FROM_FILE = '{ dcc = "a.xml", result = "load mass" }'
@@ -221,6 +236,345 @@ def test_ten_thousand_frequencies_are_read(tmp_path):
     numbers = " ".join(str(number) for number in range(1, 10_001))
     (tmp_path / "b.xml").write_text(certificate(curve("c", numbers, "1 " * 10_000, "0 " * 10_000)))
     assert read_response(tmp_path / "b.xml", np.array([500.5])).value[0] == pytest.approx(1.0)
+
+
+def named(kind: str, numbers: str, name: str = "", about: str = "") -> str:
+    """A quantity of some type (refType), with a name in German and a description."""
+    name = f'<dcc:name><dcc:content lang="de">{name}</dcc:content></dcc:name>' if name else ""
+    about = f"<dcc:description><dcc:content>{about}</dcc:content></dcc:description>" if about else ""
+    return f'<dcc:quantity refType="{kind}">{name}{about}{numbers}</dcc:quantity>'
+
+
+def listed(name: str, *quantities: str) -> str:
+    """A result with one list of quantities."""
+    told = f"<dcc:name><dcc:content>{name}</dcc:content></dcc:name>"
+    return f"<dcc:result>{told}<dcc:data><dcc:list>{''.join(quantities)}</dcc:list></dcc:data></dcc:result>"
+
+
+def read_input(folder: Path, text: str, entry: dict[str, str], key: str = "mass"):
+    """What a manifest has at a key of [load] after its certificate was read; raises the first mistake."""
+    (folder / "a.xml").write_text(text, encoding="utf-8")
+    scope = PathScope(folder, folder.resolve())
+    found = certified_inputs({"load": {key: {"dcc": "a.xml"} | entry}}, folder / "rig.toml", scope)
+    if found.wrong:
+        raise found.wrong[0]
+    return found.text["load"][key]
+
+
+FOREIGN = [
+    result("Sound", real("61.2", r"\decibel", "0.5")),
+    result("Height", many("0.051 NaN 0.049", r"\metre")),
+    result("Height", many("0.051 INF", r"\metre")),
+    result("Label", real("red", r"\one")),
+    result("Label", "<dcc:noQuantity><dcc:content>not measured</dcc:content></dcc:noQuantity>"),
+    result("Label", "<dcc:charsXMLList>a b</dcc:charsXMLList>"),
+    result("Length", real("3", r"\inch", "0.1")),
+    result("Length", real("3", "")),
+    result("Length", many("1 2 3", r"\metre", "0.1 0.1")),
+    result("Length", many("1 2 3", r"\metre \metre")),
+    result("Length", "<si:hybrid></si:hybrid>"),
+    result("Length", "<si:real/>", "<si:list/>", "<si:complex/>"),
+    result("New", "<si:tensor><si:value>1</si:value></si:tensor><other/>"),
+    result("Pressure", real("1", r"\pascal", "-1"), real("1", r"\pascal", "1", "0.5")),
+    curve("broken", "1 2 3", "1 1", "0 0", r"\one"),
+    listed("levels", named("vib_frequency", many("1 2", r"\hertz")), named("x", many("1 x", r"\decibel"))),
+    "<dcc:result/><dcc:result><dcc:data/></dcc:result><unknown/>",
+]
+
+
+@pytest.mark.parametrize("foreign", FOREIGN)
+@pytest.mark.parametrize("entry", [{}, {"result": "load mass"}])
+def test_what_nobody_asks_for_need_not_be_understood(tmp_path, foreign, entry):
+    for results in ((MASS, foreign), (foreign, MASS)):
+        table = read_input(tmp_path, certificate(*results), entry)
+        assert (table["value"], table["U"], table["k"]) == (pytest.approx(6.9605), pytest.approx(0.002), 2.0)
+    sound = curve("axis z", "50 100 200", "2 2 2", "0.1 0.2 0.4", r"\one")
+    (tmp_path / "a.xml").write_text(certificate(foreign, sound), encoding="utf-8")
+    assert read_response(tmp_path / "a.xml", np.array([100.0]), "axis z").value[0] == pytest.approx(2 * np.exp(0.2j))
+    beside = foreign.partition("<dcc:data>")[2].partition("</dcc:data>")[0].replace("dcc:list>", "dcc:other>")
+    inside = sound.replace("</dcc:list>", f"{beside}</dcc:list>")
+    (tmp_path / "a.xml").write_text(certificate(inside), encoding="utf-8")
+    assert read_response(tmp_path / "a.xml", np.array([100.0])).value[0] == pytest.approx(2 * np.exp(0.2j))
+
+
+@pytest.mark.parametrize(
+    ("numbers", "told"),
+    [
+        (real("NaN", r"\kilogram", "0.1"), "found nan"),
+        (real("7", r"\kilogram", "NaN"), "no uncertainty"),
+        (real("7", r"\kilogram", "0.1", "NaN"), "no uncertainty|finite"),
+        (real("seven", r"\kilogram", "0.1"), 'si:value: expected numbers, found "seven"'),
+        (real("7", r"\pound", "0.1"), r"si:unit: .*found .pound"),
+        (real("7", r"|lb", "0.1"), r"si:unit: .*found .lb"),
+        (real("38", r"\decibel", "0.1"), r"a quantity in kg, found .decibel"),
+        (real("7", r"\one", "0.1") + real("8", r"\gram", "0.1").replace("si:real>", "x:y>").replace("x:", ""), "kg"),
+    ],
+)
+def test_what_is_asked_for_and_cannot_be_used_is_refused_by_its_name(tmp_path, numbers, told):
+    with pytest.raises(InputError, match=told) as caught:
+        read_input(tmp_path, certificate(result("load mass", numbers), VOLUME), {"result": "load mass"})
+    assert "load mass" in str(caught.value)
+
+
+def test_two_results_of_one_unit_are_asked_about_even_if_one_cannot_be_used(tmp_path):
+    with pytest.raises(InputError, match="one of the 2 results in kg"):
+        read_input(tmp_path, certificate(MASS, result("other", real("NaN", r"\kilogram", "1"))), {})
+
+
+def amplifier(frequency: str, magnitude: str, phase: str) -> str:
+    """A certificate of one response, by its quantities."""
+    return certificate(listed("c", frequency, magnitude, phase))
+
+
+HERTZ = named("vib_frequency", many("50 100 200", r"\hertz"))
+GAIN = named("vib_magnitude", many("2 2 2", r"\one", "0.008"))
+TURN = named("vib_phase", many("-0.1 -0.2 -0.4", r"\radian", "0.004"))
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "values", "unit", "expected"),
+    [
+        ("vib_phase", "Phase", "-0.1 -0.2 -0.4", r"\radian", -0.2),
+        ("vib_phase", "Phase lag", "0.1 0.2 0.4", r"\radian", -0.2),
+        ("vib_phase", "Phasenverzug", "0.1 0.2 0.4", r"\radian", -0.2),
+        ("vib_phase", "Nacheilung der Phase", "5.7 11.459156 23", r"\degree", -0.2),
+        ("vib_phaseLag", "", "0.1 0.2 0.4", r"\radian", -0.2),
+        ("vib_phase_lag", "Phase", "100 200 400", r"\milli\radian", -0.2),
+        ("vib_phase", "Phase lag", "-0.001 0.2 0.4", r"\radian", -0.2),
+        ("vib_phase", "Phase lead", "-0.1 -0.2 -0.4", r"\radian", -0.2),
+        ("", "Winkel", "-0.1 -0.2 -0.4", r"\radian", -0.2),
+        ("", "Phase flag", "-0.1 -0.2 -0.4", r"\radian", -0.2),
+        ("", "Phase", "-687.5494 -687.5494 -687.5494", r"\arcminute", -0.2),
+        ("vib_phase", "Phase lag", "-0.1 -0.2 -0.4", r"\radian", "lag of -0.4 rad"),
+        ("vib_phase", "Phase (lead or lag)", "-0.1 -0.2 -0.4", r"\radian", "sign is plain"),
+        ("vib_phase", "Phase lag, negative", "0.1 0.2 0.4", r"\radian", "sign is plain"),
+        ("vib_phase", "Phase delay", "0.1 0.2 0.4", r"\radian", "sign is plain"),
+        ("vib_phase", "Phasenverzögerung", "0.1 0.2 0.4", r"\radian", "sign is plain"),
+        ("vib_phase", "retard de phase", "0.1 0.2 0.4", r"\radian", "sign is plain"),
+        ("vib_phase", "Phase", "10 20 40", r"\percent", "rad or degrees"),
+        ("vib_phase", "Phase", "10 20 40", r"\second", "no phase"),
+    ],
+)
+def test_the_sign_of_a_phase_is_what_its_name_says_or_asked_for(tmp_path, kind, name, values, unit, expected):
+    own = [float(value) for value in values.split()]
+    turn = named(kind, many(values, unit, f"{0.02 * max(map(abs, own)):g}"), name)
+    (tmp_path / "a.xml").write_text(amplifier(HERTZ, GAIN, turn), encoding="utf-8")
+    if isinstance(expected, str):
+        with pytest.raises(InputError, match=expected) as caught:
+            read_response(tmp_path / "a.xml", np.array([100.0]))
+        assert '"c"' in str(caught.value)
+    else:
+        found = read_response(tmp_path / "a.xml", np.array([100.0]))
+        assert found.value[0] == pytest.approx(2.0 * np.exp(1j * expected), rel=1e-6)
+
+
+def test_a_description_that_makes_the_phase_a_lag_is_asked_about(tmp_path):
+    turn = named("vib_phase", many("0.1 0.2 0.4", r"\radian", "0.004"), "Phase", "Positive values: the output lags.")
+    (tmp_path / "a.xml").write_text(amplifier(HERTZ, GAIN, turn.replace("lags.", "phase lags.")), encoding="utf-8")
+    with pytest.raises(InputError, match="sign is plain"):
+        read_response(tmp_path / "a.xml", np.array([100.0]))
+
+
+@pytest.mark.parametrize(
+    ("frequency", "told"),
+    [
+        (named("vib_frequency", many("50 100 200", r"\hertz")), ""),
+        (named("vib_frequency", many("0.05 0.1 0.2", r"\kilo\hertz")), ""),
+        (named("vib_frequency", many("314.15926536 628.31853072 1256.6370614", r"\radian\per\second")), ""),
+        (named("x_angularFrequency", many("314.15926536 628.31853072 1256.6370614", r"\second\tothe{-1}")), ""),
+        (named("x", many("314.15926536 628.31853072 1256.6370614", r"\one\per\second"), "Kreisfrequenz"), ""),
+        (named("vib_frequency", many("18000 36000 72000", r"\degree\second\tothe{-1}")), ""),
+        (named("vib_frequency", many("3000 6000 12000", r"\one\per\minute")), ""),
+        (named("basic_tableIndex0", many("50 100 200", r"\hertz")), ""),
+        (named("", many("50 100 200", r"\hertz"), "f"), ""),
+        (named("x_angularFrequency", many("50 100 200", r"\hertz")), "angular frequency in .hertz"),
+        (named("vib_frequency", many("50 NaN 200", r"\hertz")), "found nan"),
+        (named("vib_frequency", many("50 100 200", r"\rpm")), "found .rpm"),
+        (HERTZ + named("vib_frequency", many("51 101 201", r"\hertz")), "one column with the frequencies"),
+    ],
+)
+def test_frequencies_are_hertz_whatever_the_unit(tmp_path, frequency, told):
+    (tmp_path / "a.xml").write_text(amplifier(frequency, GAIN, TURN), encoding="utf-8")
+    if told:
+        with pytest.raises(InputError, match=told):
+            read_response(tmp_path / "a.xml", np.array([100.0]))
+    else:
+        found = read_response(tmp_path / "a.xml", np.array([100.0]))
+        assert found.value[0] == pytest.approx(2.0 * np.exp(-0.2j), rel=1e-6)
+
+
+def test_a_single_frequency_in_rad_per_second_is_converted(tmp_path):
+    text = certificate(result("resonance", real("628.31853072", r"\radian\per\second", "6.2831853")))
+    table = read_input(tmp_path, text, {}, "axial_frequency")
+    assert (table["value"], table["U"]) == (pytest.approx(100.0), pytest.approx(1.0))
+
+
+@pytest.mark.parametrize(
+    ("magnitudes", "expected"),
+    [
+        (named("vib_magnitude", many("6.0205999 6.0205999 6.0205999", r"\decibel", "0.0346")), 2.0),
+        (named("", many("6.0205999 6.0205999 6.0205999", r"\decibel", "0.0346"), "Insertion loss"), "a loss in"),
+        (GAIN + named("", many("3 3 3", r"\one", "0.1"), "Temperature ratio"), 2.0),
+        (named("", many("2 2 2", r"\one", "0.008"), "Gain") + named("", many("9 9 9", r"\one", "1"), "Drift"), 2.0),
+        (named("", many("2 2 2", r"\one", "0.008"), "A") + named("", many("9 9 9", r"\one", "1"), "B"), "magnitude"),
+        (named("x_magnitude", many("2 2 2", r"\foo", "0.008")) + named("", many("9 9 9", r"\one", "1")), ".foo"),
+        (named("", many("2 2 2", r"\one", "0.008"), "A") + named("", many("9 9 9", r"\kelvin", "1"), "B"), 2.0),
+        (named("", many("2 2 2", r"\one", "0.008"), "A") + named("", many("9 9", r"\kelvin", "1"), "B"), 2.0),
+        (named("", many("2 2 2", r"\one"), "A"), "no uncertainty"),
+    ],
+)
+def test_the_magnitude_is_the_column_that_can_be_it(tmp_path, magnitudes, expected):
+    (tmp_path / "a.xml").write_text(amplifier(HERTZ, magnitudes, TURN), encoding="utf-8")
+    if isinstance(expected, str):
+        with pytest.raises(InputError, match=expected):
+            read_response(tmp_path / "a.xml", np.array([100.0]))
+    else:
+        found = read_response(tmp_path / "a.xml", np.array([100.0]))
+        assert abs(found.value[0]) == pytest.approx(expected)
+        assert found.errors[0, 0].real == pytest.approx(0.002, rel=0.01), "0.0346 dB are 0.4 %"
+
+
+def test_nan_in_the_table_matters_where_it_is_needed(tmp_path):
+    """A linear phase, so that a missing point changes nothing at the others."""
+    frequency = named("vib_frequency", many("50 100 150 200 250", r"\hertz"))
+    for phase in ("-0.1 -0.2 NaN -0.4 -0.5", "-0.1 -0.2 -0.3 -0.4 -0.5"):
+        sizes = "2 2 2 2 2" if "NaN" in phase else "2 2 NaN 2 2"
+        magnitude = named("vib_magnitude", many(sizes, r"\one", "0.008"))
+        text = amplifier(frequency, magnitude, named("vib_phase", many(phase, r"\radian", "0.004")))
+        (tmp_path / "a.xml").write_text(text, encoding="utf-8")
+        at = np.array([50.0, 75.0, 100.0, 200.0, 240.0])
+        found = read_response(tmp_path / "a.xml", at)
+        np.testing.assert_allclose(found.value, 2.0 * np.exp(-2j * at / 1000), rtol=1e-9)
+        for hertz in (100.5, 150.0, 199.0):
+            with pytest.raises(InputError, match=f'result "c": .*around {hertz:g} Hz.* nan at 150 Hz'):
+                read_response(tmp_path / "a.xml", np.array([hertz]))
+
+
+INCH = real("2.7559", r"\inch", "0.1")
+METRE = real("0.07", r"\metre", "0.00254")
+MILLIMETRE = real("70", r"\milli\metre", "2.54")
+
+
+@pytest.mark.parametrize(
+    "members", [INCH + METRE, METRE + INCH, INCH + MILLIMETRE + METRE, MILLIMETRE, METRE + MILLIMETRE]
+)
+def test_a_hybrid_is_read_in_the_unit_of_the_si_whatever_its_place(tmp_path, members):
+    text = certificate(result("d", f"<si:hybrid>{members}</si:hybrid>"))
+    table = read_input(tmp_path, text, {}, "clamped_diameter")
+    assert (table["value"], table["U"]) == (pytest.approx(0.07), pytest.approx(0.00254))
+
+
+def test_hybrids_of_lists_and_those_that_contradict_themselves(tmp_path):
+    lists = many("50 100 200", r"\cps") + many("0.05 0.1 0.2", r"\kilo\hertz") + many("50 100 200", r"\hertz")
+    real_list = "<si:realList><si:listUnit>\\one</si:listUnit>" + 3 * "<si:real><si:value>2</si:value></si:real>"
+    real_list = real_list.replace(
+        "</si:listUnit>",
+        "</si:listUnit><si:listMeasurementUncertaintyUnivariate><si:expandedMU><si:valueExpandedMU>0.008"
+        "</si:valueExpandedMU><si:coverageFactor>2</si:coverageFactor></si:expandedMU>"
+        "</si:listMeasurementUncertaintyUnivariate>",
+    )
+    frequency = named("vib_frequency", f"<si:hybrid>{lists}</si:hybrid>")
+    gain = named("vib_magnitude", f"<si:hybrid>{real_list}</si:realList></si:hybrid>")
+    (tmp_path / "a.xml").write_text(amplifier(frequency, gain, TURN), encoding="utf-8")
+    assert read_response(tmp_path / "a.xml", np.array([100.0])).value[0] == pytest.approx(2.0 * np.exp(-0.2j))
+    for members, told in (
+        (METRE + MILLIMETRE.replace("70", "80"), "expected one value"),
+        (METRE + real("7", r"\kilogram", "1"), "one quantity in several units"),
+        (INCH, r"found .inch"),
+    ):
+        with pytest.raises(InputError, match=told):
+            read_input(tmp_path, certificate(result("d", f"<si:hybrid>{members}</si:hybrid>")), {}, "clamped_diameter")
+
+
+def signed(text: str, uri: str = "", transform: str = ENVELOPED, digest: str = "sha256", name: str = "") -> str:
+    """A certificate with a signature, digested here by the rules of W3C: `text` is in the canonical form as it stands.
+
+    No space between attributes, double quotes, sorted, no empty elements, no declaration: its own bytes are digested.
+    """
+    part = re.search(rf'<(\S+) id="{uri[1:]}".*</\1>', text)[0] if uri.startswith("#") else text
+    if uri.startswith("#"):  # in its canonical form an element states what it inherits
+        part = part.replace(" id=", ' xmlns:dcc="https://ptb.de/dcc" xmlns:si="https://ptb.de/si" id=', 1)
+    value = base64.b64encode(hashlib.new(digest, part.encode()).digest()).decode()
+    signature = (
+        f'<ds:Signature xmlns:ds="http://www.w3.org/2000/09/xmldsig#"><ds:SignedInfo><ds:Reference URI="{uri}">'
+        f'<ds:Transforms>{transform}</ds:Transforms><ds:DigestMethod Algorithm="{name or ALGORITHMS[digest]}"></ds:DigestMethod>'
+        f"<ds:DigestValue>{value}</ds:DigestValue></ds:Reference></ds:SignedInfo></ds:Signature>"
+    )
+    root = "</dcc:digitalCalibrationCertificate>"
+    return text.replace(root, signature + root)
+
+
+PLAIN = certificate(MASS).replace("<dcc:quantity >", "<dcc:quantity>")
+SUBTRACTED = (
+    '<ds:Transform Algorithm="http://www.w3.org/2002/06/xmldsig-filter2"><f:XPath xmlns:f="http://www.w3.org/2002/06/'
+    'xmldsig-filter2" Filter="subtract">/descendant::ds:Signature</f:XPath></ds:Transform>'
+)
+PARALLEL = (
+    '<ds:Transform Algorithm="http://www.w3.org/TR/1999/REC-xpath-19991116"><ds:XPath>not(ancestor-or-self::ds:Signature)'
+    "</ds:XPath></ds:Transform>"
+)
+UNKNOWN = '<ds:Transform Algorithm="http://www.w3.org/TR/1999/REC-xslt-19991116"/>'
+RESULTS = PLAIN.replace("<dcc:measurementResults>", '<dcc:measurementResults id="r">')
+CHECKED, OPEN = "by its digests", "was not checked ("
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (PLAIN, ""),
+        (SIGNED.replace("S&#252;d &amp; 7", "K 7"), "InputError"),
+        (SIGNED, CHECKED),
+        (SIGNED.replace("<?style sheet?>", "<?style  sheet?>"), CHECKED),
+        (SIGNED.replace("<?style sheet?>", "<?style other?>"), "InputError"),
+        (SIGNED.replace("<!-- weighed -->", ""), CHECKED),  # comments are not signed
+        (SIGNED.replace("\n", "\r\n"), CHECKED),
+        (SIGNED.replace(">7<", ">7.1<"), "InputError"),
+        (SIGNED.replace("\\kilogram", "\\gram"), "InputError"),
+        (SIGNED.replace("load mass", "load mass "), "InputError"),
+        (SIGNED.replace(' id=\'m1\'', ' id=\'m1\' refId=\'x\''), "InputError"),
+        *((signed(PLAIN, digest=name), CHECKED) for name in ("sha1", "sha224", "sha256", "sha384", "sha512")),
+        *((signed(PLAIN, transform=transform), CHECKED) for transform in (SUBTRACTED, PARALLEL)),
+        (signed(signed(PLAIN), digest="sha512"), CHECKED),  # a second one, of all and the first
+        (signed(PLAIN, digest="sha512").replace("6960.5", "2406.3"), "InputError"),
+        (signed(PLAIN, transform=UNKNOWN), OPEN + "the transform"),
+        (signed(PLAIN, name="http://www.w3.org/2001/04/xmldsig-more#md5"), OPEN + "the digest"),
+        (signed(PLAIN).replace('URI=""', 'URI="other.xml"'), OPEN + "the reference"),
+        (signed(RESULTS, "#r", ""), OPEN + "no digest covers administrativeData"),
+        (signed(signed(RESULTS, "#r", "").replace('id="r"', 'id="s"'), "#s", ""), "InputError"),  # #r is not there
+        (signed(PLAIN).replace("<ds:DigestValue>", "<ds:DigestValue>AAAA"), "InputError"),
+        (PLAIN.replace("<dcc:results>", f"<dcc:results>{signed(PLAIN)[signed(PLAIN).index('<ds:Sig'):-36]}"), OPEN),
+    ],
+)  # fmt: skip
+def test_a_signed_certificate_is_what_was_signed_or_refused_or_said_to_be_unchecked(tmp_path, capsys, text, told):
+    (tmp_path / "a.xml").write_bytes(text.encode())
+    if told == "InputError":
+        with pytest.raises(InputError, match=r"a\.xml: ds:Signature: .*change") as caught:
+            dcc.read_dcc(tmp_path / "a.xml")
+        assert "digest" in str(caught.value) or "#r" in str(caught.value)
+        return
+    notices = dcc.read_dcc(tmp_path / "a.xml").signed
+    assert len(notices) == bool(told)
+    for notice in notices:
+        assert told in notice.text
+        assert notice.severity == ("info" if told == CHECKED else "warning")
+        assert notice.where == "a.xml"
+
+
+def test_what_a_signature_tells_reaches_check(campaign, capsys):
+    recording = campaign(signed(PLAIN, transform=UNKNOWN))
+    (notice,) = load_manifest(recording).certified
+    main(["check", str(recording)])
+    assert notice.text in " ".join(capsys.readouterr().out.split())
+    changed = campaign(signed(PLAIN).replace("6960.5", "2406.3"))
+    assert main(["check", str(changed)]) == 2
+    assert "ds:Signature" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not REAL.is_dir(), reason=f"no certificates at {REAL}")
+def test_the_published_signed_certificate_and_the_manipulated_one():
+    assert CHECKED in dcc.read_dcc(REAL / "dcc_gp_temperature_typical_v12_signed.xml").signed[0].text
+    with pytest.raises(InputError, match="ds:Signature"):
+        dcc.read_dcc(REAL / "dcc_gp_temperature_typical_v12_signed_manipulated.xml")
 
 
 GOOD = certificate(MASS)

@@ -220,7 +220,7 @@ def _notices(
         f"results are taken as independent{beside}: what two share without saying so, such as the mass of the same "
         "load or the same accelerometer, cancels in their difference, so that E_n comes out too small"
     )
-    found = [Notice("info", text, "comparison")]
+    found = [*(notice for result in results for notice in result.signed), Notice("info", text, "comparison")]
     for one, other in combinations(results, 2):
         apart = list(dict.fromkeys(claims_apart(one, other, shared)))
         if apart:

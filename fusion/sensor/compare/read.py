@@ -20,7 +20,7 @@ from fusion.report.folder import CURVE_FILE, RESULT_FILE, SENSITIVITY_FILE
 from fusion.report.h5 import opened_results, read_evidence
 from fusion.report.labelled import CAMPAIGN_FILE, LabelledPhasors, read_results
 from fusion.sensitivity.evidence import Evidence
-from shaker.arrays import FloatArray
+from shaker.arrays import FloatArray, Notice
 
 LARGEST_TABLE = 50_000_000  # bytes
 NEEDED = ("frequency_hz", "channel", "component", "magnitude", "unit")
@@ -58,13 +58,14 @@ class Value:
 
 @dataclass(frozen=True)
 class Result:
-    """What is compared: name, file and values, the day that its certificate states, what states its inputs."""
+    """What is compared: name, file and values, of a certificate its day and its signatures, what states the inputs."""
 
     name: str
     file: Path
     values: tuple[Value, ...]
     date: Date | None = None
     evidence: tuple[Evidence, ...] = ()
+    signed: tuple[Notice, ...] = ()
 
 
 def result_file(path: Path) -> Path:
@@ -210,7 +211,7 @@ def _certified(name: str, file: Path) -> Result:
     if not values:
         expected = 'a result over frequency named "… CHANNEL per COMPONENT", such as "Sensitivity Fz per Fz"'
         raise InputError(file, "dcc:results", found="none", expected=expected)
-    return Result(name, file, tuple(values), certificate.date)
+    return Result(name, file, tuple(values), certificate.date, signed=certificate.signed)
 
 
 def _value(row: dict[str, str], file: Path, line: int, *, ratio: bool) -> Value:

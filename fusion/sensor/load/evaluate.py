@@ -110,7 +110,7 @@ def read_series(manifests: Sequence[Manifest]) -> tuple[tuple[LoadSeries, ...], 
     Raises `InputError` for what the user can mend in the files.
     """
     releases, told = zip(*(read_recording(manifest) for manifest in manifests), strict=True)
-    notices: list[Notice] = [*chain.from_iterable(told)]
+    notices = [*chain.from_iterable(told), *(notice for manifest in manifests for notice in manifest.certified)]
     series, refused = list[LoadSeries](), list[InputError]()
     for place, component in enumerate(LOAD_COMPONENTS):
         own = [release for release in releases if release.record.component == component]

@@ -77,7 +77,7 @@ def evaluate_rotation(name: str, manifests: Sequence[Manifest], input_hashes: di
     campaign = Campaign(recordings, records, weights, gravity, air)
     numbers, again = quantities(campaign), repeats(campaign)
     notices += [*_of_surroundings(manifests[0], gravity, outputs), *_of_mounting(recordings, again)]
-    notices += _of_fit(weights, records)
+    notices += [*_of_fit(weights, records), *(notice for manifest in manifests for notice in manifest.certified)]
     for quantity in numbers:
         if quantity.name == "load_mass_normalised_deviation" and abs(quantity.value) > 1.0:
             by, times = quantity.component, f"{abs(quantity.value):.2f} times the U of their difference"

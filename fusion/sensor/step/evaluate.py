@@ -138,6 +138,7 @@ def evaluate_steps(
     """
     started = time.monotonic()
     by_component, notices = _read(manifests, settings)
+    notices += [notice for manifest in manifests for notice in manifest.certified]
     components: list[ComponentResult] = []
     for component in LOAD_COMPONENTS:
         if component in by_component:

@@ -279,7 +279,7 @@ def evaluate_transfer(
     read = read_together(manifest)
     found = [_evaluated(manifest, together, settings) for together in read]
     base = next((together.aligned.base for together in read if together.aligned.base is not None), None)
-    notices = [notice for _, told in found for notice in told]
+    notices = [*manifest.certified, *(notice for _, told in found for notice in told)]
     return TransferEvaluation(
         name=manifest.name,
         manifest=manifest,

@@ -1,0 +1,217 @@
+"""XML signatures of certificates: whether what was signed is still what stands in the file (W3C XML Signature 1.1).
+
+The digests of what is signed are computed anew. Who signed, by the signature's value and its key, is not examined.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import re
+from collections.abc import Callable
+from copy import deepcopy
+from dataclasses import dataclass
+from typing import Any
+
+from lxml import etree
+
+DS = "{http://www.w3.org/2000/09/xmldsig#}"
+XMLNS = "{http://www.w3.org/XML/1998/namespace}"
+EXCLUSIVE = "http://www.w3.org/2001/10/xml-exc-c14n#"
+INCLUSIVE = ("http://www.w3.org/TR/2001/REC-xml-c14n-20010315", "http://www.w3.org/2006/12/xml-c14n11")
+BY_VERSION = (f"{XMLNS}id", f"{XMLNS}base")
+"""Attributes that the first version of the canonical form hands down and the second does not."""
+COMMENTS = "WithComments"
+ENVELOPED = "http://www.w3.org/2000/09/xmldsig#enveloped-signature"
+XPATH = "http://www.w3.org/TR/1999/REC-xpath-19991116"
+XPATH2 = "http://www.w3.org/2002/06/xmldsig-filter2"
+WITHOUT_SIGNATURES = re.compile(r"\s*not\s*\(\s*ancestor-or-self::\w+:Signature\s*\)\s*")
+SIGNATURES = re.compile(r"\s*(/descendant::|//)\w+:Signature\s*")
+DIGESTS = {
+    "http://www.w3.org/2000/09/xmldsig#sha1": "sha1",
+    "http://www.w3.org/2001/04/xmldsig-more#sha224": "sha224",
+    "http://www.w3.org/2001/04/xmlenc#sha256": "sha256",
+    "http://www.w3.org/2001/04/xmldsig-more#sha384": "sha384",
+    "http://www.w3.org/2001/04/xmlenc#sha512": "sha512",
+    **{f"http://www.w3.org/2007/05/xmldsig-more#sha3-{bits}": f"sha3_{bits}" for bits in (224, 256, 384, 512)},
+}
+WHOLE = ("", "#xpointer(/)")
+POINTER = re.compile(r"#xpointer\(id\((['\"])(.+)\1\)\)")
+
+
+@dataclass(frozen=True)
+class Signatures:
+    """What the digests of a document's `count` signatures tell.
+
+    `changed`: what was changed since it was signed, empty where nothing was. `unchecked`: why that cannot be told of
+    all that is needed, empty where digests cover it.
+    """
+
+    count: int
+    changed: str = ""
+    unchecked: str = ""
+
+
+class _CannotTell(Exception):
+    """Something that this module does not do, in words."""
+
+
+def check_signatures(root: Any, needed: tuple[str, ...]) -> Signatures:
+    """Compute the digests of all signatures of a document anew; `needed`: paths of what they have to cover.
+
+    The document must have been parsed with its comments and processing instructions. Signatures of a document are
+    children of its root; one deeper down may belong to something that was pasted there, and tells nothing of the whole.
+    """
+    signatures, unchecked, covered = root.findall(f"{DS}Signature"), list[str](), list[Any]()
+    for signature in signatures:
+        for reference in signature.findall(f"{DS}SignedInfo/{DS}Reference"):
+            try:
+                signed = _signed(root, reference)
+                what = "the document" if signed is root else f"the element {str(reference.get('URI'))[:60]}"
+                if signed is None:
+                    return Signatures(len(signatures), f"{what} is not there any more")
+                if not _agrees(root, signature, reference, signed):
+                    return Signatures(len(signatures), f"{what} has another digest ({_method(reference)})")
+                covered.append(signed)
+            except _CannotTell as error:
+                unchecked.append(str(error))
+            except (etree.LxmlError, ValueError) as error:
+                unchecked.append(" ".join(str(error).split())[:120])
+    if not signatures and next(root.iter(f"{DS}Signature"), None) is not None:
+        return Signatures(1, unchecked="it is no child of the root")
+    for path in needed if signatures else ():
+        for element in root.iterfind(path):
+            if not any(part is element or part in element.iterancestors() for part in covered):
+                unchecked.append(f"no digest covers {path.rpartition('}')[2]}")
+                return Signatures(len(signatures), unchecked=unchecked[0])
+    return Signatures(len(signatures))
+
+
+def _method(reference: Any) -> str:
+    """Return the name of a reference's digest as hashlib knows it."""
+    element = reference.find(f"{DS}DigestMethod")
+    name = "" if element is None else element.get("Algorithm", "")
+    if name not in DIGESTS:
+        raise _CannotTell(f"the digest {name or 'without a name'} is not known")
+    return DIGESTS[name]
+
+
+def _signed(root: Any, reference: Any) -> Any | None:
+    """Return the element that a reference means, None where there is none."""
+    uri = reference.get("URI")
+    if uri is None:
+        raise _CannotTell("a reference without URI")
+    if uri in WHOLE:
+        return root
+    pointer = POINTER.fullmatch(uri)
+    name = pointer[2] if pointer else uri[1:]
+    if not uri.startswith("#") or (not pointer and "(" in uri):
+        raise _CannotTell(f"the reference {uri[:60]!r} leads out of the file")
+    ids = ("Id", "ID", "id", f"{XMLNS}id")
+    found = [element for element in root.iter(etree.Element) if any(element.get(key) == name for key in ids)]
+    if len(found) > 1:
+        raise _CannotTell(f"{len(found)} elements have the id {name[:60]!r}")
+    return found[0] if found else None
+
+
+def _agrees(root: Any, signature: Any, reference: Any, signed: Any) -> bool:
+    """Whether what a reference means has the digest that it states.
+
+    Signatures that were added after this one are no change: where it disagrees, all of them are left out.
+    """
+    stated = base64.b64decode("".join((reference.findtext(f"{DS}DigestValue") or "").split()))
+    others = [own for own in root.iter(f"{DS}Signature") if own is not signature]
+    for left_out in ([], others) if others else ([],):
+        octets = _octets(root, signature, reference, signed, left_out)
+        if hashlib.new(_method(reference), octets, usedforsecurity=False).digest() == stated:
+            return True
+    return False
+
+
+def _octets(root: Any, signature: Any, reference: Any, signed: Any, left_out: list[Any]) -> bytes:
+    """Return what is digested: the element, or the whole document, after the transforms of the reference.
+
+    A reference by an empty URI or an id means nodes without comments, whatever the canonical form keeps.
+    """
+    dropped, pointed = list(left_out), "xpointer" in reference.get("URI", "")
+    canonical = _canonical(INCLUSIVE[0], "", pointed)
+    transforms = list(reference.iterfind(f"{DS}Transforms/{DS}Transform"))
+    for place, transform in enumerate(transforms):
+        name = transform.get("Algorithm", "")
+        text = "".join(transform.itertext())
+        subtracts = name == XPATH2 and {own.get("Filter") for own in transform} == {"subtract"}
+        if name == ENVELOPED:
+            dropped.append(signature)
+        elif (name == XPATH and WITHOUT_SIGNATURES.fullmatch(text)) or (subtracts and SIGNATURES.fullmatch(text)):
+            dropped += root.iter(f"{DS}Signature")
+        elif name.startswith((EXCLUSIVE, *INCLUSIVE)) and place == len(transforms) - 1:
+            prefixes = transform.find("{*}InclusiveNamespaces")
+            canonical = _canonical(name, "" if prefixes is None else prefixes.get("PrefixList", ""), pointed)
+        else:
+            raise _CannotTell(f"the transform {name[:80]} is not known")
+    copied = _copied(signed, dropped)
+    if reference.get("URI") in WHOLE:
+        return canonical(copied.getroottree())
+    return canonical(deepcopy(copied) if copied.getparent() is None else copied)  # nothing in front of the root
+
+
+def _canonical(name: str, prefixes: str, pointed: bool) -> Callable[[Any], bytes]:
+    """Return the function that writes an element, or a whole document, in a canonical form."""
+    exclusive, kept = name.startswith(EXCLUSIVE), [prefix for prefix in prefixes.split() if prefix != "#default"]
+
+    def written(element: Any) -> bytes:
+        if not exclusive and etree.iselement(element):  # attributes such as xml:lang are handed down
+            for key, value in (item for above in element.iterancestors() for item in above.items()):
+                if key.startswith(XMLNS) and (key not in BY_VERSION or name.startswith(INCLUSIVE[0])):
+                    element.set(key, element.get(key, value))
+                elif key == f"{XMLNS}base":
+                    raise _CannotTell("an element within xml:base")
+        return bytes(
+            etree.tostring(
+                element,
+                method="c14n",
+                exclusive=exclusive,
+                with_comments=pointed and name.endswith(COMMENTS),
+                inclusive_ns_prefixes=kept if exclusive and kept else None,
+                with_tail=False,
+            )
+        )
+
+    return written
+
+
+def _copied(element: Any, dropped: list[Any]) -> Any:
+    """Return a copy of an element with its document around it, without the elements `dropped`; its own tree is left."""
+    root = element.getroottree().getroot()
+    places = [_place(root, own) for own in (element, *dropped) if own is root or root in own.iterancestors()]
+    tree = deepcopy(element.getroottree())
+    copies = [_at(tree.getroot(), place) for place in places]
+    for own in copies[1:]:
+        parent, before = own.getparent(), own.getprevious()
+        if parent is None:
+            continue
+        if own.tail:  # which belongs to the parent
+            if before is None:
+                parent.text = (parent.text or "") + own.tail
+            else:
+                before.tail = (before.tail or "") + own.tail
+        own.tail = None
+        parent.remove(own)
+    return copies[0]
+
+
+def _place(root: Any, element: Any) -> list[int]:
+    """Return the way from the root to an element, by the numbers of children."""
+    way = list[int]()
+    while element is not root:
+        parent = element.getparent()
+        way.insert(0, parent.index(element))
+        element = parent
+    return way
+
+
+def _at(root: Any, place: list[int]) -> Any:
+    """Return the element at a place."""
+    for number in place:
+        root = root[number]
+    return root
