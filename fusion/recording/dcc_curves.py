@@ -33,6 +33,7 @@ LAG = re.compile(r"\b(phase)?lag(s|ging)?\b|verzug|nacheil")
 UNSURE = re.compile(r"delay|verzögerung|retard|retras|ritard|atras|negativ|minus")
 """Names that may mean a lag, or the sign of one."""
 LEAD = re.compile(r"\b(phase)?lead(s|ing)?\b|voreil|advance|avance|adelant|anticip|avanç")
+PLAIN_SIGN = "a phase whose sign is plain: positive where the output leads, or a phase lag of positive numbers"
 LOSS = re.compile(r"attenuation|\bloss|dämpfung|affaiblissement|atenua|attenuazione")
 """Names of what is large where a response is small."""
 
@@ -221,20 +222,21 @@ def _phase(certificate: CalibrationCertificate, turn: CertifiedQuantity) -> Floa
     """Return phases in rad, positive where the output leads; the sign of what is named a lag is changed."""
     if not (turn.unit.angle == 1 or turn.unit.factor == 1.0):
         raise certificate.refusal(turn.where, turn.unit.text, "a phase in rad or degrees")
-    phase = np.asarray(turn.value.real)
-    lag = LAG.search(turn.words) is not None
-    expected = "a phase whose sign is plain: positive where the output leads, or a phase lag of positive numbers"
-    for names, text in ((turn.words, turn.name), (turn.about.lower(), turn.about)):
-        said = [words.search(names) is not None for words in (LAG, LEAD, UNSURE)]
-        if said in ([True, True, False], [True, True, True], [True, False, True], [False, False, True]) or (
-            said[0] and not lag
-        ):
-            raise certificate.refusal(turn.where, f'"{text[:60]}"', expected)
+    phase, lag = np.asarray(turn.value.real), lags(turn.words)
+    if lag is None or lags(turn.about.lower()) is not False:
+        text = turn.name if lag is None else turn.about
+        raise certificate.refusal(turn.where, f'"{text[:60]}"', PLAIN_SIGN)
     if not lag:
         return phase
     if np.any(phase < -np.nan_to_num(turn.expanded)) and not np.any(phase > 0.0):
-        raise certificate.refusal(turn.where, f"a lag of {np.nanmin(phase):g} rad", expected)
+        raise certificate.refusal(turn.where, f"a lag of {np.nanmin(phase):g} rad", PLAIN_SIGN)
     return np.asarray(-phase)
+
+
+def lags(words: str) -> bool | None:
+    """Whether phases with such a name, in small letters, are positive where the output lags; None if unclear."""
+    lag, lead, unsure = (pattern.search(words) is not None for pattern in (LAG, LEAD, UNSURE))
+    return None if (lag and (lead or unsure)) or (unsure and not lead) else lag
 
 
 def _standard(certificate: CalibrationCertificate, quantity: CertifiedQuantity) -> FloatArray:

@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fusion.base import InputError
 from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.dsi import NONE, parse_unit
+from fusion.recording.response import read_response
 from fusion.recording.rig import DENSEST_KGM3, Rig, Sensor
 from fusion.recording.toml import quoted
 from fusion.recording.values import Vector3
@@ -195,6 +197,13 @@ def _channel(entry: ChannelEntry, rig: Rig, lowest_hz: float) -> Iterator[str]:
         )
     if entry.quantity in TRANSDUCERS and entry.scale_uncertainty > SCALES[TRANSDUCERS[entry.quantity].kind]:
         yield f"scale_uncertainty: {entry.scale_uncertainty:.3g} is {entry.scale_uncertainty:.1%}: stated in per cent?"
+    with suppress(InputError):  # whoever reads it says what is wrong
+        lines = np.array([lowest_hz] if np.isfinite(lowest_hz) else [])
+        if entry.response is not None and len(lines):
+            response = read_response(entry.response, lines, entry.response_result, entry.response_columns)
+            if response.u_magnitude[0] > SCALES["accelerometer"]:
+                u = float(response.u_magnitude[0])
+                yield f"response: u of its magnitude is {u:.1%} at {lowest_hz:g} Hz: stated in per cent?"
     if abs(entry.delay) > max(LATE_S, 1.0 / lowest_hz):
         yield (
             f"delay: {entry.delay:g} s are {abs(entry.delay) * lowest_hz:.3g} periods of {lowest_hz:g} Hz: is it in s?"

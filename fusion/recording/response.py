@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
+from contextlib import suppress
 from math import isfinite, nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Self
@@ -13,8 +15,8 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from fusion.base import InputError, as_input_error
 from fusion.recording.dcc import SUFFIX, CalibrationCertificate, read_dcc
-from fusion.recording.dcc_curves import CertifiedCurve, curve_named
-from fusion.recording.dsi import parse_unit
+from fusion.recording.dcc_curves import HERTZ, PLAIN_SIGN, CertifiedCurve, curve_named, lags
+from fusion.recording.dsi import Unit, parse_unit
 from fusion.recording.toml import read_rows, read_toml, validate
 from fusion.recording.values import (
     Block,
@@ -49,6 +51,8 @@ COLUMNS = ("frequency_hz", "magnitude", "phase_rad", "u_magnitude", "u_phase_rad
 ELEMENTS = ".toml"
 LARGEST_TABLE = 50_000_000  # bytes
 MOST_ROOTS = 100  # poles or zeros of an element
+TURN = 2.0 * np.pi
+ANGLES = {"rad": 1.0, "radian": 1.0} | dict.fromkeys(("deg", "°", "degree", "degrees"), np.pi / 180.0)
 SAME_HZ = 1e-6  # relative, within which frequencies of a table are one
 
 
@@ -239,7 +243,17 @@ def read_table(path: Path, columns: ResponseColumns | None = None) -> ResponseTa
     values = values if columns is None else _without_repeats(values)
     if len(values[0]) == 0 or np.any(np.diff(values[0]) <= 0.0):
         raise InputError(path, names[0], found="values that do not ascend", expected="ascending frequencies")
+    if columns is None:
+        _refuse_degrees(path, names[2], values[2])
     return ResponseTable(*values)
+
+
+def _refuse_degrees(path: Path, name: str, phase_rad: FloatArray) -> None:
+    """Raise `InputError` for phases that cannot be radians, neither wrapped nor followed from point to point."""
+    steps = np.abs(np.diff(phase_rad))
+    if abs(phase_rad[0]) > TURN or (np.any(np.abs(phase_rad) > TURN) and np.any(steps > np.pi)):
+        found = f"{phase_rad[np.argmax(np.abs(phase_rad))]:g}"
+        raise InputError(path, name, found, "radians, within one turn or without jumps (degrees need response_columns)")
 
 
 def _typed_columns(path: Path) -> list[FloatArray]:
@@ -284,13 +298,76 @@ def _named_columns(path: Path, columns: ResponseColumns) -> list[FloatArray]:
             if not np.isfinite(value) or wrong_size(value):
                 found = f"{value:g} in row {row + 1}"
                 raise InputError(path, name, found=found, expected=wrong_size(value) or "one finite number per row")
+    units = [read[name].unit.strip() for name in names]
     frequency_hz, magnitude, phase, u_magnitude, u_phase = values
-    factor = 1.0 if columns.magnitude_unit is None else parse_unit(columns.magnitude_unit).factor
-    turn = np.pi / 180 if columns.phase_unit == "deg" else 1.0
-    if columns.u_magnitude_unit == "%":
+    factor = _magnitude_factor(path, columns, units)
+    turn, u_turn = (
+        _angle_factor(path, columns, name, unit) for name, unit in zip(names[2::2], units[2::2], strict=True)
+    )
+    if turn == 1.0:
+        order = np.argsort(frequency_hz, kind="stable")
+        if len(np.unique(frequency_hz)) == len(order) > 0:
+            _refuse_degrees(path, names[2], phase[order])
+    if columns.u_magnitude_unit == "%" or units[3] == "%":
         u_magnitude = u_magnitude / 100 * magnitude
-    u = factor / columns.k * u_magnitude, turn / columns.k * u_phase
-    return [frequency_hz, factor * magnitude, turn * phase, *u]
+    sign = _sign_of_phase(path, columns)
+    u = factor / columns.k * u_magnitude, u_turn / columns.k * u_phase
+    return [_hertz_factor(path, names[0], units[0]) * frequency_hz, factor * magnitude, sign * turn * phase, *u]
+
+
+def _hertz_factor(path: Path, name: str, unit: str) -> float:
+    """Return the factor to Hz of the unit that the file states for frequencies."""
+    try:
+        found = parse_unit(unit.replace("rad", "1")) if unit else None
+    except ValueError:
+        found = Unit(1.0, (), unit)
+    if found is not None and found.dimension != HERTZ:
+        raise InputError(path, name, unit, "frequencies in Hz, as its unit")
+    return 1.0 if found is None else found.factor / (TURN if "rad" in unit else 1.0)
+
+
+def _angle_factor(path: Path, columns: ResponseColumns, name: str, unit: str) -> float:
+    """Return the factor to rad of a column of angles, by the file's unit, which must not contradict the user's."""
+    stated = columns.phase_unit if "phase_unit" in columns.model_fields_set else None
+    own = ANGLES.get(unit.lower())
+    if unit and own is None:
+        with suppress(ValueError):
+            own = parse_unit(unit).factor if parse_unit(unit).angle == 1 else None
+        if own is None:
+            raise InputError(path, name, unit, "rad or deg as its unit")
+    if stated is None and own is None and re.search(r"deg|°", name.lower()):
+        raise InputError(path, "response_columns", "no phase_unit", f'one, as "{name}" looks like degrees')
+    if stated is not None and own is not None and ANGLES[stated] != own:
+        raise InputError(path, name, f"{unit} in the file", f"{stated}, as response_columns.phase_unit says")
+    return own if own is not None else ANGLES[stated or "rad"]
+
+
+def _magnitude_factor(path: Path, columns: ResponseColumns, units: Sequence[str]) -> float:
+    """Return the factor to SI of the magnitudes; what the file says of them must not contradict what the user says."""
+    _, magnitude, _, u_magnitude, _ = units
+    if columns.u_magnitude_unit == "%" and u_magnitude not in ("", "%"):
+        raise InputError(path, columns.u_magnitude, f"{u_magnitude} in the file", "% as u_magnitude_unit says")
+    if u_magnitude not in ("", "%", magnitude) and magnitude:
+        raise InputError(path, columns.u_magnitude, u_magnitude, f"% or {magnitude}, the unit of the magnitude")
+    if magnitude.lower() in ("db", "decibel"):
+        raise InputError(path, columns.magnitude, magnitude, "magnitudes, not their levels")
+    if columns.magnitude_unit is None:
+        return 1.0
+    stated = parse_unit(columns.magnitude_unit)
+    with suppress(ValueError):  # a unit that nobody here knows contradicts nothing
+        own = parse_unit(magnitude)
+        if magnitude and (own.dimension != stated.dimension or not np.isclose(own.factor, stated.factor)):
+            expected = f"{columns.magnitude_unit}, as response_columns.magnitude_unit says"
+            raise InputError(path, columns.magnitude, f"{magnitude} in the file", expected)
+    return stated.factor
+
+
+def _sign_of_phase(path: Path, columns: ResponseColumns) -> float:
+    """Return −1 for a column that is named a lag; `InputError` where its name leaves the sign open."""
+    lag = lags(columns.phase.lower().replace("_", " "))
+    if lag is None:
+        raise InputError(path, "response_columns.phase", f'"{columns.phase}"', PLAIN_SIGN)
+    return -1.0 if lag else 1.0
 
 
 def _without_repeats(values: Sequence[FloatArray]) -> list[FloatArray]:

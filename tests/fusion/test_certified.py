@@ -497,7 +497,8 @@ def signed(text: str, uri: str = "", transform: str = ENVELOPED, digest: str = "
     value = base64.b64encode(hashlib.new(digest, part.encode()).digest()).decode()
     signature = (
         f'<ds:Signature xmlns:ds="http://www.w3.org/2000/09/xmldsig#"><ds:SignedInfo><ds:Reference URI="{uri}">'
-        f'<ds:Transforms>{transform}</ds:Transforms><ds:DigestMethod Algorithm="{name or ALGORITHMS[digest]}"></ds:DigestMethod>'
+        f"<ds:Transforms>{transform}</ds:Transforms>"
+        f'<ds:DigestMethod Algorithm="{name or ALGORITHMS[digest]}"></ds:DigestMethod>'
         f"<ds:DigestValue>{value}</ds:DigestValue></ds:Reference></ds:SignedInfo></ds:Signature>"
     )
     root = "</dcc:digitalCalibrationCertificate>"

@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 from support import edit, evaluated
 
+from fusion.base import InputError
 from fusion.cli import main
 from fusion.recording.load import load_manifest
 from fusion.recording.manifest import ResponseColumns
+from fusion.recording.plausible import doubts
 from fusion.recording.response import read_response, read_table
 
 DEMO = Path(__file__).parents[2] / "sample_images" / "demo"
@@ -118,6 +120,92 @@ def test_a_table_that_cannot_be_read_is_one_sentence(tmp_path, capsys, change, o
     assert told in said.out + said.err
     assert ("calibration.csv" if change == "table" else "recording.toml") in said.out + said.err
     assert "Traceback" not in said.err
+
+
+PLAIN = {"frequency": "f", "magnitude": "S", "phase": "phi", "u_magnitude": "uS", "u_phase": "uphi"}
+TYPED = ("frequency_hz", "magnitude", "phase_rad", "u_magnitude", "u_phase_rad")
+
+
+def written(folder: Path, names, units, rows) -> Path:
+    """A table of five columns with a row of units."""
+    path = folder / "t.csv"
+    lines = [",".join(names), *([",".join(units)] if units else []), *(",".join(map(str, row)) for row in rows)]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("units", "keys", "phase", "expected"),
+    [
+        (("Hz", "V", "rad", "V", "rad"), {}, 0.2, 0.2),
+        (("Hz", "V", "deg", "%", "deg"), {}, 11.459156, 0.2),  # the file's units, where the user states none
+        (("kHz", "V", "deg", "V", "rad"), {}, 11.459156, 0.2),
+        (("rad/s", "", "mrad", "", "mrad"), {}, 200.0, 0.2),
+        (None, {"phase_unit": "deg"}, 11.459156, 0.2),
+        (None, {"phase": "phase lag"}, 0.2, -0.2),
+        (("Hz", "V", "deg", "V", "deg"), {"phase_unit": "rad"}, 11.0, "phi: .*rad, as response_columns.phase_unit"),
+        (("Hz", "V", "rad", "V", "rad"), {"phase_unit": "deg"}, 11.0, "phi: .*deg, as response_columns.phase_unit"),
+        (("Hz", "mV", "rad", "mV", "rad"), {"magnitude_unit": "V"}, 0.2, "S: .*V, as .*found mV in the file"),
+        (("Hz", "V", "rad", "V", "rad"), {"u_magnitude_unit": "%"}, 0.2, "uS: .*u_magnitude_unit"),
+        (("Hz", "V", "rad", "mV", "rad"), {}, 0.2, "uS: expected % or V"),
+        (("Hz", "dB", "rad", "dB", "rad"), {}, 0.2, "S: expected magnitudes, not their levels"),
+        (("s", "V", "rad", "V", "rad"), {}, 0.2, "f: expected frequencies in Hz"),
+        (("Hz", "V", "gon", "V", "gon"), {}, 0.2, "phi: expected rad or deg"),
+        (None, {"phase": "phase delay"}, 0.2, "sign is plain"),
+        (None, {"phase": "phi (deg.)"}, 11.0, "phi"),
+        (None, {}, 180.0, "phi: expected radians, .* found 180"),
+    ],
+)
+def test_units_and_signs_that_a_table_states_are_used_or_contradicted(tmp_path, units, keys, phase, expected):
+    columns = ResponseColumns(**PLAIN | keys)
+    factor = {"kHz": 1e-3, "rad/s": 2.0 * np.pi}.get((units or ("Hz",))[0], 1.0)
+    share = 100.0 if units and units[3] == "%" else 2.0
+    rows = [(factor * hertz, 2.0, phase, 0.002 * share, 0.001) for hertz in (50.0, 100.0, 200.0)]
+    path = written(tmp_path, columns.names, units, rows)
+    if isinstance(expected, str):
+        with pytest.raises(InputError, match=expected):
+            read_response(path, np.array([100.0]), None, columns)
+    else:
+        found = read_response(path, np.array([100.0]), None, columns)
+        assert found.value[0] == pytest.approx(2.0 * np.exp(1j * expected), rel=1e-6)
+        assert found.errors[0, 0].real == pytest.approx(0.002)
+
+
+@pytest.mark.parametrize(
+    ("phases", "told"),
+    [
+        ((-0.1, -1.0, -3.0, 3.0), ""),  # wrapped
+        ((-0.1, -3.0, -6.0, -9.0), ""),  # followed
+        ((0.1, 3.0, 6.1, 3.0), ""),
+        ((180.0, 179.5, 179.0, 178.0), "found 180"),
+        ((-0.3, -2.0, -10.0, -40.0), "found -40"),
+        ((-7.0, -9.0, -11.0, -13.0), "found -13"),
+    ],
+)
+def test_a_column_of_radians_cannot_hold_degrees(tmp_path, phases, told):
+    rows = [(hertz, 1.0, phase, 0.001, 0.001) for hertz, phase in zip((10, 20, 30, 40), phases, strict=True)]
+    path = written(tmp_path, TYPED, None, rows)
+    if told:
+        with pytest.raises(InputError, match=f"phase_rad: expected radians.*{told}"):
+            read_table(path)
+    else:
+        assert read_table(path).phase_rad.tolist() == list(phases)
+
+
+@pytest.mark.parametrize(
+    ("hertz", "told"), [((10, 20, 20), "ascending"), ((10, 30, 20), "ascending"), ((10, 20, 30), "contains 40 Hz")]
+)
+def test_frequencies_ascend_and_reach_the_line(tmp_path, hertz, told):
+    path = written(tmp_path, TYPED, None, [(one, 1.0, 0.0, 0.001, 0.001) for one in hertz])
+    with pytest.raises(InputError, match=f"frequency_hz: .*{told}"):
+        read_response(path, np.array([40.0]))
+
+
+def test_an_uncertainty_in_per_cent_is_asked_about(tmp_path):
+    recording = with_response(tmp_path, 'response = "t.csv"')
+    written(recording, TYPED, None, [(one, 1.0, 0.0, 0.5, 0.001) for one in (10, 80, 300)])
+    (doubt,) = (n for n in doubts(load_manifest(recording)) if "response" in n.text)
+    assert "50.0% at 80 Hz: stated in per cent?" in doubt.text
 
 
 def with_response(folder: Path, text: str) -> Path:
