@@ -347,19 +347,28 @@ def _magnitude_factor(path: Path, columns: ResponseColumns, units: Sequence[str]
     _, magnitude, _, u_magnitude, _ = units
     if columns.u_magnitude_unit == "%" and u_magnitude not in ("", "%"):
         raise InputError(path, columns.u_magnitude, f"{u_magnitude} in the file", "% as u_magnitude_unit says")
-    if u_magnitude not in ("", "%", magnitude) and magnitude:
+    if u_magnitude not in ("", "%", magnitude) and magnitude and not _same_unit(u_magnitude, magnitude):
         raise InputError(path, columns.u_magnitude, u_magnitude, f"% or {magnitude}, the unit of the magnitude")
     if magnitude.lower() in ("db", "decibel"):
         raise InputError(path, columns.magnitude, magnitude, "magnitudes, not their levels")
     if columns.magnitude_unit is None:
         return 1.0
     stated = parse_unit(columns.magnitude_unit)
-    with suppress(ValueError):  # a unit that nobody here knows contradicts nothing
-        own = parse_unit(magnitude)
-        if magnitude and (own.dimension != stated.dimension or not np.isclose(own.factor, stated.factor)):
-            expected = f"{columns.magnitude_unit}, as response_columns.magnitude_unit says"
-            raise InputError(path, columns.magnitude, f"{magnitude} in the file", expected)
+    if magnitude and _same_unit(magnitude, columns.magnitude_unit) is False:
+        expected = f"{columns.magnitude_unit}, as response_columns.magnitude_unit says"
+        raise InputError(path, columns.magnitude, f"{magnitude} in the file", expected)
     return stated.factor
+
+
+def _same_unit(one: str, other: str) -> bool | None:
+    """Whether two units are one; None where one of them is no unit that is known."""
+    try:
+        units = parse_unit(one), parse_unit(other)
+    except ValueError:
+        return None
+    return units[0].dimension == units[1].dimension and bool(
+        np.isclose(units[0].factor, units[1].factor, rtol=1e-9, atol=0)
+    )
 
 
 def _sign_of_phase(path: Path, columns: ResponseColumns) -> float:

@@ -18,6 +18,7 @@ from fusion.base import InputError
 from fusion.cli import main
 from fusion.recording import dcc
 from fusion.recording.certified import certified_inputs
+from fusion.recording.dsi import parse_unit
 from fusion.recording.load import load_manifest
 from fusion.recording.response import read_response
 from fusion.recording.values import PathScope
@@ -401,6 +402,59 @@ def test_frequencies_are_hertz_whatever_the_unit(tmp_path, frequency, told):
     else:
         found = read_response(tmp_path / "a.xml", np.array([100.0]))
         assert found.value[0] == pytest.approx(2.0 * np.exp(-0.2j), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "factor", "powers"),  # of m, kg, s, A, K, …: SI brochure, 9th edition, tables 4, 7, 8
+    [
+        (r"\hour", 3600.0, "0 0 1"),
+        (r"\minute", 60.0, "0 0 1"),
+        (r"\day", 86400.0, "0 0 1"),
+        (r"\arcminute", np.pi / 10800, ""),
+        (r"\litre", 1e-3, "3"),
+        (r"\milli\litre", 1e-6, "3"),
+        (r"\tonne", 1e3, "0 1"),
+        (r"\ppm", 1e-6, ""),
+        (r"\hectare", 1e4, "2"),
+        (r"\electronvolt", 1.602176634e-19, "2 1 -2"),
+        (r"\weber", 1.0, "2 1 -2 -1"),
+        (r"\katal", 1.0, "0 0 -1 0 0 1"),
+        (r"\lux", 1.0, "-2 0 0 0 0 0 1"),
+        (r"\exa\joule", 1e18, "2 1 -2"),
+        (r"\quecto\metre\tothe{3}", None, None),
+        (r"\ronna\metre", 1e27, "1"),
+        (r"\kibi\bit", 1024.0, "0 0 0 0 0 0 0 0 1"),
+        (r"\kilogram\metre\tothe{-3}", 1.0, "-3 1"),
+        (r"\kilo\gram\metre\tothe{-3.0}", 1.0, "-3 1"),
+        (r"\joule\per\kilogram\kelvin", 1.0, "2 0 -2 0 -1"),
+        (r"\joule\per\kilogram\per\kelvin", 1.0, "2 0 -2 0 -1"),
+        (r"\per\second", 1.0, "0 0 -1"),
+        (r"\micro\volt\per\volt\newton\metre", 1e-6, "-2 -1 2"),
+        (r"\volt\tothe{2}\hertz\tothe{-1}", 1.0, "4 2 -5 -2"),
+        (r"\decibel", np.log(10) / 20, "0 0 0 0 0 0 0 1"),
+        ("", None, None), (r"\volt newton", None, None), (r"volt", None, None), (r"\per", None, None),
+        (r"\kilo", None, None), (r"\volt\per\per\newton", None, None), (r"\tothe{2}", None, None),
+        (r"\metre\tothe{}", None, None), (r"\metre\tothe{99}", None, None), (r"\furlong", None, None),
+        (r"|metre", None, None), (r"\kilo\kilo\gram", None, None), (r"\yotta\metre\tothe{9}", None, None),
+    ],
+)  # fmt: skip
+def test_units_of_the_d_si_are_those_of_the_si_brochure(text, factor, powers):
+    if powers is None:
+        with pytest.raises(ValueError, match="expected a unit"):
+            parse_unit(text)
+        return
+    own = [int(power) for power in powers.split()]
+    assert parse_unit(text).factor == pytest.approx(factor, rel=1e-12)
+    assert parse_unit(text).dimension == (*own, *(9 - len(own)) * [0])
+
+
+def test_roots_of_units_and_what_latex_makes_of_per():
+    assert parse_unit(r"\volt\hertz\tothe{-0.5}").dimension == (2, 1, -2.5, -1, 0, 0, 0, 0, 0)
+    assert parse_unit(r"\metre\tothe{1_2}").dimension == parse_unit(r"\metre\tothe{0.5}").dimension
+    unit = parse_unit(r"\milli\volt\per\metre\second\tothe{2}")
+    assert unit.dimension == parse_unit(r"\volt\metre\tothe{-1}\second\tothe{-2}").dimension
+    assert unit.other.dimension == parse_unit(r"\volt\metre\tothe{-1}\second\tothe{2}").dimension
+    assert unit.factor == unit.other.factor == pytest.approx(1e-3)
 
 
 def test_a_single_frequency_in_rad_per_second_is_converted(tmp_path):

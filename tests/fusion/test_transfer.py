@@ -20,11 +20,13 @@ from fusion.base import InputError
 from fusion.cli import main
 from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.load import load_manifest
-from fusion.sensor.transfer.evaluate import evaluate_transfer, find_resonances
-from fusion.sensor.transfer.records import ReferenceResult, TransferSettings, uncertainty
+from fusion.recording.manifest import ChannelEntry
+from fusion.sensor.transfer.evaluate import _silent, evaluate_transfer, find_resonances
+from fusion.sensor.transfer.records import ChannelChain, ReferenceResult, TransferSettings, uncertainty
 from fusion.sensor.transfer.report import TRANSFER, expanded
 from fusion.simulate.chirp import Chirp, Oscillator, write_chirp
 from fusion.simulate.preset import read_preset
+from shaker.frf.chain import ChainResponse
 
 RIG = read_preset(
     Oscillator,
@@ -241,6 +243,15 @@ def test_a_quantity_turns_response_and_reference(recording):
     assert same.transfer.ratio.unit == ("1",)
     omega = 2.0 * np.pi * same.transfer.ratio.frequency_hz
     np.testing.assert_allclose(same.transfer.ratio.value, mixed.transfer.ratio.value * 1j * omega[:, None])
+
+
+@pytest.mark.parametrize(("u", "keys", "silent"), [(0.002, {}, []), (0.0, {}, ["a"]), (0.0, {"common": "x"}, [])])
+def test_a_scale_is_stated_by_the_table_of_a_response_too(u, keys, silent):
+    lines = np.array([100.0])
+    response = ChainResponse(np.ones(1, complex), np.array([[u + 0j]]), ("magnitude of the table",))
+    entry = ChannelEntry(name="a", quantity="voltage", **keys)
+    found = _silent([ChannelChain(entry, lines, response, "daq", 0.0)])
+    assert [name for notice in found for name in ("a",) if f"stated for {name}:" in notice.text] == silent
 
 
 def test_what_channels_share_cancels(recording):
