@@ -262,8 +262,8 @@ def _quantity(path: Path, result: Any, element: Any, values: Any) -> CertifiedQu
         none = np.empty(0)
         matrix = np.empty((0, 2, 2)) if _tag(values).startswith("complex") else None
         listed = _tag(values) not in ("real", "constant", "complex")
-        found = CertifiedQuantity("", "", (), none + 0j, _unit_of(values), none, none, none, "", matrix, 0, listed)
-        found = replace(found, problem=error)
+        value, unit = np.empty(0, dtype=np.complex128), _unit_of(values)
+        found = CertifiedQuantity("", "", (), value, unit, none, none, none, "", matrix, 0, listed, problem=error)
     return replace(
         found,
         result=about,

@@ -20,7 +20,10 @@ RATIOS = {tuple(a - b for a, b in zip(one, other, strict=True)) for one in ELECT
 """Dimensions of what an amplifier does; 1 among them."""
 AMPERE = BASE.index("A")
 FREQUENCY = ("frequen", "frequên", "fréquen", "frecuen", "table index")
-ANGULAR = re.compile(r"angular|kreis|circular|omega|ω|puls")
+ANGULAR = re.compile(
+    r"(angular|circular) frequenc|(kreis|winkel)frequenz|fréquence angulaire|frecuencia angular|frequenza angolare"
+    r"|pulsation|pulsazione|pulsación|\bomega\b|ω"
+)
 """Names of 2πf."""
 MAGNITUDE = (
     ("magnitude",),
@@ -222,21 +225,26 @@ def _phase(certificate: CalibrationCertificate, turn: CertifiedQuantity) -> Floa
     """Return phases in rad, positive where the output leads; the sign of what is named a lag is changed."""
     if not (turn.unit.angle == 1 or turn.unit.factor == 1.0):
         raise certificate.refusal(turn.where, turn.unit.text, "a phase in rad or degrees")
-    phase, lag = np.asarray(turn.value.real), lags(turn.words)
-    if lag is None or lags(turn.about.lower()) is not False:
-        text = turn.name if lag is None else turn.about
-        raise certificate.refusal(turn.where, f'"{text[:60]}"', PLAIN_SIGN)
-    if not lag:
-        return phase
-    if np.any(phase < -np.nan_to_num(turn.expanded)) and not np.any(phase > 0.0):
-        raise certificate.refusal(turn.where, f"a lag of {np.nanmin(phase):g} rad", PLAIN_SIGN)
-    return np.asarray(-phase)
+    about = turn.about.lower()
+    try:
+        if LAG.search(about) and not LAG.search(turn.words) and ("positiv" in about or "negativ" not in about):
+            raise ValueError(f'"{turn.about[:60]}"')  # its description does not say what is so here anyhow
+        return leading(np.asarray(turn.value.real), turn.expanded, turn.words)
+    except ValueError as error:
+        raise certificate.refusal(turn.where, str(error), PLAIN_SIGN) from error
 
 
-def lags(words: str) -> bool | None:
-    """Whether phases with such a name, in small letters, are positive where the output lags; None if unclear."""
+def leading(phase_rad: FloatArray, expanded_rad: FloatArray, words: str) -> FloatArray:
+    """Return phases that are positive where the output leads, by what their name says (`words`, in small letters).
+
+    Raises `ValueError` with what was found where the name, or all numbers of a lag, leave the sign open.
+    """
     lag, lead, unsure = (pattern.search(words) is not None for pattern in (LAG, LEAD, UNSURE))
-    return None if (lag and (lead or unsure)) or (unsure and not lead) else lag
+    if (lag and (lead or unsure)) or (unsure and not lead):
+        raise ValueError(f'"{words[:60]}"')
+    if lag and np.any(phase_rad < -np.nan_to_num(expanded_rad)) and not np.any(phase_rad > 0.0):
+        raise ValueError(f"a lag of {np.nanmin(phase_rad):g} rad")
+    return -phase_rad if lag else phase_rad
 
 
 def _standard(certificate: CalibrationCertificate, quantity: CertifiedQuantity) -> FloatArray:

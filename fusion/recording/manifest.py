@@ -104,7 +104,8 @@ class ResponseColumns(Block):
     """Which columns of a response's table hold what, by the names its file gives them, in which units.
 
     `magnitude_unit`: converted into SI; without it the numbers count as they are. `u_magnitude_unit` "%": of the
-    magnitude, else its unit. `k`: what the uncertainties were expanded by.
+    magnitude, else its unit. `phase_unit`: without it as the file says, else rad. `k`: what the uncertainties were
+    expanded by.
     """
 
     frequency: Text
@@ -113,7 +114,7 @@ class ResponseColumns(Block):
     u_magnitude: Text
     u_phase: Text
     magnitude_unit: Annotated[Text, AfterValidator(_unit)] | None = None
-    phase_unit: Literal["rad", "deg"] = "rad"
+    phase_unit: Literal["rad", "deg"] | None = None
     u_magnitude_unit: Literal["%"] | None = None
     k: Positive = 1.0
 

@@ -15,7 +15,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from fusion.base import InputError, as_input_error
 from fusion.recording.dcc import SUFFIX, CalibrationCertificate, read_dcc
-from fusion.recording.dcc_curves import HERTZ, PLAIN_SIGN, CertifiedCurve, curve_named, lags
+from fusion.recording.dcc_curves import HERTZ, PLAIN_SIGN, CertifiedCurve, curve_named, leading
 from fusion.recording.dsi import Unit, parse_unit
 from fusion.recording.toml import read_rows, read_toml, validate
 from fusion.recording.values import (
@@ -310,9 +310,12 @@ def _named_columns(path: Path, columns: ResponseColumns) -> list[FloatArray]:
             _refuse_degrees(path, names[2], phase[order])
     if columns.u_magnitude_unit == "%" or units[3] == "%":
         u_magnitude = u_magnitude / 100 * magnitude
-    sign = _sign_of_phase(path, columns)
+    try:
+        phase = leading(turn * phase, u_turn * u_phase, columns.phase.lower().replace("_", " "))
+    except ValueError as error:
+        raise InputError(path, "response_columns.phase", str(error), PLAIN_SIGN) from error
     u = factor / columns.k * u_magnitude, u_turn / columns.k * u_phase
-    return [_hertz_factor(path, names[0], units[0]) * frequency_hz, factor * magnitude, sign * turn * phase, *u]
+    return [_hertz_factor(path, names[0], units[0]) * frequency_hz, factor * magnitude, phase, *u]
 
 
 def _hertz_factor(path: Path, name: str, unit: str) -> float:
@@ -328,8 +331,7 @@ def _hertz_factor(path: Path, name: str, unit: str) -> float:
 
 def _angle_factor(path: Path, columns: ResponseColumns, name: str, unit: str) -> float:
     """Return the factor to rad of a column of angles, by the file's unit, which must not contradict the user's."""
-    stated = columns.phase_unit if "phase_unit" in columns.model_fields_set else None
-    own = ANGLES.get(unit.lower())
+    stated, own = columns.phase_unit, ANGLES.get(unit.lower())
     if unit and own is None:
         with suppress(ValueError):
             own = parse_unit(unit).factor if parse_unit(unit).angle == 1 else None
@@ -369,14 +371,6 @@ def _same_unit(one: str, other: str) -> bool | None:
     return units[0].dimension == units[1].dimension and bool(
         np.isclose(units[0].factor, units[1].factor, rtol=1e-9, atol=0)
     )
-
-
-def _sign_of_phase(path: Path, columns: ResponseColumns) -> float:
-    """Return −1 for a column that is named a lag; `InputError` where its name leaves the sign open."""
-    lag = lags(columns.phase.lower().replace("_", " "))
-    if lag is None:
-        raise InputError(path, "response_columns.phase", f'"{columns.phase}"', PLAIN_SIGN)
-    return -1.0 if lag else 1.0
 
 
 def _without_repeats(values: Sequence[FloatArray]) -> list[FloatArray]:

@@ -369,11 +369,25 @@ def test_the_sign_of_a_phase_is_what_its_name_says_or_asked_for(tmp_path, kind, 
         assert found.value[0] == pytest.approx(2.0 * np.exp(1j * expected), rel=1e-6)
 
 
-def test_a_description_that_makes_the_phase_a_lag_is_asked_about(tmp_path):
-    turn = named("vib_phase", many("0.1 0.2 0.4", r"\radian", "0.004"), "Phase", "Positive values: the output lags.")
-    (tmp_path / "a.xml").write_text(amplifier(HERTZ, GAIN, turn.replace("lags.", "phase lags.")), encoding="utf-8")
-    with pytest.raises(InputError, match="sign is plain"):
-        read_response(tmp_path / "a.xml", np.array([100.0]))
+@pytest.mark.parametrize(
+    ("about", "asked"),
+    [
+        ("Positive values: phase lag.", True),
+        ("Positive phase is a lag, negative phase a lead", True),
+        ("The lag of the output", True),
+        ("Negative values: the output lags.", False),
+        ("Without the delay of the cable", False),
+    ],
+)
+def test_a_description_that_makes_the_phase_a_lag_is_asked_about(tmp_path, about, asked):
+    turn = named("vib_phase", many("-0.1 -0.2 -0.4", r"\radian", "0.004"), "Phase", about)
+    (tmp_path / "a.xml").write_text(amplifier(HERTZ, GAIN, turn), encoding="utf-8")
+    if asked:
+        with pytest.raises(InputError, match="sign is plain"):
+            read_response(tmp_path / "a.xml", np.array([100.0]))
+    else:
+        found = read_response(tmp_path / "a.xml", np.array([100.0]))
+        assert found.value[0] == pytest.approx(2.0 * np.exp(-0.2j))
 
 
 @pytest.mark.parametrize(
@@ -389,6 +403,7 @@ def test_a_description_that_makes_the_phase_a_lag_is_asked_about(tmp_path):
         (named("basic_tableIndex0", many("50 100 200", r"\hertz")), ""),
         (named("", many("50 100 200", r"\hertz"), "f"), ""),
         (named("x_angularFrequency", many("50 100 200", r"\hertz")), "angular frequency in .hertz"),
+        (named("vib_frequency", many("50 100 200", r"\hertz"), "Frequency of the angular motion, in pulses"), ""),
         (named("vib_frequency", many("50 NaN 200", r"\hertz")), "found nan"),
         (named("vib_frequency", many("50 100 200", r"\rpm")), "found .rpm"),
         (HERTZ + named("vib_frequency", many("51 101 201", r"\hertz")), "one column with the frequencies"),

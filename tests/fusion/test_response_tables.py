@@ -152,6 +152,7 @@ def written(folder: Path, names, units, rows) -> Path:
         (("s", "V", "rad", "V", "rad"), {}, 0.2, "f: expected frequencies in Hz"),
         (("Hz", "V", "gon", "V", "gon"), {}, 0.2, "phi: expected rad or deg"),
         (None, {"phase": "phase delay"}, 0.2, "sign is plain"),
+        (None, {"phase": "phase_lag"}, -0.2, "sign is plain"),
         (None, {"phase": "phi (deg.)"}, 11.0, "phi"),
         (None, {}, 180.0, "phi: expected radians, .* found 180"),
     ],
