@@ -166,8 +166,8 @@ def _signatures(path: Path) -> Iterator[Notice]:
 
     found = check_signatures(_root(path, whole=True), SIGNED)
     if found.changed:
-        expected = "the content that was signed; ask the laboratory for the certificate again"
-        raise InputError(path, "ds:Signature", f"a change since then: {found.changed}", expected)
+        told = f"{found.changed}: it was changed since then; ask the laboratory for it again"
+        raise InputError(path, "ds:Signature", told, "the content that was signed")
     if found.unchecked:
         text = f"the signature was not checked ({found.unchecked}): a change of the content since then would not show"
         yield Notice("warning", f"{text}; check it with the laboratory's tool", path.name)

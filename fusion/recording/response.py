@@ -16,7 +16,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from fusion.base import InputError, as_input_error
 from fusion.recording.dcc import SUFFIX, CalibrationCertificate, read_dcc
 from fusion.recording.dcc_curves import HERTZ, PLAIN_SIGN, CertifiedCurve, curve_named, leading
-from fusion.recording.dsi import Unit, parse_unit
+from fusion.recording.dsi import parse_unit
 from fusion.recording.toml import read_rows, read_toml, validate
 from fusion.recording.values import (
     Block,
@@ -243,7 +243,7 @@ def read_table(path: Path, columns: ResponseColumns | None = None) -> ResponseTa
     values = values if columns is None else _without_repeats(values)
     if len(values[0]) == 0 or np.any(np.diff(values[0]) <= 0.0):
         raise InputError(path, names[0], found="values that do not ascend", expected="ascending frequencies")
-    if columns is None:
+    if columns is None or columns.phase_unit != "deg":
         _refuse_degrees(path, names[2], values[2])
     return ResponseTable(*values)
 
@@ -304,10 +304,6 @@ def _named_columns(path: Path, columns: ResponseColumns) -> list[FloatArray]:
     turn, u_turn = (
         _angle_factor(path, columns, name, unit) for name, unit in zip(names[2::2], units[2::2], strict=True)
     )
-    if turn == 1.0:
-        order = np.argsort(frequency_hz, kind="stable")
-        if len(np.unique(frequency_hz)) == len(order) > 0:
-            _refuse_degrees(path, names[2], phase[order])
     if columns.u_magnitude_unit == "%" or units[3] == "%":
         u_magnitude = u_magnitude / 100 * magnitude
     try:
@@ -320,13 +316,13 @@ def _named_columns(path: Path, columns: ResponseColumns) -> list[FloatArray]:
 
 def _hertz_factor(path: Path, name: str, unit: str) -> float:
     """Return the factor to Hz of the unit that the file states for frequencies."""
-    try:
-        found = parse_unit(unit.replace("rad", "1")) if unit else None
-    except ValueError:
-        found = Unit(1.0, (), unit)
-    if found is not None and found.dimension != HERTZ:
-        raise InputError(path, name, unit, "frequencies in Hz, as its unit")
-    return 1.0 if found is None else found.factor / (TURN if "rad" in unit else 1.0)
+    if not unit:
+        return 1.0
+    with suppress(ValueError):
+        found = parse_unit(unit)
+        if found.dimension == HERTZ and found.angle in (0, 1):
+            return found.factor / (TURN if found.angle else 1.0)
+    raise InputError(path, name, unit, "frequencies in Hz, as its unit")
 
 
 def _angle_factor(path: Path, columns: ResponseColumns, name: str, unit: str) -> float:

@@ -43,7 +43,7 @@ POINTER = re.compile(r"#xpointer\(id\((['\"])(.+)\1\)\)")
 class Signatures:
     """What the digests of a document's `count` signatures tell.
 
-    `changed`: what was changed since it was signed, empty where nothing was. `unchecked`: why that cannot be told of
+    `changed`: what is there in place of what was signed, empty where that is there. `unchecked`: why that cannot be told of
     all that is needed, empty where digests cover it.
     """
 
@@ -67,11 +67,11 @@ def check_signatures(root: Any, needed: tuple[str, ...]) -> Signatures:
         for reference in signature.findall(f"{DS}SignedInfo/{DS}Reference"):
             try:
                 signed = _signed(root, reference)
-                what = "the document" if signed is root else f"the element {str(reference.get('URI'))[:60]}"
+                what = "document" if signed is root else f"element {str(reference.get('URI'))[:60]}"
                 if signed is None:
-                    return Signatures(len(signatures), f"{what} is not there any more")
+                    return Signatures(len(signatures), f"no {what}")
                 if not _agrees(root, signature, reference, signed):
-                    return Signatures(len(signatures), f"{what} has another digest ({_method(reference)})")
+                    return Signatures(len(signatures), f"a {what} with another digest ({_method(reference)})")
                 covered.append(signed)
             except _CannotTell as error:
                 unchecked.append(str(error))
@@ -82,7 +82,7 @@ def check_signatures(root: Any, needed: tuple[str, ...]) -> Signatures:
     for path in needed if signatures else ():
         for element in root.iterfind(path):
             if not any(part is element or part in element.iterancestors() for part in covered):
-                unchecked.append(f"no digest covers {path.rpartition('}')[2]}")
+                unchecked.append(f"no digest covers dcc:{path.rpartition('}')[2]}")
                 return Signatures(len(signatures), unchecked=unchecked[0])
     return Signatures(len(signatures))
 
@@ -120,7 +120,7 @@ def _agrees(root: Any, signature: Any, reference: Any, signed: Any) -> bool:
     Signatures that were added after this one are no change: where it disagrees, all of them are left out.
     """
     stated = base64.b64decode("".join((reference.findtext(f"{DS}DigestValue") or "").split()))
-    others = [own for own in root.iter(f"{DS}Signature") if own is not signature]
+    others = [own for own in root.findall(f"{DS}Signature") if own is not signature]
     for left_out in ([], others) if others else ([],):
         octets = _octets(root, signature, reference, signed, left_out)
         if hashlib.new(_method(reference), octets, usedforsecurity=False).digest() == stated:

@@ -609,7 +609,7 @@ CHECKED, OPEN = "by its digests", "was not checked ("
         (signed(PLAIN, transform=UNKNOWN), OPEN + "the transform"),
         (signed(PLAIN, name="http://www.w3.org/2001/04/xmldsig-more#md5"), OPEN + "the digest"),
         (signed(PLAIN).replace('URI=""', 'URI="other.xml"'), OPEN + "the reference"),
-        (signed(RESULTS, "#r", ""), OPEN + "no digest covers administrativeData"),
+        (signed(RESULTS, "#r", ""), OPEN + "no digest covers dcc:administrativeData"),
         (signed(signed(RESULTS, "#r", "").replace('id="r"', 'id="s"'), "#s", ""), "InputError"),  # #r is not there
         (signed(PLAIN).replace("<ds:DigestValue>", "<ds:DigestValue>AAAA"), "InputError"),
         (PLAIN.replace("<dcc:results>", f"<dcc:results>{signed(PLAIN)[signed(PLAIN).index('<ds:Sig'):-36]}"), OPEN),
