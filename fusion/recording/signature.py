@@ -43,8 +43,8 @@ POINTER = re.compile(r"#xpointer\(id\((['\"])(.+)\1\)\)")
 class Signatures:
     """What the digests of a document's `count` signatures tell.
 
-    `changed`: what is there in place of what was signed, empty where that is there. `unchecked`: why that cannot be told of
-    all that is needed, empty where digests cover it.
+    `changed`: what is there in place of what was signed, empty where that is there. `unchecked`: why that cannot be
+    told of all that is needed, empty where digests cover it.
     """
 
     count: int
