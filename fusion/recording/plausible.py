@@ -14,7 +14,7 @@ import numpy as np
 from fusion.base import InputError
 from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.dsi import NONE, parse_unit
-from fusion.recording.response import read_response
+from fusion.recording.response import is_flat, read_response
 from fusion.recording.rig import DENSEST_KGM3, Rig, Sensor
 from fusion.recording.toml import quoted
 from fusion.recording.values import Vector3
@@ -46,6 +46,8 @@ WIDEST = 5.0
 ASIDE_DEG, TURNED_DEG = 60.0, 30.0
 """Angle between the optical axis and the sensor; the same where the inverse rotation would look towards it. Pairs on
 the base look past it by some 20°."""
+TURNED_RAD = 0.5
+"""Phase of a response whose magnitude is constant: of a delay, 0.8 ms at 100 Hz."""
 LATE_S = 0.01
 """Delay of a channel that no filter has whose corner lies above a period of the excitation."""
 
@@ -204,6 +206,10 @@ def _channel(entry: ChannelEntry, rig: Rig, lowest_hz: float) -> Iterator[str]:
             if response.u_magnitude[0] > SCALES["accelerometer"]:
                 u = float(response.u_magnitude[0])
                 yield f"response: u of its magnitude is {u:.1%} at {lowest_hz:g} Hz: stated in per cent?"
+            turn = abs(float(np.angle(response.value[0] ** 2))) / 2.0  # of either sign
+            if turn > TURNED_RAD and is_flat(entry.response, entry.response_columns, lowest_hz):
+                phase = f"{float(np.angle(response.value[0])):.3g} rad at {lowest_hz:g} Hz"
+                yield f"response: its phase is {phase}, where its magnitude is constant: are the phases in degrees?"
     if abs(entry.delay) > max(LATE_S, 1.0 / lowest_hz):
         yield (
             f"delay: {entry.delay:g} s are {abs(entry.delay) * lowest_hz:.3g} periods of {lowest_hz:g} Hz: is it in s?"

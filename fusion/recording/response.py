@@ -53,6 +53,7 @@ LARGEST_TABLE = 50_000_000  # bytes
 MOST_ROOTS = 100  # poles or zeros of an element
 TURN = 2.0 * np.pi
 ANGLES = {"rad": 1.0, "radian": 1.0} | dict.fromkeys(("deg", "°", "degree", "degrees"), np.pi / 180.0)
+CLOCKS = 2e-4  # relative, by which clocks let a line seem to lie beyond the last point, at which it was driven
 SAME_HZ = 1e-6  # relative, within which frequencies of a table are one
 
 
@@ -161,11 +162,12 @@ def read_response(
         _refuse_unmeasured(certificate, curve_named(certificate, result or ""), table, frequency_hz)
     else:
         table = read_table(path, columns)
-    outside = [f for f in frequency_hz if not table.frequency_hz[0] <= f <= table.frequency_hz[-1]]
+    low, high = float(table.frequency_hz[0]), float(table.frequency_hz[-1])
+    outside = [f for f in frequency_hz if not low * (1.0 - CLOCKS) <= f <= high * (1.0 + CLOCKS)]
     if outside:
-        found = f"{table.frequency_hz[0]:g} to {table.frequency_hz[-1]:g} Hz"
-        raise InputError(path, "frequency_hz", found=found, expected=f"a range that contains {outside[0]:g} Hz")
-    return table_response(table, frequency_hz)
+        expected = f"a range that contains {outside[0]:g} Hz"
+        raise InputError(path, "frequency_hz", found=f"{low:g} to {high:g} Hz", expected=expected)
+    return table_response(table, np.clip(frequency_hz, low, high))
 
 
 def check_response(path: Path, columns: ResponseColumns | None = None) -> None:
@@ -248,10 +250,22 @@ def read_table(path: Path, columns: ResponseColumns | None = None) -> ResponseTa
     return ResponseTable(*values)
 
 
+def is_flat(path: Path, columns: ResponseColumns | None, up_to_hz: float) -> bool:
+    """Whether the magnitudes of a table, from two points on, are within 2 % of each other up to a frequency."""
+    if path.suffix.lower() in (ELEMENTS, SUFFIX):
+        return False
+    table = read_table(path, columns)
+    below = table.magnitude[: max(2, int(np.searchsorted(table.frequency_hz, up_to_hz)) + 1)]
+    return len(below) > 1 and bool(np.ptp(below) < 0.02 * below[0])
+
+
 def _refuse_degrees(path: Path, name: str, phase_rad: FloatArray) -> None:
-    """Raise `InputError` for phases that cannot be radians, neither wrapped nor followed from point to point."""
+    """Raise `InputError` for phases that cannot be radians, neither wrapped nor followed from point to point.
+
+    The first one lies between −π, or the lag of half as much again that is followed there, and 2π.
+    """
     steps = np.abs(np.diff(phase_rad))
-    if abs(phase_rad[0]) > TURN or (np.any(np.abs(phase_rad) > TURN) and np.any(steps > np.pi)):
+    if not -0.75 * TURN <= phase_rad[0] <= TURN or (np.any(np.abs(phase_rad) > TURN) and np.any(steps > np.pi)):
         found = f"{phase_rad[np.argmax(np.abs(phase_rad))]:g}"
         raise InputError(path, name, found, "radians, within one turn or without jumps (degrees need response_columns)")
 

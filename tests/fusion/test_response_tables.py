@@ -181,6 +181,9 @@ def test_units_and_signs_that_a_table_states_are_used_or_contradicted(tmp_path, 
         ((180.0, 179.5, 179.0, 178.0), "found 180"),
         ((-0.3, -2.0, -10.0, -40.0), "found -40"),
         ((-7.0, -9.0, -11.0, -13.0), "found -13"),
+        ((-5.7, -5.7, -5.7, -5.7), "found -5.7"),
+        ((6.2, 0.1, 0.2, 0.3), ""),
+        ((-3.3, -3.6, -4.0, -5.0), ""),  # of opposite sign, followed
     ],
 )
 def test_a_column_of_radians_cannot_hold_degrees(tmp_path, phases, told):
@@ -191,6 +194,15 @@ def test_a_column_of_radians_cannot_hold_degrees(tmp_path, phases, told):
             read_table(path)
     else:
         assert read_table(path).phase_rad.tolist() == list(phases)
+
+
+def test_a_line_at_the_end_of_a_table_is_in_it_whatever_the_clock_says(tmp_path):
+    for hertz in ((80.0,), (80.0, 160.0), (20.0, 80.0)):
+        path = written(tmp_path, TYPED, None, [(one, 2.0, 0.1, 0.002, 0.001) for one in hertz])
+        for off in (-5e-5, 0.0, 5e-5):
+            found = read_response(path, np.array([80.0 * (1 + off)]))
+            assert found.value[0] == pytest.approx(2.0 * np.exp(0.1j), rel=1e-9)
+            assert found.u_magnitude[0] == pytest.approx(0.001)
 
 
 @pytest.mark.parametrize(
@@ -207,6 +219,16 @@ def test_an_uncertainty_in_per_cent_is_asked_about(tmp_path):
     written(recording, TYPED, None, [(one, 1.0, 0.0, 0.5, 0.001) for one in (10, 80, 300)])
     (doubt,) = (n for n in doubts(load_manifest(recording)) if "response" in n.text)
     assert "50.0% at 80 Hz: stated in per cent?" in doubt.text
+
+
+@pytest.mark.parametrize(
+    ("magnitudes", "phase", "asked"), [((1, 1, 1), -2.0, 1), ((1, 0.9, 0.5), -2.0, 0), ((1, 1, 1), 3.1, 0)]
+)
+def test_phases_that_may_be_degrees_are_asked_about(tmp_path, magnitudes, phase, asked):
+    recording = with_response(tmp_path, 'response = "t.csv"')
+    rows = [(one, size, phase, 0.001, 0.001) for one, size in zip((10, 80, 300), magnitudes, strict=True)]
+    written(recording, TYPED, None, rows)
+    assert sum("in degrees?" in notice.text for notice in doubts(load_manifest(recording))) == asked
 
 
 def with_response(folder: Path, text: str) -> Path:
