@@ -533,26 +533,26 @@ def _unstated(manifest: Manifest, entries: Sequence[ChannelEntry], pairs: Collec
 
     `pairs`: bodies that stereo pairs see, whose calibrations state theirs.
     """
-    motion = [entry for entry in entries if entry.quantity in TRANSDUCERS]
-    lines, beams = np.array(manifest.excitation.frequencies or (REFERENCE_HZ,)), Beams.of(motion)
-    responses, stated = dict[str, ChainResponse | None](), set[tuple[str, str, str]]()
-    for entry in motion:
-        response = responses[entry.name] = None
+    lines, read = np.array(manifest.excitation.frequencies or (REFERENCE_HZ,)), dict[Any, ChainResponse | None]()
+    readable = list[tuple[ChannelEntry, ChainResponse | None]]()
+    for entry in (entry for entry in entries if entry.quantity in TRANSDUCERS):
+        file = entry.response, entry.response_result, entry.response_columns
         with suppress(InputError):  # told where it is read
-            if entry.response is not None:
-                response = read_response(entry.response, lines, entry.response_result, entry.response_columns)
-        responses[entry.name] = response
-        if errors_are_stated(entry, response, beams):
-            stated.add((str(entry.body), entry.quantity, chain_name(entry)))
+            if entry.response is not None and file not in read:
+                read[file] = read_response(entry.response, lines, entry.response_result, entry.response_columns)
+            readable.append((entry, read.get(file)))
+    beams = Beams.of([entry for entry, _ in readable])
+    instruments = [(str(entry.body), entry.quantity, chain_name(entry)) for entry, _ in readable]
+    stated = {
+        name for name, (entry, response) in zip(instruments, readable, strict=True)
+        if errors_are_stated(entry, response, beams)
+    }  # fmt: skip
     told = []
-    for entry in motion:
-        body, readable = str(entry.body), entry.response is None or responses[entry.name] is not None
-        if scale_is_stated(entry, responses[entry.name]) or not readable:
-            continue
-        fused = (body, entry.quantity, chain_name(entry)) in stated
-        fused = fused or (body not in pairs and not any(other == body for other, _, _ in stated))
-        effect = "taken as exact" if fused else "compared with the others, not fused"
-        told.append(f"channel {entry.name} states no uncertainty of its scale: {effect}")
+    for name, (entry, response) in zip(instruments, readable, strict=True):
+        alone = name[0] not in pairs and not any(body == name[0] for body, _, _ in stated)
+        effect = "taken as exact" if name in stated or alone else "compared with the others, not fused"
+        if not scale_is_stated(entry, response):
+            told.append(f"channel {entry.name} states no uncertainty of its scale: {effect}")
     return told
 
 

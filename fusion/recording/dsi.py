@@ -178,7 +178,10 @@ def parse_unit(text: str) -> Unit:
         raise wrong
     behind = [-1 if part[3] else 1 for part in parts]
     first = [-1 if part[3] > (parts[n - 1][3] if n else 0) else 1 for n, part in enumerate(parts)]
-    units = [_product(parts, signs, text.strip()) for signs in (behind, first)]
+    names = [rf"\{prefix}\{name}" if prefix else rf"\{name}" for name, prefix, _, _ in parts]
+    powers = [str(sign * part[2]).replace("/", "_") for sign, part in zip(first, parts, strict=True)]
+    plain = "".join(rf"{name}\tothe{{{power}}}" for name, power in zip(names, powers, strict=True))
+    units = [_product(parts, behind, text.strip()), _product(parts, first, plain)]
     if not all(SMALLEST_FACTOR < unit.factor < LARGEST_FACTOR for unit in units):
         raise wrong
     return units[0] if behind == first else replace(units[0], other=units[1])
