@@ -274,9 +274,10 @@ def _interpolation_error(knots: FloatArray, values: ComplexArray, wanted: FloatA
 
     Of a smooth function it is f⁗/24·(x − a)²·(b − x)² between two knots, so that the change by leaving out every other
     knot, times the squared ratio of (x − a)·(b − x) with and without them, is the error. Where the function is not that
-    smooth, the share is what halving the steps does to the errors at left-out knots near by: at least 1/8, and all of
-    it in scatter, of fewer than six knots, and in the first and last interval, beyond which no knot holds the slope.
-    Two knots leave every curve between them: half their difference is the half-width.
+    smooth, the change counts, or the error at either knot when it is left out, by a share: what halving the steps does
+    to such errors near by, at least 1/8, and all of it in scatter, of fewer than six knots, and in the first and last
+    interval, beyond which no knot holds the slope. Two knots leave every curve between them: half their difference is
+    the half-width.
     """
     if len(knots) == 1:
         return np.zeros(len(wanted), dtype=np.complex128)
@@ -285,14 +286,14 @@ def _interpolation_error(knots: FloatArray, values: ComplexArray, wanted: FloatA
     arch = np.maximum(4.0 * inside, 0.0) / (knots[piece + 1] - knots[piece]) ** 2
     if len(knots) == 2:
         return np.asarray(arch * (values[1] - values[0]) / np.sqrt(12.0))
-    share = np.ones(len(knots))
+    share, left_out = np.ones(len(knots)), _left_out(knots, values, 2)
     if len(knots) >= FEWEST_TO_HALVE:
-        near, far = (_largest_near(np.abs(_left_out(knots, values, every))) for every in (2, 4))
+        near, far = _largest_near(np.abs(left_out)), _largest_near(np.abs(_left_out(knots, values, 4)))
         share[1:-1] = np.clip(np.divide(near, far, out=np.ones(len(knots)), where=far > 0.0), LEAST_SHARE, 1.0)[1:-1]
     fine, share = cubic_spline(knots, values, wanted), np.maximum(share[piece], share[piece + 1])
     outermost = (2.0 * wanted < knots[0] + knots[1]) | (2.0 * wanted > knots[-2] + knots[-1])
+    changes = [np.nan_to_num(left_out[knot]) * share * arch for knot in (piece, piece + 1)]
     arch = np.where(outermost, 1.0, arch)  # no half lacks the first and the last knot
-    changes = []
     for odd in (0, 1):
         kept = _every(len(knots), 2, odd)
         around = np.clip(np.searchsorted(knots[kept], wanted, side="right") - 1, 0, np.sum(kept) - 2)
