@@ -537,7 +537,7 @@ def _unstated(manifest: Manifest, entries: Sequence[ChannelEntry], pairs: Collec
     readable = list[tuple[ChannelEntry, ChainResponse | None]]()
     for entry in (entry for entry in entries if entry.quantity in TRANSDUCERS):
         file = entry.response, entry.response_result, entry.response_columns
-        with suppress(InputError):  # told where it is read
+        with suppress(InputError):  # a problem of its own
             if entry.response is not None and file not in read:
                 read[file] = read_response(entry.response, lines, entry.response_result, entry.response_columns)
             readable.append((entry, read.get(file)))
@@ -547,13 +547,13 @@ def _unstated(manifest: Manifest, entries: Sequence[ChannelEntry], pairs: Collec
         name for name, (entry, response) in zip(instruments, readable, strict=True)
         if errors_are_stated(entry, response, beams)
     }  # fmt: skip
-    told = []
+    remarks = []
     for name, (entry, response) in zip(instruments, readable, strict=True):
         alone = name[0] not in pairs and not any(body == name[0] for body, _, _ in stated)
         effect = "taken as exact" if name in stated or alone else "compared with the others, not fused"
         if not scale_is_stated(entry, response):
-            told.append(f"channel {entry.name} states no uncertainty of its scale: {effect}")
-    return told
+            remarks.append(f"channel {entry.name} states no uncertainty of its scale: {effect}")
+    return remarks
 
 
 def _clock_remarks(blocks: Sequence[Daq]) -> list[str]:

@@ -63,8 +63,8 @@ class Certified(Block):
 class CertifiedInputs:
     """What the certificates of one manifest say: its text without them, their files, the curves that channels follow.
 
-    `files`: with what they were before they were read. `wrong`: every table that cannot be used. `signed`: what the
-    signatures of the files tell.
+    `files`: with what they were before they were read. `wrong`: every table that cannot be used. `signed`: notices of
+    the signatures of the files.
     """
 
     path: Path

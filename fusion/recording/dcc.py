@@ -1,7 +1,7 @@
 """Digital Calibration Certificates read: quantities with U and k, number, laboratory, dates.
 
-DCC (PTB's schema, versions 2.4 to 3.3) with the D-SI in it. Everything is turned into coherent SI units. What cannot be
-used is refused when somebody asks for it.
+DCC (PTB's schema, versions 2.4 to 3.3) with the D-SI in it. Everything is converted to coherent SI units. A quantity
+that cannot be used is refused when a key names it.
 """
 
 from __future__ import annotations
@@ -79,8 +79,7 @@ class CertifiedQuantity:
     @property
     def words(self) -> str:
         """Return types and names, in small letters, `phaseLag` as `phase lag`."""
-        told = re.sub(r"(?<=[a-z])(?=[A-Z])|_", " ", " ".join((*self.types, *self.names)))
-        return told.lower()
+        return re.sub(r"(?<=[a-z])(?=[A-Z])|_", " ", " ".join((*self.types, *self.names))).lower()
 
     def called(self, name: str) -> bool:
         """Whether a name or type that a user gives is this quantity's or its result's."""
@@ -105,7 +104,7 @@ class CertifiedQuantity:
 
 @dataclass(frozen=True)
 class CalibrationCertificate:
-    """What a DCC states: its number, laboratory, day, last day of validity, quantities; what its signatures tell."""
+    """What a DCC states: number, laboratory, day, last valid day, quantities; `signed`: notices of its signatures."""
 
     path: Path
     number: str
@@ -159,20 +158,20 @@ def _parsed(path: Path, _: Identity | None) -> CalibrationCertificate:
 
 
 def _signatures(path: Path) -> Iterator[Notice]:
-    """Yield what the signatures of a certificate tell; `InputError` for one that was changed since it was signed."""
+    """Yield notices of a certificate's signatures; `InputError` if it was changed after it was signed."""
     if b"xmldsig#" not in path.read_bytes():
         return
     from fusion.recording.signature import check_signatures
 
     found = check_signatures(_root(path, whole=True), SIGNED)
     if found.changed:
-        told = f"{found.changed}: it was changed since then; ask the laboratory for it again"
-        raise InputError(path, "ds:Signature", told, "the content that was signed")
+        difference = f"{found.changed}: it was changed after signing; ask the laboratory for the original"
+        raise InputError(path, "ds:Signature", difference, "the content that was signed")
     if found.unchecked:
-        text = f"the signature was not checked ({found.unchecked}): a change of the content since then would not show"
-        yield Notice("warning", f"{text}; check it with the laboratory's tool", path.name)
+        text = f"the signature was not checked ({found.unchecked}): a change after signing would not be noticed"
+        yield Notice("warning", f"{text}; verify it with the laboratory's tool", path.name)
     elif found.count:
-        text = "the content is what was signed, by its digests; who signed it was not checked"
+        text = "the content was not changed after signing (its digests agree); who signed it was not verified"
         yield Notice("info", text, path.name)
 
 
@@ -253,7 +252,7 @@ def _quantities(path: Path, root: Any) -> Iterator[CertifiedQuantity]:
 
 
 def _quantity(path: Path, result: Any, element: Any, values: Any) -> CertifiedQuantity:
-    """Read one quantity; what is wrong with its numbers is its `problem`, which is told if somebody asks for it."""
+    """Read one quantity; numbers that cannot be used become its `problem`."""
     about, name = _name(result), _name(element)
     reader = _Numbers(path, ", ".join(filter(None, (f'result "{about}"', f'quantity "{name}"' if name else ""))))
     try:
@@ -303,7 +302,7 @@ class _Numbers:
             found = np.array([float(text) for text in texts])
         except ValueError as error:
             raise self.refusal(tag, f'"{describe(" ".join(texts), plain=True)[:60]}"', "numbers") from error
-        # NaN is what was not measured: whoever needs it finds out.
+        # NaN was not measured, which is refused where it is needed.
         wrong = [value for value in found.tolist() if np.isinf(value) or (not np.isnan(value) and wrong_size(value))]
         if wrong:
             raise self.refusal(tag, f"{wrong[0]:g}", wrong_size(wrong[0]) or "finite numbers")

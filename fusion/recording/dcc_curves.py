@@ -37,6 +37,11 @@ UNSURE = re.compile(r"delay|verzögerung|retard|retras|ritard|atras|negativ|minu
 """Names that may mean a lag, or the sign of one."""
 LEAD = re.compile(r"\b(phase)?lead(s|ing)?\b|voreil|advance|avance|adelant|anticip|avanç")
 PLAIN_SIGN = "a phase whose sign is plain: positive where the output leads, or a phase lag of positive numbers"
+DEVIATION = re.compile(
+    r"uncertain|unsicherheit|incertitude|incertidumbre|incertezza|incerteza|deviation|abweichung|écart|desviación"
+    r"|deviazione|\berror|coverage|überdeckung"
+)
+"""Names of what belongs to a value and is none."""
 LOSS = re.compile(r"attenuation|\bloss|dämpfung|affaiblissement|atenua|attenuazione")
 """Names of what is large where a response is small."""
 
@@ -134,7 +139,11 @@ def in_hertz(certificate: CalibrationCertificate, quantity: CertifiedQuantity) -
 def _one_of(
     certificate: CalibrationCertificate, what: str, found: Sequence[CertifiedQuantity], words: Sequence[Sequence[str]]
 ) -> CertifiedQuantity | None:
-    """Return the one quantity that is meant, by words that it has and the others lack; None where there is none."""
+    """Return the one quantity that is meant, by words that it has and the others lack; None where there is none.
+
+    Columns of deviations and uncertainties are none.
+    """
+    found = [q for q in found if not DEVIATION.search(" ".join(q.names).lower())]
     for group in words:
         named = [q for q in found if any(word in q.words for word in group)]
         found = named or found

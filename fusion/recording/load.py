@@ -103,7 +103,7 @@ class Manifest:
 
     @property
     def certified(self) -> tuple[Notice, ...]:
-        """Return what has to be known of the certificates: which were not valid, what their signatures tell."""
+        """Return the notices of all certificates: those that were not valid, and those of signatures."""
         return (*self.expired, *self.signed)
 
     @property

@@ -1,6 +1,6 @@
-"""XML signatures of certificates: whether what was signed is still what stands in the file (W3C XML Signature 1.1).
+"""XML signatures of certificates: whether the content was changed after it was signed (W3C XML Signature 1.1).
 
-The digests of what is signed are computed anew. Who signed, by the signature's value and its key, is not examined.
+The digests of the signed content are recomputed. The value of the signature and its key, hence who signed, are not.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ POINTER = re.compile(r"#xpointer\(id\((['\"])(.+)\1\)\)")
 
 @dataclass(frozen=True)
 class Signatures:
-    """What the digests of a document's `count` signatures tell.
+    """Result of checking the digests of a document's `count` signatures.
 
-    `changed`: what is there in place of what was signed, empty where that is there. `unchecked`: why that cannot be
-    told of all that is needed, empty where digests cover it.
+    `changed`: which part differs from what was signed, empty if none does. `unchecked`: why that is unknown of some
+    needed part, empty if digests cover all of them.
     """
 
     count: int
@@ -52,15 +52,15 @@ class Signatures:
     unchecked: str = ""
 
 
-class _CannotTell(Exception):
-    """Something that this module does not do, in words."""
+class _CannotCheck(Exception):
+    """The reason why a digest cannot be recomputed."""
 
 
 def check_signatures(root: Any, needed: tuple[str, ...]) -> Signatures:
-    """Compute the digests of all signatures of a document anew; `needed`: paths of what they have to cover.
+    """Recompute the digests of all signatures of a document; `needed`: paths of the parts they have to cover.
 
     The document must have been parsed with its comments and processing instructions. Signatures of a document are
-    children of its root; one deeper down may belong to something that was pasted there, and tells nothing of the whole.
+    children of its root; one deeper down may belong to an embedded document, and does not cover the whole.
     """
     signatures, unchecked, covered = root.findall(f"{DS}Signature"), list[str](), list[Any]()
     for signature in signatures:
@@ -73,7 +73,7 @@ def check_signatures(root: Any, needed: tuple[str, ...]) -> Signatures:
                 if not _agrees(root, signature, reference, signed):
                     return Signatures(len(signatures), f"a {what} with another digest ({_method(reference)})")
                 covered.append(signed)
-            except _CannotTell as error:
+            except _CannotCheck as error:
                 unchecked.append(str(error))
             except (etree.LxmlError, ValueError) as error:
                 unchecked.append(" ".join(str(error).split())[:120])
@@ -92,7 +92,7 @@ def _method(reference: Any) -> str:
     element = reference.find(f"{DS}DigestMethod")
     name = "" if element is None else element.get("Algorithm", "")
     if name not in DIGESTS:
-        raise _CannotTell(f"the digest {name or 'without a name'} is not known")
+        raise _CannotCheck(f"the digest {name or 'without a name'} is not known")
     return DIGESTS[name]
 
 
@@ -100,17 +100,17 @@ def _signed(root: Any, reference: Any) -> Any | None:
     """Return the element that a reference means, None where there is none."""
     uri = reference.get("URI")
     if uri is None:
-        raise _CannotTell("a reference without URI")
+        raise _CannotCheck("a reference without URI")
     if uri in WHOLE:
         return root
     pointer = POINTER.fullmatch(uri)
     name = pointer[2] if pointer else uri[1:]
     if not uri.startswith("#") or (not pointer and "(" in uri):
-        raise _CannotTell(f"the reference {uri[:60]!r} leads out of the file")
+        raise _CannotCheck(f"the reference {uri[:60]!r} leads out of the file")
     ids = ("Id", "ID", "id", f"{XMLNS}id")
     found = [element for element in root.iter(etree.Element) if any(element.get(key) == name for key in ids)]
     if len(found) > 1:
-        raise _CannotTell(f"{len(found)} elements have the id {name[:60]!r}")
+        raise _CannotCheck(f"{len(found)} elements have the id {name[:60]!r}")
     return found[0] if found else None
 
 
@@ -148,7 +148,7 @@ def _octets(root: Any, signature: Any, reference: Any, signed: Any, left_out: li
             prefixes = transform.find("{*}InclusiveNamespaces")
             canonical = _canonical(name, "" if prefixes is None else prefixes.get("PrefixList", ""), pointed)
         else:
-            raise _CannotTell(f"the transform {name[:80]} is not known")
+            raise _CannotCheck(f"the transform {name[:80]} is not known")
     copied = _copied(signed, dropped)
     if reference.get("URI") in WHOLE:
         return canonical(copied.getroottree())
@@ -165,7 +165,7 @@ def _canonical(name: str, prefixes: str, pointed: bool) -> Callable[[Any], bytes
                 if key.startswith(XMLNS) and (key not in BY_VERSION or name.startswith(INCLUSIVE[0])):
                     element.set(key, element.get(key, value))
                 elif key == f"{XMLNS}base":
-                    raise _CannotTell("an element within xml:base")
+                    raise _CannotCheck("an element within xml:base")
         return bytes(
             etree.tostring(
                 element,

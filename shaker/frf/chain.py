@@ -276,8 +276,7 @@ def _interpolation_error(knots: FloatArray, values: ComplexArray, wanted: FloatA
     knot, times the squared ratio of (x − a)·(b − x) with and without them, is the error. Where the function is not that
     smooth, the change counts, or the error at either knot when it is left out, by a share: what halving the steps does
     to such errors near by, at least 1/8, and all of it in scatter, of fewer than six knots, and in the first and last
-    interval, beyond which no knot holds the slope. Two knots leave every curve between them: half their difference is
-    the half-width.
+    interval, beyond which no knot determines the slope. Of two knots half their difference is the half-width.
     """
     if len(knots) == 1:
         return np.zeros(len(wanted), dtype=np.complex128)
