@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 from lxml import etree
@@ -117,24 +118,25 @@ def _signed(root: Any, reference: Any) -> Any | None:
 def _agrees(root: Any, signature: Any, reference: Any, signed: Any) -> bool:
     """Whether what a reference means has the digest that it states.
 
-    Signatures that were added after this one are no change: where it disagrees, all of them are left out.
+    Signatures that were added after this one are no change: where it disagrees, all of them are left out. A reference
+    by an empty URI or an id means nodes without comments, but some programs (signxml) keep them.
     """
     stated = base64.b64decode("".join((reference.findtext(f"{DS}DigestValue") or "").split()))
     others = [own for own in root.findall(f"{DS}Signature") if own is not signature]
-    for left_out in ([], others) if others else ([],):
-        octets = _octets(root, signature, reference, signed, left_out)
+    for left_out, comments in product(([], others) if others else ([],), (False, True)):
+        octets = _octets((root, signed), signature, reference, (left_out, comments))
         if hashlib.new(_method(reference), octets, usedforsecurity=False).digest() == stated:
             return True
     return False
 
 
-def _octets(root: Any, signature: Any, reference: Any, signed: Any, left_out: list[Any]) -> bytes:
+def _octets(nodes: tuple[Any, Any], signature: Any, reference: Any, choice: tuple[list[Any], bool]) -> bytes:
     """Return what is digested: the element, or the whole document, after the transforms of the reference.
 
-    A reference by an empty URI or an id means nodes without comments, whatever the canonical form keeps.
+    `nodes`: root and signed element; `choice`: what to leave out, and whether comments are kept if the form has them.
     """
-    dropped, pointed = list(left_out), "xpointer" in reference.get("URI", "")
-    canonical = _canonical(INCLUSIVE[0], "", pointed)
+    (root, signed), (left_out, comments) = nodes, choice
+    dropped, canonical = list(left_out), _canonical(INCLUSIVE[0], "", comments)
     transforms = list(reference.iterfind(f"{DS}Transforms/{DS}Transform"))
     for place, transform in enumerate(transforms):
         name = transform.get("Algorithm", "")
@@ -146,7 +148,7 @@ def _octets(root: Any, signature: Any, reference: Any, signed: Any, left_out: li
             dropped += root.iter(f"{DS}Signature")
         elif name.startswith((EXCLUSIVE, *INCLUSIVE)) and place == len(transforms) - 1:
             prefixes = transform.find("{*}InclusiveNamespaces")
-            canonical = _canonical(name, "" if prefixes is None else prefixes.get("PrefixList", ""), pointed)
+            canonical = _canonical(name, "" if prefixes is None else prefixes.get("PrefixList", ""), comments)
         else:
             raise _CannotCheck(f"the transform {name[:80]} is not known")
     copied = _copied(signed, dropped)
@@ -155,7 +157,7 @@ def _octets(root: Any, signature: Any, reference: Any, signed: Any, left_out: li
     return canonical(deepcopy(copied) if copied.getparent() is None else copied)  # nothing in front of the root
 
 
-def _canonical(name: str, prefixes: str, pointed: bool) -> Callable[[Any], bytes]:
+def _canonical(name: str, prefixes: str, comments: bool) -> Callable[[Any], bytes]:
     """Return the function that writes an element, or a whole document, in a canonical form."""
     exclusive, kept = name.startswith(EXCLUSIVE), [prefix for prefix in prefixes.split() if prefix != "#default"]
 
@@ -171,7 +173,7 @@ def _canonical(name: str, prefixes: str, pointed: bool) -> Callable[[Any], bytes
                 element,
                 method="c14n",
                 exclusive=exclusive,
-                with_comments=pointed and name.endswith(COMMENTS),
+                with_comments=comments and name.endswith(COMMENTS),
                 inclusive_ns_prefixes=kept if exclusive and kept else None,
                 with_tail=False,
             )

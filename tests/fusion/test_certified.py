@@ -581,6 +581,8 @@ def signed(text: str, uri: str = "", transform: str = ENVELOPED, digest: str = "
 
 
 PLAIN = certificate(MASS).replace("<dcc:quantity >", "<dcc:quantity>")
+REMARKED = PLAIN.replace("<dcc:results>", "<!-- weighed twice --><dcc:results>")
+COMMENTED = ENVELOPED.replace("20010315", "20010315#WithComments")
 SUBTRACTED = (
     '<ds:Transform Algorithm="http://www.w3.org/2002/06/xmldsig-filter2"><f:XPath xmlns:f="http://www.w3.org/2002/06/'
     'xmldsig-filter2" Filter="subtract">/descendant::ds:Signature</f:XPath></ds:Transform>'
@@ -610,6 +612,8 @@ CHECKED, OPEN = "its digests agree", "was not checked ("
         (SIGNED.replace(' id=\'m1\'', ' id=\'m1\' refId=\'x\''), "InputError"),
         *((signed(PLAIN, digest=name), CHECKED) for name in ("sha1", "sha224", "sha256", "sha384", "sha512")),
         *((signed(PLAIN, transform=transform), CHECKED) for transform in (SUBTRACTED, PARALLEL)),
+        (signed(REMARKED, transform=COMMENTED), CHECKED),
+        (signed(REMARKED, transform=COMMENTED).replace("6960.5", "7"), "InputError"),
         (signed(signed(PLAIN), digest="sha512"), CHECKED),  # a second one, of all and the first
         (signed(PLAIN, digest="sha512").replace("6960.5", "2406.3"), "InputError"),
         (signed(PLAIN, transform=UNKNOWN), OPEN + "the transform"),
