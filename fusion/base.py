@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from photogram.arrays import Notice as ImageNotice
-    from shaker.arrays import Notice
+    from shaker.arrays import Notice, Severity
 
 PROGRAM = "shakercal"
 AnyNotice: TypeAlias = "Notice | ImageNotice"
@@ -40,6 +40,49 @@ def warnings_first(notices: Iterable[AnyNotice]) -> list[AnyNotice]:
         for first, *others in alike.values()
     ]
     return sorted(once, key=lambda notice: notice.severity != "warning")
+
+
+NUMBER = re.compile(r"(?<![\w.])[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+"""A number in a notice; digits within a name, such as that of a channel, are none."""
+
+
+@dataclass(frozen=True)
+class GatheredNotice:
+    """A notice of several recordings; where its texts differ in numbers alone, `text` gives their ranges.
+
+    `recordings`: names of all that it concerns; `each`: every text with the recordings that state it.
+    """
+
+    severity: Severity
+    where: str
+    text: str
+    recordings: tuple[str, ...]
+    each: tuple[tuple[str, tuple[str, ...]], ...]
+
+
+def gather(groups: Iterable[tuple[str, Iterable[AnyNotice]]]) -> list[GatheredNotice]:
+    """Return the notices of named recordings, each once: warnings first, then those of most recordings."""
+    found: dict[tuple[str, str, str], dict[str, dict[str, None]]] = {}
+    for name, notices in groups:
+        for notice in notices:
+            key = notice.severity, notice.where, NUMBER.sub("#", notice.text)
+            found.setdefault(key, {}).setdefault(notice.text, {})[name] = None
+    gathered = []
+    for (severity, where, _), texts in found.items():
+        names = dict.fromkeys(name for own in texts.values() for name in own)
+        each = tuple((text, tuple(own)) for text, own in texts.items())
+        gathered.append(GatheredNotice(severity, where, _in_ranges(list(texts)), tuple(names), each))
+    return sorted(gathered, key=lambda notice: (notice.severity != "warning", -len(notice.recordings)))
+
+
+def _in_ranges(texts: Sequence[str]) -> str:
+    """Return texts that differ in numbers alone as one, with the least and the largest of every number."""
+    words, columns = NUMBER.split(texts[0]), zip(*(NUMBER.findall(text) for text in texts), strict=True)
+    ranges = []
+    for numbers in columns:
+        ordered = sorted(set(numbers), key=lambda number: float(number.replace("−", "-")))
+        ranges.append(ordered[0] if len(ordered) == 1 else f"{ordered[0]} to {ordered[-1]}")
+    return "".join(part for pair in zip(words, [*ranges, ""], strict=True) for part in pair)
 
 
 # The two ways a run can fail: the user's input is wrong, or something could not be computed.

@@ -15,7 +15,7 @@ from fusion.phasors.channels import MOST_BINS, line_record, lines_in
 from fusion.phasors.timing import tie_daqs
 from fusion.recording.files import read_set_ups, told_in
 from fusion.recording.load import Manifest
-from fusion.report.terminal import stdout_console
+from fusion.report.terminal import say, stdout_console
 from shaker.arrays import FloatArray, Stacked
 from shaker.io import read_channels
 from shaker.io.channel import RawChannel
@@ -227,19 +227,19 @@ def print_lines(lists: Sequence[LineList]) -> None:
         names, duration = ", ".join(item.channels), item.samples / item.rate_hz
         seen = "".join(f"; {pairs}: lines as seen at {rate:.6g} Hz" for pairs, rate in item.cameras)
         size = f"{item.samples} samples at {item.rate_hz:.9g} Hz, {duration:.4g} s"
-        console.print(f"{item.source.name}: {names}; {size}{seen}", soft_wrap=True)
+        say(f"{item.source.name}: {names}; {size}{seen}")
         if not item.entries:
-            console.print("  no line stands out of the noise")
+            say("  no line stands out of the noise")
             continue
         table = Table(box=box.SIMPLE, pad_edge=False)
         table.add_column("frequency / Hz", justify="right", no_wrap=True)
         for name, _ in item.cameras:
-            table.add_column(f"{name} / Hz", justify="right")
+            table.add_column(f"{name} / Hz", justify="right", overflow="fold")
         table.add_column("amplitude", justify="right", no_wrap=True)
         if len(item.channels) > 1:
             table.add_column("in channel", overflow="fold")
-        table.add_column("dB", justify="right")
-        table.add_column("what and why", min_width=WHY_WIDTH)
+        table.add_column("dB", justify="right", overflow="fold")
+        table.add_column("what and why", min_width=WHY_WIDTH, overflow="fold")
         for entry in item.entries:
             best = int(np.nanargmax(entry.amplitude / np.maximum(entry.u_amplitude, np.finfo(np.float64).tiny)))
             size = _with_u(float(entry.amplitude[best]), float(entry.u_amplitude[best]))
@@ -253,11 +253,10 @@ def print_lines(lists: Sequence[LineList]) -> None:
             )
         console.print(table)
     for notice in dict.fromkeys(notice for item in lists for notice in item.notices if notice.where != LISTED):
-        console.print(f"{notice.severity}: {notice.text}", soft_wrap=True)
-    console.print(
+        say(f"{notice.severity}: {notice.text}")
+    say(
         "U (k = 2); amplitude: in the channel in which the line stands out most; dB: its power there over that of the "
-        "noise in a bin of the Hann spectrum",
-        soft_wrap=True,
+        "noise in a bin of the Hann spectrum"
     )
 
 

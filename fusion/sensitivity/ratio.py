@@ -134,9 +134,7 @@ def sensitivity_ratio(
     value = np.full((*ratio.shape, 6), complex(np.nan, np.nan))
     value[:, :, component] = ratio
     name, notices = LOAD_COMPONENTS[component], []
-    if not np.any(np.isfinite(ratio)):
-        notices.append(Notice("warning", f"{name} could not be determined: no sensitivity", "sensitivity"))
-    else:
+    if np.any(np.isfinite(ratio)):
         # What else acted on the sensor at the strongest line; forces and moments compare in shares of rated loads only.
         rated = np.ones(6) if capacity is None else np.asarray(capacity)
         given = np.abs(np.where(load.observed, load.value, np.nan)) / rated
