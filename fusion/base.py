@@ -60,6 +60,11 @@ class GatheredNotice:
     each: tuple[tuple[str, tuple[str, ...]], ...]
 
 
+def counted(count: int, what: str) -> str:
+    """Return a number with what it counts, such as `1 recording` and `2 recordings`."""
+    return f"{count} {what}{'' if count == 1 else 's'}"
+
+
 def gather(groups: Iterable[tuple[str, Iterable[AnyNotice]]]) -> list[GatheredNotice]:
     """Return the notices of named recordings, each once: warnings first, then those of most recordings."""
     found: dict[tuple[str, str, str], dict[str, dict[str, None]]] = {}

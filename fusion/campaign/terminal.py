@@ -7,7 +7,7 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fusion.base import DASH, AnyNotice, GatheredNotice, gather, rounded
+from fusion.base import DASH, AnyNotice, GatheredNotice, counted, gather, rounded
 from fusion.estimation.coverage import Polar
 from fusion.report.folder import CURVE_FILE, RESULT_FILE, SENSITIVITY_FILE, as_answer
 from fusion.report.h5 import opened_results, read_notices
@@ -263,4 +263,4 @@ def tally(outcomes: Sequence[Outcome]) -> str:
     resumed = sum(outcome.resumed for outcome in outcomes)
     parts = [(len(outcomes) - failed - resumed, "evaluated"), (resumed, "unchanged since the last run")]
     told = ", ".join(f"{count} {what}" for count, what in (*parts, (failed, "failed")) if count)
-    return f"{len(outcomes)} recording{'' if len(outcomes) == 1 else 's'}: {told}"
+    return f"{counted(len(outcomes), 'recording')}: {told}"

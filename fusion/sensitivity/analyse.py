@@ -418,7 +418,8 @@ def _why(inputs: Inputs, analysis: Analysis, component: int | None, lacking: Boo
             told.append(f"the instruments of the {moved.body} ({titles}) contradict each other")
         elif component is None or not observed[:, component].all():
             names = [name for name, own in zip(MOTION_COMPONENTS, observed.T, strict=True) if own.all()]
-            text = f"the readings of {titles} determine {f'only {', '.join(names)}' if names else 'no component'} of the {moved.body}"
+            along = f"only {', '.join(names)}" if names else "no component"
+            text = f"the readings of {titles} determine {along} of the {moved.body}"
             stated = ", ".join(f"{number:g}" for number in inputs.direction or ())
             told.append(f"{text}, and excitation.direction is [{stated}]" if component is not None else text)
         elif load is not None and not load.observed[lacking, component].all():

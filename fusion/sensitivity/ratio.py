@@ -280,6 +280,15 @@ class StatedMatrix:
         """Return the relative standard uncertainty of main elements, `U_STATIC` where none is stated."""
         return self.u_static or U_STATIC
 
+    def u_elements(self, static: FloatArray) -> FloatArray:
+        """Return the standard uncertainties of rows of the static matrix (C, 6), in the unit of each element."""
+        share = U_STATIC if self.u_cross_talk is None else self.u_cross_talk
+        signal = np.abs(static) * self.rated
+        u = np.hypot(self.u_relative * np.abs(static), share * signal.max(axis=1)[:, None] / self.rated)
+        own = np.arange(len(static)), np.argmax(signal, axis=1)
+        u[own] = self.u_relative * np.abs(static[own])
+        return np.asarray(u)
+
     @property
     def rated(self) -> FloatArray:
         """Return the rated loads (6,); where none are stated, moments count over 0.1 m."""
@@ -439,13 +448,7 @@ def static_unknowns(
     stated: StatedMatrix, channels: tuple[str, ...], static: FloatArray
 ) -> tuple[Unknown[ComplexArray], ...]:
     """Return one unknown per element of a static matrix (C, 6), in the unit of the element."""
-    relative = stated.u_relative
-    share = U_STATIC if stated.u_cross_talk is None else stated.u_cross_talk
-    signal = np.abs(static) * stated.rated
-    u = np.hypot(relative * np.abs(static), share * signal.max(axis=1)[:, None] / stated.rated)
-    own = np.arange(len(static)), np.argmax(signal, axis=1)
-    u[own] = relative * np.abs(static[own])
-    found = []
+    u, found = stated.u_elements(static), []
     for c, j in np.ndindex(static.shape):
         effect = np.zeros(static.shape, np.complex128)
         effect[c, j] = u[c, j]
