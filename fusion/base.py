@@ -50,14 +50,21 @@ NUMBER = re.compile(r"(?<![\w.])[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 class GatheredNotice:
     """A notice of several recordings; where its texts differ in numbers alone, `text` gives their ranges.
 
-    `recordings`: names of all that it concerns; `each`: every text with the recordings that state it.
+    `recordings`: names of all that it concerns, `everywhere`: whether these are all there are of several; `each`: every
+    text with the recordings that state it.
     """
 
     severity: Severity
     where: str
     text: str
     recordings: tuple[str, ...]
+    everywhere: bool
     each: tuple[tuple[str, tuple[str, ...]], ...]
+
+    @property
+    def concerned(self) -> str:
+        """Return the names of all recordings that it concerns."""
+        return f"all {len(self.recordings)} recordings" if self.everywhere else ", ".join(self.recordings)
 
 
 def counted(count: int, what: str) -> str:
@@ -65,7 +72,7 @@ def counted(count: int, what: str) -> str:
     return f"{count} {what}{'' if count == 1 else 's'}"
 
 
-def gather(groups: Iterable[tuple[str, Iterable[AnyNotice]]]) -> list[GatheredNotice]:
+def gather(groups: Sequence[tuple[str, Iterable[AnyNotice]]]) -> list[GatheredNotice]:
     """Return the notices of named recordings, each once: warnings first, then those of most recordings."""
     found: dict[tuple[str, str, str], dict[str, dict[str, None]]] = {}
     for name, notices in groups:
@@ -76,7 +83,8 @@ def gather(groups: Iterable[tuple[str, Iterable[AnyNotice]]]) -> list[GatheredNo
     for (severity, where, _), texts in found.items():
         names = dict.fromkeys(name for own in texts.values() for name in own)
         each = tuple((text, tuple(own)) for text, own in texts.items())
-        gathered.append(GatheredNotice(severity, where, _in_ranges(list(texts)), tuple(names), each))
+        everywhere = len(names) == len(groups) > 1
+        gathered.append(GatheredNotice(severity, where, _in_ranges(list(texts)), tuple(names), everywhere, each))
     return sorted(gathered, key=lambda notice: (notice.severity != "warning", -len(notice.recordings)))
 
 

@@ -378,7 +378,7 @@ def render_campaign(evaluation: CampaignEvaluation) -> str:
     if len(inputs.rows) > MOST_ROWS:
         what = f"{inputs.caption}: the first {MOST_ROWS} of {len(inputs.rows)}; {CAMPAIGN_FILE} has all"
         frame["inputs"] = replace(inputs, caption=what, rows=inputs.rows[:MOST_ROWS])
-    gathered = gather((entry.folder, entry.joint_notices) for entry in evaluation.recorded)
+    gathered = gather([(entry.folder, entry.joint_notices) for entry in evaluation.recorded])
     of_recordings = [notice for notice in gathered if notice.severity == "warning"]
     frame["notices"] = sorted([*frame["notices"], *of_recordings], key=lambda notice: notice.severity != "warning")
     context = {

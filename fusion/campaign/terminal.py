@@ -33,17 +33,12 @@ Row = dict[str, str]
 
 def notices_of(done: Sequence[Outcome], *, campaign: bool) -> list[GatheredNotice]:
     """Return the notices of what is done, each once, warnings first, then those of most recordings."""
-    groups = [(one.name, _notices_in(one.folder / RESULT_FILE) if one.notices is None else one.notices) for one in done]
+    found = gather(
+        [(one.name, _notices_in(one.folder / RESULT_FILE) if one.notices is None else one.notices) for one in done]
+    )
     if campaign and done:
-        groups.insert(0, (CAMPAIGN, _notices_in(done[0].folder.parent / CAMPAIGN_FILE)))
-    return gather(groups)
-
-
-def _remark(notice: GatheredNotice, done: Sequence[Outcome]) -> str:
-    """Name the recordings that a notice of a campaign concerns."""
-    names = [name for name in notice.recordings if name != CAMPAIGN]
-    every = len(names) == len(done) > 1
-    return f" (all {len(done)} recordings)" if every else f" ({', '.join(names)})" if names else ""
+        found = [*gather([(CAMPAIGN, _notices_in(done[0].folder.parent / CAMPAIGN_FILE))]), *found]
+    return sorted(found, key=lambda notice: notice.severity != "warning")
 
 
 def _notices_in(path: Path) -> tuple[AnyNotice, ...]:
@@ -185,7 +180,8 @@ def print_outcomes(outcomes: Sequence[Outcome], *, campaign: bool) -> None:
             console.print(f"report of all: {done[0].folder.parent / REPORT_FILE}", soft_wrap=True)
     for gathered in notices_of(done, campaign=campaign):
         notice = Notice(gathered.severity, gathered.text, gathered.where)
-        told.append((notice, _remark(gathered, done) if campaign else ""))
+        single = not campaign or gathered.recordings == (CAMPAIGN,)
+        told.append((notice, "" if single else f" ({gathered.concerned})"))
     tell(told)
 
 
