@@ -327,9 +327,9 @@ def _element_notices(
     named = LOAD_COMPONENTS[component]
     if known is None:
         text = (
-            f"results are ratios of outputs and the load {named}, not the sensor's own sensitivity: a recording alone does "
-            "not span the 6 x 6 matrix, and neither sensor.static_sensitivity (with cross-talk) nor sensor.cross_talk "
-            "is stated; what other loads put into the outputs is neither corrected nor in U"
+            f"results are ratios of outputs and the load {named}, not the sensor's own sensitivity: a recording "
+            "alone does not span the 6 x 6 matrix, and neither sensor.static_sensitivity (with cross-talk) nor "
+            "sensor.cross_talk is stated; what other loads put into the outputs is neither corrected nor in U"
         )
         return (Notice("info", text, "sensitivity"),)
     element = f"element {known.channels[known.main]} per {named}"

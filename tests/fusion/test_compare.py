@@ -330,7 +330,10 @@ BROKEN = [
     (table((80.0, 2e-7, 2e-10), unit="mV/N"), "expected a unit that converts into (V/V)/N, found mV/N"),
     (HEAD + "\n", "expected a table with results, found no values"),
     (GOOD.replace("80.0,", "1e300,"), "frequency_hz: expected"),
-    (kinds((80.0, "Fz", 2e-7, "mean")), 'kind: expected one of matrix, element, ratio, harmonic, found "mean" in line 2'),
+    (
+        kinds((80.0, "Fz", 2e-7, "mean")),
+        'kind: expected one of matrix, element, ratio, harmonic, found "mean" in line 2',
+    ),
 ]
 
 
