@@ -206,7 +206,7 @@ def sensitivity_table(evaluation: Evaluation) -> Table | None:
     magnitude = Markup("magnitude / ({})").format(unit)
     head = ("frequency / Hz", "quantity", magnitude, "phase / rad", "k", "dof", "kind")
     title = "Output over load" if len(results) == 1 else "Sensitivity, and ratios of output and load,"
-    return Table(f"{title} with U = k·u (95 %)", head, "rlrrrrl", tuple(rows))
+    return Table(f"{title} with U = k·u (95 %)", head, "rlrrrrl", tuple(rows)) if rows else None
 
 
 def source_tables(evaluation: Evaluation) -> list[Table]:
