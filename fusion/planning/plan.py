@@ -367,12 +367,14 @@ def print_plan(plan: Plan) -> None:
     say(f"{apart} ({CLEAR_BINS:g} needed); loss: of amplitude, by exposure (a run corrects it)")
 
 
-def _boxed(title: str, columns: Sequence[Column[R]], sections: Sequence[Sequence[R]]) -> Table:
-    """Return a table for the terminal, its sections with a line between them."""
+def _boxed(title: str, columns: Sequence[Column[R]], sections: Sequence[Sequence[R]], width: int) -> Table:
+    """Return a table for a terminal of some width, its sections with a line between them."""
     from rich.table import Table
 
-    boxed = Table(title=title, title_justify="left")
     shown = [column for column in columns if column.head is not None]
+    cells = [[column.cell(row) for column in shown] for rows in sections for row in rows]
+    natural = 1 + sum(max(len(text) for text in texts) + 3 for texts in zip(*cells, strict=True))
+    boxed = Table(title=title, title_justify="left", padding=(0, 1 if natural <= width else 0))
     for column in shown:
         boxed.add_column(column.head or "", justify="right", overflow="fold")
     for rows in sections:
@@ -406,7 +408,7 @@ def _print_choices(console: Console, plan: Plan) -> None:
         if point.choices
     ]
     if sections:
-        console.print(_boxed("Camera rates, best first", columns, sections))
+        console.print(_boxed("Camera rates, best first", columns, sections, console.width))
     fewer = "fewer harmonics, or know the frequencies better (--tolerance)"
     for name, point in zip(excited, points, strict=True):
         if not point.choices:
@@ -416,7 +418,7 @@ def _print_choices(console: Console, plan: Plan) -> None:
         say(served(first, "each at its first rate"))
         pairs = [zip(shared.points, shared.plans, strict=True) for shared in plan.shared]
         sections = [[row(excited[index], at_rate) for index, at_rate in pair] for pair in pairs]
-        console.print(_boxed("With as few rates as possible", columns, sections))
+        console.print(_boxed("With as few rates as possible", columns, sections, console.width))
         rates = ", ".join(f"{shared.rate_hz:.3f}" for shared in plan.shared)
         number = "one rate" if len(plan.shared) == 1 else f"{len(plan.shared)} rates"
         plans = [at_rate for shared in plan.shared for at_rate in shared.plans]
@@ -428,7 +430,9 @@ def _print_choices(console: Console, plan: Plan) -> None:
 
 def _print_lines(console: Console, size: Size, plan: RatePlan) -> None:
     """Print all lines of a point at one rate."""
-    console.print(_boxed(f"Lines at {plan.rate_hz:.9g} Hz", _line_columns(size), [_lines_at(size, plan)]))
+    console.print(
+        _boxed(f"Lines at {plan.rate_hz:.9g} Hz", _line_columns(size), [_lines_at(size, plan)], console.width)
+    )
 
 
 def _print_explained(console: Console, size: Size, point: Point) -> None:
