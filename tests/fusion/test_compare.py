@@ -185,8 +185,8 @@ def test_ratios_meet_no_elements_and_the_refusal_says_so(tmp_path, capsys) -> No
 @pytest.mark.parametrize(
     ("phases", "asked"),
     [
-        ((-0.05, 3.08, -0.10, 3.05), "differ by half a turn at all 2 frequencies"),
-        ((-0.05, 0.05, -0.10, 0.10), "have opposite signs at all 2 frequencies"),
+        ((-0.05, 3.08, -0.10, 3.05), "differ by half a turn"),
+        ((-0.05, 0.05, -0.10, 0.10), "have opposite signs"),
         ((-0.05, -0.05, -0.10, 3.05), ""),
         ((-0.0005, 0.0005, -0.001, 0.001), ""),
         ((-0.05, 0.09, -0.10, 0.20), ""),

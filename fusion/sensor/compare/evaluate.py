@@ -292,12 +292,10 @@ def opposite_conventions(compared: Sequence[Compared]) -> Iterator[Notice]:
         if np.all(normalised <= 1.0):
             continue
         if np.all(turned > np.pi - CONVENTION_RAD):
-            text = f"{element} differ by half a turn at all {len(rows)} frequencies: is the sign of the output, or the "
+            text = f"{element} differ by half a turn at every common frequency: is the sign of the output, or the "
             yield Notice(
                 "warning", f"{text}sense of the load (sensor.sense), the other one in one of them?", "comparison"
             )
         elif np.all(normalised > 1.0) and np.all(mirrored < np.minimum(CONVENTION_RAD, turned / 4.0)):
-            text = (
-                f"{element} have opposite signs at all {len(rows)} frequencies: does one of them count a lag positive?"
-            )
+            text = f"{element} have opposite signs at every common frequency: does one of them count a lag positive?"
             yield Notice("warning", text, "comparison")
