@@ -279,10 +279,10 @@ def opposite_conventions(compared: Sequence[Compared]) -> Iterator[Notice]:
 
     Only contradictions count (|E_n| above 1), and opposite signs only where the phase is several times its deviation.
     """
-    found: dict[tuple[str, str, str, str], list[tuple[float, float, float]]] = {}
+    found: dict[tuple[str, ...], list[tuple[float, float, float]]] = {}
     for own in (own for own in compared if own.quantity == "phase"):
         for i, j in combinations(range(len(own.names)), 2):
-            key = own.channel, own.component, own.names[i], own.names[j]
+            key = own.channel, own.component, *sorted((own.names[i], own.names[j]))
             turned = float(np.angle(np.exp(1j * (own.value[i] - own.value[j]))))
             mirrored = float(np.angle(np.exp(1j * (own.value[i] + own.value[j]))))
             found.setdefault(key, []).append((turned, mirrored, float(own.normalised[i, j])))
