@@ -213,8 +213,8 @@ def _notices(results: Sequence[Propagated], draws: int) -> tuple[Notice, ...]:
     notices = []
     if small:
         text = (
-            f"{draws} Monte Carlo draws do not confirm first-order propagation, whose U is too small: {'; '.join(small)}; "
-            "the intervals and regions of the Monte Carlo run hold there"
+            f"{draws} Monte Carlo draws do not confirm first-order propagation, whose U is too small: "
+            f"{'; '.join(small)}; the intervals and regions of the Monte Carlo run hold there"
         )
         notices.append(Notice("warning", text, "monte carlo"))
     if large:
