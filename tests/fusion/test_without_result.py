@@ -26,7 +26,7 @@ OUTPUT = channel("Fz", "output", channel="Fz", scale=1.0)
 def write_rig(folder: Path, sensor: dict[str, Any] | None = None, load: dict[str, Any] | None = None) -> None:
     text = block(format=1, name="bench") + block("sensor", **SENSOR, **(sensor or {}))
     text += block("load", **(LOAD if load is None else load)) if load != {} else ""
-    text += block("shaker", transverse_motion=1e-3, rocking_motion=1e-3)
+    text += block("shaker", transverse_motion=1e-3, rocking_motion=1e-3 if load is None else 0.5)
     (folder / "rig.toml").write_text(text, encoding="utf-8")
 
 
@@ -46,7 +46,7 @@ def write_recording(
     return folder / name
 
 
-X = {"direction": [1.0, 0.0, 0.0]}
+X, ECCENTRIC = {"direction": [1.0, 0.0, 0.0]}, {**LOAD, "centre_of_mass": [0.1, 0.0, 0.05]}
 
 
 @pytest.mark.parametrize(
@@ -55,6 +55,7 @@ X = {"direction": [1.0, 0.0, 0.0]}
         (X, OUTPUT, None, r"no sensitivity to the driven load Fx at 106\.25 Hz \(1 of 1 .*acc .*only z .*\[1, 0, 0\]"),
         (X, "", None, r"no acceleration along the driven x at 106\.25 Hz .*acc .*only z .*\[1, 0, 0\]"),
         ({}, OUTPUT, {}, r"no sensitivity to the driven load Fz at 106\.25 Hz .*\[load\]"),
+        ({}, OUTPUT, ECCENTRIC, r"no sensitivity to the driven load Fz .*no instrument determines x, y, rx, ry, rz"),
         ({}, OUTPUT, None, ""),
         ({}, "", None, ""),
     ],
