@@ -74,7 +74,7 @@ def counted(count: int, what: str) -> str:
 
 def gather(groups: Sequence[tuple[str, Iterable[AnyNotice]]]) -> list[GatheredNotice]:
     """Return the notices of named recordings, each once: warnings first, then those of most recordings."""
-    found: dict[tuple[str, str, str], dict[str, dict[str, None]]] = {}
+    found: dict[tuple[Severity, str, str], dict[str, dict[str, None]]] = {}
     for name, notices in groups:
         for notice in notices:
             key = notice.severity, notice.where, NUMBER.sub("#", notice.text)

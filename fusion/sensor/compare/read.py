@@ -131,13 +131,12 @@ def read_result(name: str, path: Path) -> Result:
         raise InputError(file, "", found="no values", expected="a table with results")
     beside = result_files(path)[1:]
     known, evidence = _origin(beside[0]) if beside else ({}, ())
-    best = _best(found)
     values = []
-    for key in best:
+    for key in _best(found):
         effects, year = known.get(key, ({}, np.nan))
         values.append(replace(found[key], effects=effects, year=year))
-    values, responses = _without_responses(values)
-    return Result(name, file, values, evidence=evidence, responses=responses)
+    kept, responses = _without_responses(values)
+    return Result(name, file, kept, evidence=evidence, responses=responses)
 
 
 Key: TypeAlias = tuple[float, str, str, str]
