@@ -74,10 +74,10 @@ def counted(count: int, what: str) -> str:
 
 def gather(groups: Sequence[tuple[str, Iterable[AnyNotice]]]) -> list[GatheredNotice]:
     """Return the notices of named recordings, each once: warnings first, then those of most recordings."""
-    found: dict[tuple[Severity, str, str], dict[str, dict[str, None]]] = {}
+    found: dict[tuple[Severity, str, tuple[str, ...]], dict[str, dict[str, None]]] = {}
     for name, notices in groups:
         for notice in notices:
-            key = notice.severity, notice.where, NUMBER.sub("#", notice.text)
+            key = notice.severity, notice.where, tuple(NUMBER.split(notice.text))
             found.setdefault(key, {}).setdefault(notice.text, {})[name] = None
     gathered = []
     for (severity, where, _), texts in found.items():
