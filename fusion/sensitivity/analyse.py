@@ -377,7 +377,7 @@ def missing_result(inputs: Inputs, analysis: Analysis) -> Iterator[Notice]:
     component = None if direction is None else driven_component(direction, capacity)
     if inputs.outputs is not None:
         what = "sensitivity" if component is None else f"sensitivity to the driven load {LOAD_COMPONENTS[component]}"
-        found = _with_sensitivity(analysis, component)
+        found = _with_sensitivity(inputs, analysis, component)
     else:
         what = "acceleration" if component is None else f"acceleration along the driven {MOTION_COMPONENTS[component]}"
         found = np.any([_observed(a, component) for a in analysis.accelerations if a.source == "fused"], axis=0)
@@ -394,15 +394,23 @@ def _observed(acceleration: Acceleration, component: int | None) -> BoolArray:
     return np.asarray(seen.any(axis=1) if component is None else seen[:, component])
 
 
-def _with_sensitivity(analysis: Analysis, component: int | None) -> BoolArray:
-    """At which lines (K,) the output that belongs to the driven load has a sensitivity, of several unnamed ones any."""
+def _main_output(sensor: Sensor, component: int) -> str | None:
+    """Return the output that belongs to a load, by the static matrix or else by its name; None where neither tells."""
+    if sensor.static_sensitivity is not None:
+        size = np.abs(np.array(sensor.static_sensitivity, dtype=np.float64)[:, component])
+        return sensor.channels[int(np.argmax(size))] if size.any() else None
+    return LOAD_COMPONENTS[component] if LOAD_COMPONENTS[component] in sensor.channels else None
+
+
+def _with_sensitivity(inputs: Inputs, analysis: Analysis, component: int | None) -> BoolArray:
+    """At which lines (K,) the output that belongs to the driven load has a sensitivity, of unnamed ones any."""
     found = analysis.sensitivity
-    if found is None or component is None:
+    if found is None or component is None or inputs.sensor is None:
         return np.zeros(1, dtype=np.bool_)
-    finite, name = np.isfinite(found.value[:, :, component]), LOAD_COMPONENTS[component]
-    if analysis.known is not None:
-        return np.asarray(finite[:, analysis.known.main])
-    return np.asarray(finite[:, found.channels.index(name)] if name in found.channels else finite.any(axis=1))
+    finite, main = np.isfinite(found.value[:, :, component]), _main_output(inputs.sensor, component)
+    if main is None:
+        return np.asarray(finite.any(axis=1))
+    return np.asarray(finite[:, found.channels.index(main)] if main in found.channels else np.zeros(1, dtype=np.bool_))
 
 
 def _why(inputs: Inputs, analysis: Analysis, component: int | None, lacking: BoolArray) -> str:
@@ -427,7 +435,9 @@ def _why(inputs: Inputs, analysis: Analysis, component: int | None, lacking: Boo
             told.append(f"no instrument determines {hidden} of its motion, which may dominate the load")
     if inputs.outputs is not None and load is None:
         told = ["no instrument measures the motion of the load", *told]
-    return "; ".join(told) or "its output has no value"
+    if not told and inputs.sensor is not None and component is not None:
+        told = [f"its output {_main_output(inputs.sensor, component) or ''} is not recorded, or has no value"]
+    return "; ".join(told)
 
 
 # What one evaluated recording consists of: the tree handed to the result writers and the report.

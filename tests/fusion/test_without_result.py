@@ -17,10 +17,10 @@ from fusion.sensitivity.analyse import Analysis, Inputs, missing_result
 
 MASS_KG, SENSITIVITY, ACCELERATION, LINE_HZ = 2.0, 2e-6 * np.exp(-0.05j), 50.0 * np.exp(0.4j), 106.25
 ALONG = {"body": "load", "point": [0.0] * 3, "direction": [0.0, 0.0, 1.0], "scale": 1.0, "scale_uncertainty": 1e-3}
-SENSOR = {"name": "s", "channels": ["Fz"], "unit": "V/V", "sense": "on_load", "internal_mass": 0.0}
-STATIC = {"capacity": [100.0] * 3 + [5.0] * 3, "static_sensitivity": [[0.0, 0.0, 2e-6, 0.0, 0.0, 0.0]]}
+SENSOR = {"name": "s", "channels": ["Fx", "Fz"], "unit": "V/V", "sense": "on_load", "internal_mass": 0.0}
+STATIC = {"capacity": [100.0] * 3 + [5.0] * 3, "static_sensitivity": [[2e-6, *[0.0] * 5], [0.0, 0.0, 2e-6, *[0.0] * 3]]}
 LOAD = {"mass": MASS_KG, "mass_uncertainty": 1e-4, "centre_of_mass": [0.0] * 3, "inertia": np.diag([1e-3] * 3).tolist()}
-OUTPUT = channel("Fz", "output", channel="Fz", scale=1.0)
+OUTPUT, OTHER_OUTPUT = (channel("Fz", "output", channel=name, scale=1.0) for name in ("Fz", "Fx"))
 
 
 def write_rig(folder: Path, sensor: dict[str, Any] | None = None, load: dict[str, Any] | None = None) -> None:
@@ -56,6 +56,7 @@ X, ECCENTRIC = {"direction": [1.0, 0.0, 0.0]}, {**LOAD, "centre_of_mass": [0.1, 
         (X, "", None, r"no acceleration along the driven x at 106\.25 Hz .*acc .*only z .*\[1, 0, 0\]"),
         ({}, OUTPUT, {}, r"no sensitivity to the driven load Fz at 106\.25 Hz .*\[load\]"),
         ({}, OUTPUT, ECCENTRIC, r"no sensitivity to the driven load Fz .*no instrument determines x, y, rx, ry, rz"),
+        ({}, OTHER_OUTPUT, None, r"no sensitivity to the driven load Fz .*output Fz is not recorded"),
         ({}, OUTPUT, None, ""),
         ({}, "", None, ""),
     ],
@@ -141,7 +142,8 @@ def test_some_of_several_lines_without_a_result_are_named(lacking, count):
     moved = SimpleNamespace(source="fused", body="load", observed=seen, disputed=None, instruments=("laser",))
     value = np.where(known[:, None, None], 1.0 + 0j, np.nan) * np.ones((1, 1, 6))
     found = SimpleNamespace(value=value, channels=("Fz",))
-    inputs = Inputs(lines, (), outputs=SimpleNamespace(), body=SimpleNamespace(), direction=(0.0, 0.0, 1.0))
+    sensor = SimpleNamespace(channels=("Fz",), capacity=None, static_sensitivity=None)
+    inputs = Inputs(lines, (), SimpleNamespace(), SimpleNamespace(), sensor, (0.0, 0.0, 1.0))
     analysis = Analysis((moved,), SimpleNamespace(observed=seen), inputs.outputs, found)
     told = [notice.text for notice in missing_result(inputs, analysis)]
     assert len(told) == bool(count)
