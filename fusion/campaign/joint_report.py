@@ -73,6 +73,7 @@ from fusion.report.table import (
     table,
     word,
 )
+from fusion.sensitivity.analyse import NO_RESULT
 from shaker.arrays import FloatArray
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, typeset
 
@@ -206,13 +207,18 @@ def recordings_table(evaluation: CampaignEvaluation) -> Table | None:
         direction = f",{blank}".join(f"{number:.4g}" for number in entry.direction)
         return f"{entry.kind}{blank}({direction})" if direction else entry.kind
 
+    def result(entry: Recorded) -> str:
+        if any(notice.where == NO_RESULT for notice in entry.notices):
+            return "driven lines without a result"
+        return "evaluated" if entry.drives else "no load or no output"
+
     columns: list[Column[Recorded]] = [
         on_page("recording", name, "l"),
         on_page("mounting", lambda entry: entry.mounting, "l"),
         on_page("excitation", excitation, "l"),
         on_page("frequency / Hz", lambda entry: ", ".join(f"{d.frequency_hz:.6g}" for d in entry.drives) or DASH),
         on_page("warnings", lambda entry: str(sum(notice.severity == "warning" for notice in entry.notices))),
-        on_page("result", lambda entry: "evaluated" if entry.drives else "no load or no output", "l"),
+        on_page("result", result, "l"),
     ]
     caption, count = "Recordings in the order of the tables; names lead to their reports", len(evaluation.recorded)
     if count > MOST_ROWS:

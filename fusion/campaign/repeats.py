@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -145,7 +145,7 @@ def alike(
     near: list[list[Drive]] = []
     for drive in sorted(drives, key=lambda drive: drive.frequency_hz):
         component = driven_component(drive.direction, capacity)
-        if drive.load[component] == 0.0:
+        if drive.load[component] == 0.0 or not drive.observed[component]:
             continue
         # Frequencies ascend: a group that began lower cannot take any drive that is still to come.
         near = [g for g in near if np.log(drive.frequency_hz / g[0].frequency_hz) <= SAME_FREQUENCY]
@@ -186,7 +186,8 @@ def mean_ratio(drives: Sequence[Drive], component: int, known: KnownMatrix | Non
     told: one-way random effects, unbalanced, mean squares within and between mountings from which what is stated for
     them is taken off with all its correlations; what is left are variances of a recording (N - M degrees of freedom)
     and of a mounting (M - 1) beyond what is stated, none where negative (Searle, Casella & McCulloch 1992, Variance
-    Components, 3.6). Only channels with a reading in all recordings have a value.
+    Components, 3.6). Bounds of no known unknown, such as motion that no instrument observes, may be alike in all
+    recordings and do not average away. Only channels with a reading in all recordings have a value.
     """
     usable = common_outputs(drives)
     if not usable:
@@ -445,7 +446,23 @@ def _of_mean(
     turn = real_stacked_diagonal(plain[None])[0]
     scattered = (turn @ matrix @ turn.T)[None]
     part = Contribution(BETWEEN if several else WITHIN, "A", scattered, np.array([len(kinds) - 1.0]))
-    return Uncertainty((part, _turned_apart(np.array([value for value, _ in values]), weight)), shared)
+    turned = _turned_apart(np.array([value for value, _ in values]), weight)
+    return Uncertainty((part, turned, *_bounds(weight, [uncertainty for _, uncertainty in values])), shared)
+
+
+def _bounds(weight: FloatArray, uncertainties: Sequence[Uncertainty]) -> tuple[Contribution, ...]:
+    """Return contributions of type B without an unknown, such as motion that no instrument observes, in the mean.
+
+    They may be the same in all recordings, which then differ by nothing and average nothing away: Σw·C bounds the
+    covariance of a mean of effects that are fully correlated.
+    """
+    parts = (
+        replace(part, covariance=w * part.covariance)
+        for w, uncertainty in zip(weight, uncertainties, strict=True)
+        for part in uncertainty.random
+        if part.type == "B" and np.any(part.covariance)
+    )
+    return merge_contributions(list(parts))
 
 
 def _turned_apart(values: ComplexArray, weight: FloatArray) -> Contribution:
