@@ -10,7 +10,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from fusion.campaign.drive import Drive, Stored
+from fusion.campaign.unknowns import SECOND
 from fusion.estimation.coverage import coverage_factor
+from fusion.estimation.fuse import OPEN
 from fusion.estimation.measurement_model import BODY_SIZE_M
 from fusion.estimation.uncertainty import (
     Contribution,
@@ -203,6 +205,9 @@ def mean_ratio(drives: Sequence[Drive], component: int, known: KnownMatrix | Non
     del scaled  # of thousands of recordings, as large as what was found
     value = np.einsum("n,nc->c", weight, np.array([value for value, _ in found]))
     uncertainty = _of_mean(found, weight, mountings, plain)
+    if len(drives) > 1:
+        bounds = _bounds(weight, [of_value for _, of_value in found], drives)
+        uncertainty = Uncertainty((*uncertainty.random, *bounds), uncertainty.influences)
     # Relative standard deviations of the whole complex value: root of the sum of both parts' variances.
     within, between = (
         np.sqrt(total_variance(matrix[None])[0]) if dof else np.full(len(usable), np.nan)
@@ -446,21 +451,22 @@ def _of_mean(
     turn = real_stacked_diagonal(plain[None])[0]
     scattered = (turn @ matrix @ turn.T)[None]
     part = Contribution(BETWEEN if several else WITHIN, "A", scattered, np.array([len(kinds) - 1.0]))
-    turned = _turned_apart(np.array([value for value, _ in values]), weight)
-    return Uncertainty((part, turned, *_bounds(weight, [uncertainty for _, uncertainty in values])), shared)
+    return Uncertainty((part, _turned_apart(np.array([value for value, _ in values]), weight)), shared)
 
 
-def _bounds(weight: FloatArray, uncertainties: Sequence[Uncertainty]) -> tuple[Contribution, ...]:
-    """Return contributions of type B without an unknown, such as motion that no instrument observes, in the mean.
+def _bounds(
+    weight: FloatArray, uncertainties: Sequence[Uncertainty], drives: Sequence[Drive]
+) -> tuple[Contribution, ...]:
+    """Return what bounds of motion that no instrument observes, and open explanations, make of a mean.
 
-    They may be the same in all recordings, which then differ by nothing and average nothing away: Σw·C bounds the
-    covariance of a mean of effects that are fully correlated.
+    They may act alike in all recordings, which then differ by nothing and average nothing away: Σw·C bounds the
+    covariance of a mean of effects that are fully correlated. `SECOND` is a difference between recordings.
     """
     parts = (
         replace(part, covariance=w * part.covariance)
-        for w, uncertainty in zip(weight, uncertainties, strict=True)
+        for w, uncertainty, drive in zip(weight, uncertainties, drives, strict=True)
         for part in uncertainty.random
-        if part.type == "B" and np.any(part.covariance)
+        if part.label == OPEN or (part.type == "B" and part.label != SECOND and not all(drive.observed))
     )
     return merge_contributions(list(parts))
 

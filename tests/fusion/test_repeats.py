@@ -111,7 +111,7 @@ def test_motion_that_no_instrument_observes_does_not_average_away(mountings):
         drive = recorded(1.0 + 1e-6 * n, f"r{n}", mounting)
         hidden = Contribution("unobserved rx", "B", np.diag(along**2)[None])
         own = replace(drive.load_uncertainty, random=(*drive.load_uncertainty.random, hidden))
-        drives.append(replace(drive, load_uncertainty=own))
+        drives.append(replace(drive, load_uncertainty=own, observed=(True, True, True, False, True, True)))
     (found,) = find_repeats(drives)
     u = np.sqrt(found.uncertainty.covariance[0].diagonal()).reshape(2, 2) / np.abs(found.value)
     np.testing.assert_allclose(u, [[np.hypot(2e-2, 1e-3)] * 2, [2e-2] * 2], rtol=1e-4)
