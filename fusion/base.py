@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from photogram.arrays import Notice as ImageNotice
-    from shaker.arrays import Notice
+    from shaker.arrays import Notice, Severity
 
 PROGRAM = "shakercal"
 AnyNotice: TypeAlias = "Notice | ImageNotice"
@@ -40,6 +40,62 @@ def warnings_first(notices: Iterable[AnyNotice]) -> list[AnyNotice]:
         for first, *others in alike.values()
     ]
     return sorted(once, key=lambda notice: notice.severity != "warning")
+
+
+NUMBER = re.compile(r"(?<![\w.])[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+"""A number in a notice; digits within a name, such as that of a channel, are none."""
+
+
+@dataclass(frozen=True)
+class GatheredNotice:
+    """A notice of several recordings; where its texts differ in numbers alone, `text` gives their ranges.
+
+    `recordings`: names of all that it concerns, `everywhere`: whether these are all there are of several; `each`: every
+    text with the recordings that state it.
+    """
+
+    severity: Severity
+    where: str
+    text: str
+    recordings: tuple[str, ...]
+    everywhere: bool
+    each: tuple[tuple[str, tuple[str, ...]], ...]
+
+    @property
+    def concerned(self) -> str:
+        """Return the names of all recordings that it concerns."""
+        return f"all {len(self.recordings)} recordings" if self.everywhere else ", ".join(self.recordings)
+
+
+def counted(count: int, what: str) -> str:
+    """Return a number with what it counts, such as `1 recording` and `2 recordings`."""
+    return f"{count} {what}{'' if count == 1 else 's'}"
+
+
+def gather(groups: Sequence[tuple[str, Iterable[AnyNotice]]]) -> list[GatheredNotice]:
+    """Return the notices of named recordings, each once: warnings first, then those of most recordings."""
+    found: dict[tuple[Severity, str, tuple[str, ...]], dict[str, dict[str, None]]] = {}
+    for name, notices in groups:
+        for notice in notices:
+            key = notice.severity, notice.where, tuple(NUMBER.split(notice.text))
+            found.setdefault(key, {}).setdefault(notice.text, {})[name] = None
+    gathered = []
+    for (severity, where, _), texts in found.items():
+        names = dict.fromkeys(name for own in texts.values() for name in own)
+        each = tuple((text, tuple(own)) for text, own in texts.items())
+        everywhere = len(names) == len(groups) > 1
+        gathered.append(GatheredNotice(severity, where, _in_ranges(list(texts)), tuple(names), everywhere, each))
+    return sorted(gathered, key=lambda notice: (notice.severity != "warning", -len(notice.recordings)))
+
+
+def _in_ranges(texts: Sequence[str]) -> str:
+    """Return texts that differ in numbers alone as one, with the least and the largest of every number."""
+    words, columns = NUMBER.split(texts[0]), zip(*(NUMBER.findall(text) for text in texts), strict=True)
+    ranges = []
+    for numbers in columns:
+        ordered = sorted(set(numbers), key=lambda number: float(number.replace("−", "-")))
+        ranges.append(ordered[0] if len(ordered) == 1 else f"{ordered[0]} to {ordered[-1]}")
+    return "".join(part for pair in zip(words, [*ranges, ""], strict=True) for part in pair)
 
 
 # The two ways a run can fail: the user's input is wrong, or something could not be computed.

@@ -140,13 +140,14 @@ def _set_up_log(options: argparse.Namespace) -> None:
     """Send the program's own messages to stderr; those of libraries, warnings included, only with -v."""
     import logging
 
-    from fusion.report.terminal import printable
+    from fusion.report.terminal import printable, wrapped
 
     class ToStderr(logging.Handler):
         """Writes to what stderr is at the moment: a progress bar redirects it while it is drawn."""
 
         def emit(self, record: logging.LogRecord) -> None:
-            print(printable(self.format(record)), file=sys.stderr)
+            text = printable(self.format(record))
+            print(text if record.exc_info else wrapped(text, sys.stderr), file=sys.stderr)
 
     handler, log = ToStderr(), logging.getLogger("shakercal")
     handler.setFormatter(logging.Formatter("shakercal: %(message)s"))

@@ -24,6 +24,7 @@ from fusion.cameras.report import render_camera_report
 from fusion.report.files import write_whole, writing
 from fusion.report.folder import Provenance, hash_files
 from fusion.report.table import plain
+from fusion.report.terminal import say
 from photogram.arrays import Notice
 from photogram.calibration.bundle import ShapeKind
 from photogram.calibration.exchange.read import import_calibration
@@ -187,9 +188,9 @@ def _print_remarks(calibration: Calibration) -> None:
     print(f"points found: {min(points.values())} to {max(points.values())}{of} in a picture")
     for dropped in calibration.dropped:
         what = f"{dropped.points} of {points[dropped.name]} points left out, " if dropped.points else "left out: "
-        print(f"{dropped.name}: {what}{dropped.reason}")
+        say(f"{dropped.name}: {what}{dropped.reason}")
     for notice in calibration.notices:
-        print(f"{notice.severity}: {notice.text}")
+        say(f"{notice.severity}: {notice.text}")
 
 
 def _targets(target: Target, first: Path) -> tuple[Target, ...]:

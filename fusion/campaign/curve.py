@@ -33,10 +33,9 @@ from fusion.campaign.repeats import (
 from fusion.estimation.coverage import Polar, region, region_matrix
 from fusion.estimation.uncertainty import (
     Contribution,
-    Influence,
     Uncertainty,
-    added_up,
     as_complex,
+    over_static,
     polar_elements,
     real_design,
     real_stack,
@@ -367,13 +366,12 @@ def matrix_curve(fits: Sequence[MatrixFit]) -> Curve:
     )
 
 
-def relative_curve(curve: Curve, static: ArrayLike, u_static: float = 0.0) -> Curve | None:
+def relative_curve(curve: Curve, static: ArrayLike, u_static: ArrayLike) -> Curve | None:
     """Return the elements over their static sensitivity, of those that have one; None where none has.
 
-    `static` (C, 6), in the order of the curve's channels; `u_static`: relative, one unknown per element that is the
-    same at all frequencies.
+    `static` (C, 6), in the order of the curve's channels, with standard uncertainties `u_static` (C, 6).
     """
-    table = np.asarray(static, dtype=np.float64)
+    table, u_table = np.asarray(static, dtype=np.float64), np.asarray(u_static, dtype=np.float64)
     check_shape("static", table, (len(curve.channels), len(LOAD_COMPONENTS)))
     places = [e for e, element in enumerate(curve.elements) if table[element] != 0.0]
     if not places:
@@ -384,18 +382,11 @@ def relative_curve(curve: Curve, static: ArrayLike, u_static: float = 0.0) -> Cu
         value=curve.value[:, places],
         uncertainty=curve.uncertainty.at(places),
     )
-    factor = 1.0 / np.array([table[element] for element in chosen.elements])
-    value = chosen.value * factor
-    scaled = chosen.uncertainty.scaled(np.broadcast_to(factor + 0.0j, value.shape))
-    references = []
-    for e in range(len(places)) if u_static > 0.0 else ():
-        # S/S₀ is too small where S₀ is too large.
-        change = np.zeros(value.shape, np.complex128)
-        change[:, e] = -u_static * np.nan_to_num(value[:, e])
-        name = f"static sensitivity {chosen.name(e)}"
-        references.append(Influence(name, "static sensitivity", u_static, "1", real_stack(change), "rig"))
-    shared = added_up([*scaled.influences, *references])
-    return replace(chosen, value=value, uncertainty=Uncertainty(scaled.random, shared))
+    rows, columns = np.transpose(chosen.elements)
+    names = [chosen.name(e) for e in range(len(places))]
+    stated = table[rows, columns], u_table[rows, columns]
+    value, uncertainty = over_static(chosen.value, chosen.uncertainty, *stated, names)
+    return replace(chosen, value=value, uncertainty=uncertainty)
 
 
 def interpolate(curve: Curve, frequency_hz: FloatArray) -> Curve:

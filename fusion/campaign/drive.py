@@ -116,7 +116,8 @@ class Drive:
     """One driven line (its fundamental) of one recording.
 
     `mounting`: recordings with another text were mounted anew. `direction`: 3 or 6 numbers of the excitation. `load`
-    (6,) in N and N·m, whole, with the uncertainty of what nobody observed; `outputs` (C,) in the sensor's unit, NaN
+    (6,) in N and N·m, whole, with the uncertainty of what nobody observed, `observed` (6,): which of its components are
+    results; `outputs` (C,) in the sensor's unit, NaN
     where a channel has no usable reading; their uncertainties have one line (K = 1) and the names of the recording.
     `grids`: where trigger edges fall between the samples of every block, none where that is not known or does not
     stay; `start`: the first recording of which they are the same (`with_starts`), this one where empty.
@@ -134,6 +135,7 @@ class Drive:
     channels: tuple[str, ...]
     grids: tuple[Grid, ...] = ()
     start: str = ""
+    observed: tuple[bool, ...] = (True,) * LOADS
 
     def __post_init__(self) -> None:
         channels = len(self.channels)
@@ -193,6 +195,7 @@ def line_drives(
             outputs=outputs.phasors.value[line],
             outputs_uncertainty=Stored.of(outputs.uncertainty.at_lines([line])),
             channels=outputs.phasors.channels,
+            observed=tuple(load.observed[line].tolist()),
         )
         for line in driven.tolist()
     )

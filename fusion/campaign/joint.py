@@ -28,7 +28,6 @@ from fusion.campaign.matrix_solve import MissingExcitationError
 from fusion.campaign.recorded import Recorded, SensorFacts
 from fusion.campaign.repeats import Repeats, at_frequencies, find_repeats, means_once, repeat_notices
 from fusion.campaign.unknowns import JointUnknown, carry_unknowns
-from fusion.estimation.coverage import Polar
 from fusion.report.table import (
     Column,
     Headline,
@@ -44,7 +43,7 @@ from fusion.report.table import (
     table,
     times_ten,
 )
-from fusion.report.tables import result_name
+from fusion.report.tables import deviation, result_name
 from shaker.arrays import Notice, Severity
 from shaker.labels import LOAD_COMPONENTS
 
@@ -116,9 +115,11 @@ def evaluate_campaign(
     repeats = tuple(mean for mean in alike if len(mean.recordings) > 1)
     notices += [notice for fit in matrices for notice in fit.notices]
     notices += repeat_notices(repeats)
-    if len(alike) > len(repeats):
-        what = f"{len(alike) - len(repeats)} of {len(alike)} excitations were recorded once"
-        text = f"{what}: repeatability and what mounting anew changes are not assessed and not in their U"
+    once = len(alike) - len(repeats)
+    if once:
+        what, whose = ("was", "its") if once == 1 else ("were", "their")
+        text = f"{once} of {len(alike)} excitations {what} recorded once: repeatability and what mounting anew changes "
+        text += f"are not assessed and not in {whose} U"
         notices.append(Notice("info", text, "repeats"))
     return CampaignEvaluation(
         name=name,
@@ -174,7 +175,7 @@ def _attempt(what: str, make: Callable[[], tuple[Joint, ...]], notices: list[Not
 
 def _over_static(curve: Curve, sensor: SensorFacts | None) -> Curve | None:
     static = None if sensor is None else sensor.static_of(curve.channels)
-    return None if sensor is None or static is None else relative_curve(curve, static, sensor.u_static)
+    return None if sensor is None or static is None else relative_curve(curve, static, sensor.stated.u_elements(static))
 
 
 def main_channel(evaluation: CampaignEvaluation, channels: Sequence[str], component: int) -> int:
@@ -278,7 +279,7 @@ def headlines(evaluation: CampaignEvaluation, mains: dict[str, list[CurvePoint]]
         expanded = [100.0 * point.element.expanded_magnitude / point.element.magnitude for point in best]
         remark = f"U = {small(expanded[0])} % (k = {first.element.k:.2f}), {first.kind}"
         if first.relative is not None:
-            remark += f"; from static: {_deviation(first.relative)}"
+            remark += f"; from static: {deviation(first.relative)}"
         name = result_name(first.kind, first.channel, first.component, main=True)
         name = capital(name) if first.kind == "ratio" else f"Sensitivity {name}"
         label = f"{name}, {first.frequency_hz:.4f} Hz"
@@ -289,7 +290,7 @@ def headlines(evaluation: CampaignEvaluation, mains: dict[str, list[CurvePoint]]
         if last.relative is not None:
             label = f"Deviation from static at {last.frequency_hz:.4f} Hz"
             remark = f"U of the curve's magnitudes: {small(min(expanded))} % to {small(max(expanded))} %"
-            found.append(Headline(label, _deviation(last.relative), remark))
+            found.append(Headline(label, deviation(last.relative), remark))
         turn = measured(last.element.phase_rad, last.element.expanded_phase_rad, "rad")
         remark = f"{last.channel} to {last.component}, {last.kind}"
         found.append(Headline(f"Phase at {last.frequency_hz:.4f} Hz", turn, remark))
@@ -372,8 +373,3 @@ def _crosstalk_headline(evaluation: CampaignEvaluation) -> list[Headline]:
     size = measured(100.0 * abs(found.value[c, j]), 100.0 * float(found.half_axis[c, j]), "%")
     where = f"output {found.channels[c]} under {found.components[j]}, {found.frequency_hz:.4f} Hz"
     return [Headline("Largest cross-talk that is certain", size, where)]
-
-
-def _deviation(relative: Polar) -> str:
-    """Deviation of a magnitude from static in per cent."""
-    return measured(100.0 * (relative.magnitude - 1.0), 100.0 * relative.expanded_magnitude, "%").striptags()

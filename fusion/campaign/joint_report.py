@@ -14,7 +14,7 @@ from urllib.parse import quote
 import numpy as np
 from markupsafe import Markup
 
-from fusion.base import DASH
+from fusion.base import DASH, counted, gather
 from fusion.campaign.curve import CurvePoint, Linearity
 from fusion.campaign.drive import Shelf
 from fusion.campaign.figures import draw_crosstalk, draw_curve, draw_excitation, draw_outputs
@@ -73,6 +73,7 @@ from fusion.report.table import (
     table,
     word,
 )
+from fusion.sensitivity.analyse import NO_RESULT
 from shaker.arrays import FloatArray
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, typeset
 
@@ -206,13 +207,18 @@ def recordings_table(evaluation: CampaignEvaluation) -> Table | None:
         direction = f",{blank}".join(f"{number:.4g}" for number in entry.direction)
         return f"{entry.kind}{blank}({direction})" if direction else entry.kind
 
+    def result(entry: Recorded) -> str:
+        if any(notice.where == NO_RESULT for notice in entry.notices):
+            return "driven lines without a result"
+        return "evaluated" if entry.drives else "no load or no output"
+
     columns: list[Column[Recorded]] = [
         on_page("recording", name, "l"),
         on_page("mounting", lambda entry: entry.mounting, "l"),
         on_page("excitation", excitation, "l"),
         on_page("frequency / Hz", lambda entry: ", ".join(f"{d.frequency_hz:.6g}" for d in entry.drives) or DASH),
         on_page("warnings", lambda entry: str(sum(notice.severity == "warning" for notice in entry.notices))),
-        on_page("result", lambda entry: "evaluated" if entry.drives else "no load or no output", "l"),
+        on_page("result", result, "l"),
     ]
     caption, count = "Recordings in the order of the tables; names lead to their reports", len(evaluation.recorded)
     if count > MOST_ROWS:
@@ -378,6 +384,9 @@ def render_campaign(evaluation: CampaignEvaluation) -> str:
     if len(inputs.rows) > MOST_ROWS:
         what = f"{inputs.caption}: the first {MOST_ROWS} of {len(inputs.rows)}; {CAMPAIGN_FILE} has all"
         frame["inputs"] = replace(inputs, caption=what, rows=inputs.rows[:MOST_ROWS])
+    gathered = gather([(entry.folder, entry.joint_notices) for entry in evaluation.recorded])
+    of_recordings = [notice for notice in gathered if notice.severity == "warning"]
+    frame["notices"] = sorted([*frame["notices"], *of_recordings], key=lambda notice: notice.severity != "warning")
     context = {
         "name": evaluation.name,
         "subject": _subject(evaluation),
@@ -394,6 +403,8 @@ def render_campaign(evaluation: CampaignEvaluation) -> str:
         "linearity": linearity_table(evaluation),
         "unknowns": unknowns_table(evaluation),
         "recordings": recordings_table(evaluation),
+        "count": counted(len(evaluation.recorded) + len(evaluation.failed), "recording"),
+        "notes": gathered[len(of_recordings) :],
         **frame,
     }
     return render_page("campaign.html", context)
@@ -410,7 +421,8 @@ def _subject(evaluation: CampaignEvaluation) -> list[tuple[str, str]]:
     facts.append(("Mountings", str(len({entry.mounting for entry in recorded}))))
     frequency = [drive.frequency_hz for entry in recorded for drive in entry.drives]
     if frequency:
-        facts.append(("Frequencies", f"{min(frequency):.6g} Hz to {max(frequency):.6g} Hz"))
+        ends = f"{min(frequency):.6g} Hz", f"{max(frequency):.6g} Hz"
+        facts.append(("Frequencies", " to ".join(dict.fromkeys(ends))))
     return facts
 
 

@@ -18,6 +18,7 @@ from fusion.instruments.channel import Outputs
 from fusion.phasors.timing import Grid
 from fusion.report.folder import RESULT_FILE, RESULT_FORMAT, Provenance, provenance_of
 from fusion.report.h5 import opened_results, read_evidence, read_notices, read_uncertainty
+from fusion.sensitivity.analyse import REPEATS
 from fusion.sensitivity.evidence import Evidence
 from fusion.sensitivity.load import LoadResult
 from fusion.sensitivity.ratio import StatedMatrix
@@ -84,6 +85,11 @@ class Recorded:
     date: Date | None = None
     evidence: tuple[Evidence, ...] = ()
     knowledge: Callable[[], Knowledge] | None = None
+
+    @property
+    def joint_notices(self) -> tuple[Notice, ...]:
+        """Return its notices that stay true within a campaign, which alone knows what is repeated."""
+        return tuple(notice for notice in self.notices if notice.where != REPEATS)
 
 
 def read_recorded(folder: str | Path) -> Recorded:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
 
 from fusion.campaign.drive import Drive, Stored
+from fusion.campaign.unknowns import SECOND
 from fusion.estimation.coverage import coverage_factor
+from fusion.estimation.fuse import OPEN
 from fusion.estimation.measurement_model import BODY_SIZE_M
 from fusion.estimation.uncertainty import (
     Contribution,
@@ -145,7 +147,7 @@ def alike(
     near: list[list[Drive]] = []
     for drive in sorted(drives, key=lambda drive: drive.frequency_hz):
         component = driven_component(drive.direction, capacity)
-        if drive.load[component] == 0.0:
+        if drive.load[component] == 0.0 or not drive.observed[component]:
             continue
         # Frequencies ascend: a group that began lower cannot take any drive that is still to come.
         near = [g for g in near if np.log(drive.frequency_hz / g[0].frequency_hz) <= SAME_FREQUENCY]
@@ -186,7 +188,8 @@ def mean_ratio(drives: Sequence[Drive], component: int, known: KnownMatrix | Non
     told: one-way random effects, unbalanced, mean squares within and between mountings from which what is stated for
     them is taken off with all its correlations; what is left are variances of a recording (N - M degrees of freedom)
     and of a mounting (M - 1) beyond what is stated, none where negative (Searle, Casella & McCulloch 1992, Variance
-    Components, 3.6). Only channels with a reading in all recordings have a value.
+    Components, 3.6). Bounds of no known unknown, such as motion that no instrument observes, may be alike in all
+    recordings and do not average away. Only channels with a reading in all recordings have a value.
     """
     usable = common_outputs(drives)
     if not usable:
@@ -202,6 +205,9 @@ def mean_ratio(drives: Sequence[Drive], component: int, known: KnownMatrix | Non
     del scaled  # of thousands of recordings, as large as what was found
     value = np.einsum("n,nc->c", weight, np.array([value for value, _ in found]))
     uncertainty = _of_mean(found, weight, mountings, plain)
+    if len(drives) > 1:
+        bounds = _bounds(weight, [of_value for _, of_value in found], drives)
+        uncertainty = Uncertainty((*uncertainty.random, *bounds), uncertainty.influences)
     # Relative standard deviations of the whole complex value: root of the sum of both parts' variances.
     within, between = (
         np.sqrt(total_variance(matrix[None])[0]) if dof else np.full(len(usable), np.nan)
@@ -446,6 +452,23 @@ def _of_mean(
     scattered = (turn @ matrix @ turn.T)[None]
     part = Contribution(BETWEEN if several else WITHIN, "A", scattered, np.array([len(kinds) - 1.0]))
     return Uncertainty((part, _turned_apart(np.array([value for value, _ in values]), weight)), shared)
+
+
+def _bounds(
+    weight: FloatArray, uncertainties: Sequence[Uncertainty], drives: Sequence[Drive]
+) -> tuple[Contribution, ...]:
+    """Return what bounds of motion that no instrument observes, and open explanations, make of a mean.
+
+    They may act alike in all recordings, which then differ by nothing and average nothing away: Σw·C bounds the
+    covariance of a mean of effects that are fully correlated. `SECOND` is a difference between recordings.
+    """
+    parts = (
+        replace(part, covariance=w * part.covariance)
+        for w, uncertainty, drive in zip(weight, uncertainties, drives, strict=True)
+        for part in uncertainty.random
+        if part.label == OPEN or (part.type == "B" and part.label != SECOND and not all(drive.observed))
+    )
+    return merge_contributions(list(parts))
 
 
 def _turned_apart(values: ComplexArray, weight: FloatArray) -> Contribution:

@@ -28,8 +28,10 @@ from fusion.campaign.executor import Workers, connected, one_blas_thread
 from fusion.recording.excitation import kinds_of
 from fusion.recording.load import RECORDING_NAME, Manifest, find_recordings, for_kinds, load_manifest
 from fusion.report.files import Kept, claimed, remove_abandoned, workshop
-from fusion.report.folder import Hashing, check_folder, hashing, is_current, origin_key
+from fusion.report.folder import RESULT_FILE, Hashing, check_folder, hashing, is_current, origin_key
+from fusion.report.h5 import opened_results, read_notices
 from fusion.report.recording import REPORT_FILE, check_campaign_folder, write_results
+from fusion.sensitivity.analyse import NO_RESULT
 from fusion.sensitivity.evaluate import evaluate_recording
 
 RECORDINGS, JOIN = "recordings", "join recordings"
@@ -65,7 +67,7 @@ class Outcome:
     """What became of one recording: its results folder, or the reason why there is none.
 
     `resumed`: the results of the same inputs, settings and program version were there already. `notices`: of the
-    results, where they are known without reading them again.
+    results, in a campaign those that stay true within it; None before they are read.
     """
 
     recording: Path
@@ -78,6 +80,11 @@ class Outcome:
     def name(self) -> str:
         """Name of the recording's folder."""
         return self.recording.absolute().parent.name
+
+    @property
+    def missing(self) -> str:
+        """Which driven lines have no result, and why; empty where all have one."""
+        return "; ".join(notice.text for notice in self.notices or () if notice.where == NO_RESULT)
 
     @property
     def told(self) -> str:
@@ -169,7 +176,7 @@ def run_path(
     with nullcontext() if alone else claimed(top), undone(partial(remove_abandoned, above)):
         with _executor(workers) as executor:
             if alone:
-                return (_run_one(jobs[0], executor, progress),)
+                return (_with_notices(_run_one(jobs[0], executor, progress)),)
             if executor is None or SHARED_FRAMES * len(jobs) <= executor.size:
                 outcomes = _run_here(jobs, executor, progress)
             else:
@@ -183,9 +190,17 @@ def run_path(
             with one_blas_thread():
                 joint, _ = join_campaign(top, path.resolve().name, finished, failed)
             progress(JOIN, 1, 1)
-            notices = {entry.folder: entry.notices for entry in joint.recorded}
+            notices = {entry.folder: entry.joint_notices for entry in joint.recorded}
             outcomes = tuple(replace(outcome, notices=notices.get(outcome.folder.name)) for outcome in outcomes)
     return outcomes
+
+
+def _with_notices(outcome: Outcome) -> Outcome:
+    """Return an outcome with the notices of results that were there already."""
+    if outcome.notices is not None or outcome.error is not None:
+        return outcome
+    with opened_results(outcome.folder / RESULT_FILE, "notices") as file:
+        return replace(outcome, notices=read_notices(file))
 
 
 def is_campaign(path: Path) -> bool:
@@ -194,11 +209,11 @@ def is_campaign(path: Path) -> bool:
 
 
 def exit_status(outcomes: Sequence[Outcome]) -> int:
-    """Return 0 when all recordings are done, 2 when the input of one is wrong, 1 when one could not be computed."""
+    """Return 0 when every driven line has a result, 2 when the input of a recording is wrong, else 1."""
     errors = [outcome.error for outcome in outcomes if outcome.error is not None]
     if any(isinstance(error, InputError) for error in errors):
         return 2
-    return 1 if errors else 0
+    return 1 if errors or any(outcome.missing for outcome in outcomes) else 0
 
 
 def _executor(workers: int | str) -> AbstractContextManager[Executor | None]:

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fusion.base import DASH, AnyNotice, rounded
+from fusion.base import DASH, AnyNotice, GatheredNotice, counted, gather, rounded
 from fusion.estimation.coverage import Polar
 from fusion.report.folder import CURVE_FILE, RESULT_FILE, SENSITIVITY_FILE, as_answer
 from fusion.report.h5 import opened_results, read_notices
 from fusion.report.labelled import CAMPAIGN_FILE
-from fusion.report.recording import REPORT_FILE, row_element
+from fusion.report.recording import ACCELERATION_FILE, REPORT_FILE, row_element
 from fusion.report.table import both, factor, has_phase, read_rows
 from fusion.report.tables import result_name
-from fusion.report.terminal import stdout_console, tell
+from fusion.report.terminal import say, stdout_console, tell
+from shaker.arrays import Notice
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -26,36 +25,20 @@ if TYPE_CHECKING:
 
 MOST_ROWS = 300  # of the sensitivity that the terminal shows
 COUNTS = "recordings (mountings)"
-NO_SENSITIVITY = "no sensitivity: see the report for what was observed"
-NUMBER = re.compile(r"[-+−]?\d[\d.,]*(e[-+]?\d+)?")
+NO_OUTPUT = "no sensitivity, since no output of a sensor was recorded"
+CAMPAIGN = "campaign"
+"""Whose notices those are that no single recording has."""
 Row = dict[str, str]
 
 
-@dataclass(frozen=True)
-class Told:
-    """A notice of some recordings; those that differ in their numbers alone are one, with the first one's text."""
-
-    notice: AnyNotice
-    recordings: tuple[str, ...]
-
-    @property
-    def remark(self) -> str:
-        """Of how many recordings it is, where of several."""
-        return f" ({len(self.recordings)} recordings)" if len(self.recordings) > 1 else ""
-
-
-def notices_of(done: Sequence[Outcome], *, campaign: bool) -> list[Told]:
+def notices_of(done: Sequence[Outcome], *, campaign: bool) -> list[GatheredNotice]:
     """Return the notices of what is done, each once, warnings first, then those of most recordings."""
-    found: dict[tuple[str, str, str], tuple[AnyNotice, list[str]]] = {}
-    groups = [(one.name, _notices_in(one.folder / RESULT_FILE) if one.notices is None else one.notices) for one in done]
+    found = gather(
+        [(one.name, _notices_in(one.folder / RESULT_FILE) if one.notices is None else one.notices) for one in done]
+    )
     if campaign and done:
-        groups.insert(0, ("campaign", _notices_in(done[0].folder.parent / CAMPAIGN_FILE)))
-    for name, notices in groups:
-        for notice in notices:
-            key = (notice.severity, notice.where, NUMBER.sub("#", notice.text))
-            found.setdefault(key, (notice, []))[1].append(name)
-    every = [Told(notice, tuple(dict.fromkeys(names))) for notice, names in found.values()]
-    return sorted(every, key=lambda told: (told.notice.severity != "warning", -len(told.recordings)))
+        found = [*gather([(CAMPAIGN, _notices_in(done[0].folder.parent / CAMPAIGN_FILE))]), *found]
+    return sorted(found, key=lambda notice: notice.severity != "warning")
 
 
 def _notices_in(path: Path) -> tuple[AnyNotice, ...]:
@@ -109,6 +92,7 @@ def sensitivity_table(rows: Sequence[Row], width: int | None = None) -> Table:
     head = "Sensitivity" if kinds & {"element", "matrix"} else "Output over load"
     head += f" ({', '.join(kinds)})" if len(kinds) == 1 else ""
     whose = "means of all recordings" if curve else rows[0]["recording"]
+    whose += f", the first {MOST_ROWS} of {len(rows)}" if len(rows) > MOST_ROWS else ""
     told = [_cells_of(row) for row in rows[:MOST_ROWS]]
     shown = [column for column in told[0] if column != "kind" or len(kinds) > 1]  # one that all share is in the title
     for name in ("k", COUNTS, "kind", *(("unit",) if len(units) == 1 else ())):
@@ -118,7 +102,8 @@ def sensitivity_table(rows: Sequence[Row], width: int | None = None) -> Table:
     unit = "" if "unit" in shown else f" in {units.pop()}"
     table = Table(title=f"{head}{unit}, {whose} (U = k·u, 95 %)", title_justify="left")
     for column in shown:
-        table.add_column(column, justify="left" if column in ("quantity", "unit", "kind") else "right")
+        left = column in ("quantity", "unit", "kind")
+        table.add_column(column, justify="left" if left else "right", overflow="fold")
     for cells in told:
         table.add_row(*(cells[column] for column in shown))
     return table
@@ -173,28 +158,35 @@ def _values(element: Polar) -> tuple[str, str, str]:
 
 
 def print_outcomes(outcomes: Sequence[Outcome], *, campaign: bool) -> None:
-    """Print the main sensitivities, where everything else stands, and every failure; notices go to stderr."""
-    console = stdout_console()
+    """Print what lacks a result, the main sensitivities, where the rest is, and failures; notices go to stderr."""
+    console, told = stdout_console(), list[tuple[AnyNotice, str]]()
     done, failed = _parted(outcomes)
+    for outcome in (one for one in done if one.missing):
+        say(f"{outcome.name}: {outcome.missing}" if campaign else outcome.missing)
     if done:
-        rows = _answer(done, campaign=campaign)
-        console.print(sensitivity_table(rows, console.width) if rows else NO_SENSITIVITY)
-        if rows:
-            file = _table_file(done, campaign=campaign)
+        file = _table_file(done, campaign=campaign)
+        if rows := _answer(done, campaign=campaign):
+            console.print(sensitivity_table(rows, console.width))
             console.print(f"other outputs, harmonics, numbers in full: {file}", soft_wrap=True)
+        elif not any(one.missing for one in done):
+            console.print(f"{NO_OUTPUT}; accelerations: {file.with_name(ACCELERATION_FILE)}", soft_wrap=True)
     if not campaign:
         console.print(outcomes[0].told, soft_wrap=True)
     else:
         console.print(tally(outcomes))
         for outcome in failed:
-            console.print(f"{outcome.name}: {outcome.told}", soft_wrap=True)
+            say(f"{outcome.name}: {outcome.told}")
         if done:
             console.print(f"report of all: {done[0].folder.parent / REPORT_FILE}", soft_wrap=True)
-    tell((told.notice, told.remark) for told in notices_of(done, campaign=campaign))
+    for gathered in notices_of(done, campaign=campaign):
+        notice = Notice(gathered.severity, gathered.text, gathered.where)
+        single = not campaign or gathered.recordings == (CAMPAIGN,)
+        told.append((notice, "" if single else f" ({gathered.concerned})"))
+    tell(told)
 
 
 def as_json(outcomes: Sequence[Outcome], *, campaign: bool) -> str:
-    """Return what `print_outcomes` tells for programs: numbers in full, notices whole, paths of the files."""
+    """Return what `print_outcomes` tells for programs: numbers in full, every notice as it is, paths of the files."""
     done, _ = _parted(outcomes)
     notices = notices_of(done, campaign=campaign)
     top = outcomes[0].folder.parent if campaign else outcomes[0].folder
@@ -202,12 +194,17 @@ def as_json(outcomes: Sequence[Outcome], *, campaign: bool) -> str:
     return as_answer(
         "run",
         sensitivity=[_entry(row) for row in (_answer(done, campaign=campaign) if done else [])],
-        notices=[{**vars(told.notice), "recordings": told.recordings} for told in notices],
+        notices=[
+            {"severity": notice.severity, "text": text, "where": notice.where, "recordings": names}
+            for notice in notices
+            for text, names in notice.each
+        ],
         recordings=[
             {
                 "name": outcome.name,
                 "state": "failed" if outcome.error else "unchanged" if outcome.resumed else "evaluated",
                 "error": None if outcome.error is None else str(outcome.error),
+                "missing": outcome.missing or None,
                 "results": None if outcome.error else str(outcome.folder),
             }
             for outcome in outcomes
@@ -262,4 +259,4 @@ def tally(outcomes: Sequence[Outcome]) -> str:
     resumed = sum(outcome.resumed for outcome in outcomes)
     parts = [(len(outcomes) - failed - resumed, "evaluated"), (resumed, "unchanged since the last run")]
     told = ", ".join(f"{count} {what}" for count, what in (*parts, (failed, "failed")) if count)
-    return f"{len(outcomes)} recording{'' if len(outcomes) == 1 else 's'}: {told}"
+    return f"{counted(len(outcomes), 'recording')}: {told}"

@@ -31,7 +31,6 @@ recordings with little noise would take such differences for contradictions.
 """
 SECOND = "unknowns beyond first order"
 ROUNDING = 1e-12
-MOST_NAMED = 5
 
 
 @dataclass(frozen=True)
@@ -370,7 +369,7 @@ def carry_unknowns(
         return tuple(recorded), (), ()
     contradicting = joint.contradicting()
     if contradicting:
-        named = ", ".join(contradicting[:MOST_NAMED])
+        named = ", ".join(contradicting)
         text = f"what {named} says of poses, scales and other unknowns of the rig contradicts all others at 1 %: the "
         text += "recordings keep what each says of them by itself"
         return tuple(recorded), (), (Notice("warning", text, "campaign"),)

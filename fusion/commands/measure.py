@@ -195,10 +195,11 @@ def _init_options(parser: Parser) -> None:
 def init(options: argparse.Namespace) -> None:
     """Draft recording.toml and rig.toml from the files of a folder."""
     from fusion.planning.draft.init import run_init
+    from fusion.report.terminal import say
 
     made = run_init(options.folder, options.like, with_example=options.example)
     for line in made.found:
-        print(line)
+        say(line)
     for file in made.files:
         print(f"written: {file}")
     if made.asked:
@@ -219,6 +220,7 @@ def check(options: argparse.Namespace) -> int:
     from fusion.base import InputError, check_new_file
     from fusion.planning.check import check, check_together
     from fusion.recording.load import find_recordings, load_manifest
+    from fusion.report.terminal import say
 
     if options.rig:
         check_new_file(options.rig, force=options.force)
@@ -231,7 +233,7 @@ def check(options: argparse.Namespace) -> int:
             wrong += [str(mistake) for mistake in error.each]
         else:
             if not options.json:
-                print(reports[-1])
+                say(str(reports[-1]))
     wrong += [str(contradiction) for contradiction in check_together(manifests)]
     for sentence in wrong:
         log.error("%s", sentence)

@@ -372,6 +372,25 @@ def polar_elements(
     return lines
 
 
+def over_static(
+    value: ComplexArray, uncertainty: Uncertainty, static: FloatArray, u_static: FloatArray, names: Sequence[str]
+) -> tuple[ComplexArray, Uncertainty]:
+    """Return sensitivities (K, E) over static values (E,) and the uncertainty of these ratios.
+
+    `u_static` (E,): standard uncertainties of the static values, each one unknown that is the same at all K lines;
+    `names` (E,) of the elements, such as `Fz/Fz`, by which a correction by the static matrix has them, too.
+    """
+    ratio, factor = np.asarray(value / static), np.broadcast_to(1.0 / static + 0.0j, value.shape)
+    references = []
+    for e, name in ((e, name) for e, name in enumerate(names) if u_static[e] > 0.0):
+        change = np.zeros(ratio.shape, np.complex128)
+        change[:, e] = -u_static[e] / abs(static[e]) * np.nan_to_num(ratio[:, e])  # too small where static is too large
+        label = "static sensitivity"
+        references.append(Influence(f"{label} {name}", label, float(u_static[e]), "", real_stack(change), "rig"))
+    scaled = uncertainty.scaled(factor)
+    return ratio, Uncertainty(scaled.random, added_up([*scaled.influences, *references]))
+
+
 def element_covariances(covariance: FloatArray) -> FloatArray:
     """Covariances (K, C, 2, 2) of (Re, Im) of every element of real-stacked covariances (K, 2C, 2C)."""
     size = covariance.shape[-1] // 2

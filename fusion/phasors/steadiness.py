@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 SURE = 1.0 / 16000.0  # chance that noise and rates of clocks make a change that is told
 MATTERS = 1e-3  # of the amplitude, or rad, over the record: a mean over another stretch differs by up to half of it
-NAMED = 4
 
 # What readings of outputs are found to hold beside the load.
 
@@ -140,8 +139,8 @@ def stationarity_notices(changes: Sequence[LineStationarity]) -> tuple[AnyNotice
             ("phasor at {} wanders", [f"by {100.0 * d.wander:.2g} % in {d.name}" for d in bent]),
         ):
             if by:
-                where, more = f"{frequency:.6g} Hz", f" and {len(by) - NAMED} more" if len(by) > NAMED else ""
-                text = f"the {what.format(where)} over the record: {', '.join(by[:NAMED])}{more}"
+                where = f"{frequency:.6g} Hz"
+                text = f"the {what.format(where)} over the record: {', '.join(by)}"
                 notices.append(Notice("warning", f"{text}; {end}", where))
     return tuple(notices)
 

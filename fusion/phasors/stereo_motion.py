@@ -224,7 +224,7 @@ def _contradictions(sight: Sight, images: ImageSequence) -> list[Notice]:
             )
         gaps = np.flatnonzero(np.abs(own / rate - edges) > 0.5 * edges)
         if len(gaps):
-            where = ", ".join(f"{gap} and {gap + 1}" for gap in gaps[:5]) + (" and others" if len(gaps) > 5 else "")
+            where = ", ".join(f"{gap} and {gap + 1}" for gap in gaps)
             told.append(f"by the file's own times frames are lost, or times wrong, between frames {where}")
     return [Notice("warning", text, images.names[0].rpartition("[")[0] or sight.name) for text in told]
 

@@ -15,7 +15,7 @@ from fusion.phasors.channels import MOST_BINS, line_record, lines_in
 from fusion.phasors.timing import tie_daqs
 from fusion.recording.files import read_set_ups, told_in
 from fusion.recording.load import Manifest
-from fusion.report.terminal import stdout_console
+from fusion.report.terminal import say, stdout_console
 from shaker.arrays import FloatArray, Stacked
 from shaker.io import read_channels
 from shaker.io.channel import RawChannel
@@ -26,7 +26,7 @@ from shaker.sine.aliasing import alias_frequency
 from shaker.sine.fit import fit_sines
 
 COLUMNS = ("channel", "frequency_hz", "u_frequency_hz", "amplitude", "u_amplitude", "unit", "floor_db", "what", "use")
-WHY_WIDTH = 18
+WHY, WHY_WIDTH = "what and why", 18
 LISTED = "lines"
 """Where notices are about that only say what the table shows."""
 _SAME_U, _SAME_HZ = 6.0, 1e-6  # how far a line moves when it is fitted beside others
@@ -227,38 +227,44 @@ def print_lines(lists: Sequence[LineList]) -> None:
         names, duration = ", ".join(item.channels), item.samples / item.rate_hz
         seen = "".join(f"; {pairs}: lines as seen at {rate:.6g} Hz" for pairs, rate in item.cameras)
         size = f"{item.samples} samples at {item.rate_hz:.9g} Hz, {duration:.4g} s"
-        console.print(f"{item.source.name}: {names}; {size}{seen}", soft_wrap=True)
+        say(f"{item.source.name}: {names}; {size}{seen}")
         if not item.entries:
-            console.print("  no line stands out of the noise")
+            say("  no line stands out of the noise")
+            continue
+        rows = [_cells(item, entry) for entry in item.entries]
+        least = sum(max(len(head), *(len(row[head]) for row in rows)) + 2 for head in [*rows[0]][:-1]) + WHY_WIDTH
+        if least > console.width:
+            for row in rows:
+                say("  " + "; ".join(f"{head}: {cell}" for head, cell in row.items()))
             continue
         table = Table(box=box.SIMPLE, pad_edge=False)
-        table.add_column("frequency / Hz", justify="right", no_wrap=True)
-        for name, _ in item.cameras:
-            table.add_column(f"{name} / Hz", justify="right")
-        table.add_column("amplitude", justify="right", no_wrap=True)
-        if len(item.channels) > 1:
-            table.add_column("in channel", overflow="fold")
-        table.add_column("dB", justify="right")
-        table.add_column("what and why", min_width=WHY_WIDTH)
-        for entry in item.entries:
-            best = int(np.nanargmax(entry.amplitude / np.maximum(entry.u_amplitude, np.finfo(np.float64).tiny)))
-            size = _with_u(float(entry.amplitude[best]), float(entry.u_amplitude[best]))
-            table.add_row(
-                _with_u(entry.frequency_hz, entry.u_frequency_hz, 0),
-                *(f"{place:.4f}" for place in entry.places),
-                f"{size} {item.units[best]}".strip(),
-                *([item.channels[best]] if len(item.channels) > 1 else []),
-                f"{entry.floor_db:.0f}",
-                f"{entry.use}: {entry.what}" if entry.use else entry.what,
-            )
+        for head in rows[0]:
+            numbers = head not in ("in channel", WHY)
+            table.add_column(head, justify="right" if numbers else "left", no_wrap=numbers, overflow="fold")
+        for row in rows:
+            table.add_row(*row.values())
         console.print(table)
     for notice in dict.fromkeys(notice for item in lists for notice in item.notices if notice.where != LISTED):
-        console.print(f"{notice.severity}: {notice.text}", soft_wrap=True)
-    console.print(
+        say(f"{notice.severity}: {notice.text}")
+    say(
         "U (k = 2); amplitude: in the channel in which the line stands out most; dB: its power there over that of the "
-        "noise in a bin of the Hann spectrum",
-        soft_wrap=True,
+        "noise in a bin of the Hann spectrum"
     )
+
+
+def _cells(item: LineList, entry: Entry) -> dict[str, str]:
+    """Return the cells of a line by the heads of their columns."""
+    best = int(np.nanargmax(entry.amplitude / np.maximum(entry.u_amplitude, np.finfo(np.float64).tiny)))
+    size = _with_u(float(entry.amplitude[best]), float(entry.u_amplitude[best]))
+    places = {f"{name} / Hz": f"{place:.4f}" for (name, _), place in zip(item.cameras, entry.places, strict=True)}
+    return {
+        "frequency / Hz": _with_u(entry.frequency_hz, entry.u_frequency_hz, 0),
+        **places,
+        "amplitude": f"{size} {item.units[best]}".strip(),
+        **({"in channel": item.channels[best]} if len(item.channels) > 1 else {}),
+        "dB": f"{entry.floor_db:.0f}",
+        WHY: f"{entry.use}: {entry.what}" if entry.use else entry.what,
+    }
 
 
 def _with_u(value: float, u: float, exponent: int | None = None) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from fusion.base import DASH, InputError, prefix
 from fusion.report.table import Column, R, csv_text, on_page
-from fusion.report.terminal import stdout_console
+from fusion.report.terminal import say, stdout_console
 from shaker.arrays import FloatArray
 from shaker.lines.rate_planner import (
     PREFERRED,
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 PER_NOISE = "noise per frame"
 MOST_LINES, MOST_LINES_OF_ALL = 200, 2000  # fitted at one point, and at all of them
 MOST_ENTRIES = 2_000_000  # lines times frames of a point
-SHOWN = 3  # frequencies and aliased harmonics that are written out; of more there is a count
+SHOWN = 3  # frequencies that are written out; of more there is a count
 
 
 @dataclass(frozen=True)
@@ -347,8 +347,7 @@ def print_plan(plan: Plan) -> None:
     together = " at the same time" if request.together else ""
     fitted = "fundamentals alone" if sampling.harmonics == 1 else f"harmonics 1 to {sampling.harmonics}"
     rates = "" if request.rate_hz else f", camera rate {request.limits_hz[0]:g} to {request.limits_hz[1]:g} Hz"
-    _say(
-        console,
+    say(
         f"Excitation {frequencies} Hz{together}, {fitted}; {sampling.frames} frames, exposure "
         f"{sampling.exposure_s * 1e6:g} µs{rates}; 1/f noise exceeds white noise below {sampling.corner_hz:g} Hz",
     )
@@ -358,30 +357,26 @@ def print_plan(plan: Plan) -> None:
         for point in plan.points:
             _print_explained(console, request.size, point)
     unit = " in units of the noise of one frame" if request.size.noise_m is None else ""
-    _say(
-        console,
+    say(
         f"u: standard uncertainty (k = 1) of an amplitude{unit}, of the fundamental and of the worst line; "
         "over the amplitude it is that of the phase in rad",
     )
     if not request.size.is_whole:
-        _say(console, "(--noise with --amplitude or --acceleration gives numbers)")
+        say("(--noise with --amplitude or --acceleration gives numbers)")
     apart = "apart: smallest distance of two lines as the camera sees them, in bins of rate/frames"
-    _say(console, f"{apart} ({CLEAR_BINS:g} needed); loss: of amplitude, by exposure (a run corrects it)")
+    say(f"{apart} ({CLEAR_BINS:g} needed); loss: of amplitude, by exposure (a run corrects it)")
 
 
-def _say(console: Console, text: str) -> None:
-    """Print a sentence on one line."""
-    console.print(text, soft_wrap=True)
-
-
-def _boxed(title: str, columns: Sequence[Column[R]], sections: Sequence[Sequence[R]]) -> Table:
-    """Return a table for the terminal, its sections with a line between them."""
+def _boxed(title: str, columns: Sequence[Column[R]], sections: Sequence[Sequence[R]], width: int) -> Table:
+    """Return a table for a terminal of some width, its sections with a line between them."""
     from rich.table import Table
 
-    boxed = Table(title=title, title_justify="left")
     shown = [column for column in columns if column.head is not None]
+    cells = [[column.cell(row) for column in shown] for rows in sections for row in rows]
+    natural = 1 + sum(max(len(text) for text in texts) + 3 for texts in zip(*cells, strict=True))
+    boxed = Table(title=title, title_justify="left", padding=(0, 1 if natural <= width else 0))
     for column in shown:
-        boxed.add_column(column.head or "", justify="right")
+        boxed.add_column(column.head or "", justify="right", overflow="fold")
     for rows in sections:
         for row in rows:
             boxed.add_row(*(column.cell(row) for column in shown))
@@ -413,29 +408,31 @@ def _print_choices(console: Console, plan: Plan) -> None:
         if point.choices
     ]
     if sections:
-        console.print(_boxed("Camera rates, best first", columns, sections))
+        console.print(_boxed("Camera rates, best first", columns, sections, console.width))
     fewer = "fewer harmonics, or know the frequencies better (--tolerance)"
     for name, point in zip(excited, points, strict=True):
         if not point.choices:
-            _say(console, f"{name} Hz: no such rate keeps all lines apart; take more frames or {fewer}")
+            say(f"{name} Hz: no such rate keeps all lines apart; take more frames or {fewer}")
     first = [point.choices[0] for point in points if point.choices]
     if len(points) > 1 and first:
-        _say(console, served(first, "each at its first rate"))
+        say(served(first, "each at its first rate"))
         pairs = [zip(shared.points, shared.plans, strict=True) for shared in plan.shared]
         sections = [[row(excited[index], at_rate) for index, at_rate in pair] for pair in pairs]
-        console.print(_boxed("With as few rates as possible", columns, sections))
+        console.print(_boxed("With as few rates as possible", columns, sections, console.width))
         rates = ", ".join(f"{shared.rate_hz:.3f}" for shared in plan.shared)
         number = "one rate" if len(plan.shared) == 1 else f"{len(plan.shared)} rates"
         plans = [at_rate for shared in plan.shared for at_rate in shared.plans]
-        _say(console, served(plans, f"with {number} ({rates} Hz)"))
+        say(served(plans, f"with {number} ({rates} Hz)"))
     elif first:
-        _say(console, f"Time: {time_of(first)}")
+        say(f"Time: {time_of(first)}")
         _print_lines(console, size, first[0])
 
 
 def _print_lines(console: Console, size: Size, plan: RatePlan) -> None:
     """Print all lines of a point at one rate."""
-    console.print(_boxed(f"Lines at {plan.rate_hz:.9g} Hz", _line_columns(size), [_lines_at(size, plan)]))
+    console.print(
+        _boxed(f"Lines at {plan.rate_hz:.9g} Hz", _line_columns(size), [_lines_at(size, plan)], console.width)
+    )
 
 
 def _print_explained(console: Console, size: Size, point: Point) -> None:
@@ -446,8 +443,7 @@ def _print_explained(console: Console, size: Size, point: Point) -> None:
             turns = round(frequency / plan.rate_hz)
             sign = "+" if frequency >= turns * plan.rate_hz else "-"
             seen = "as it is" if turns == 0 else f"as a beat of {alias:.3f} Hz"
-            _say(
-                console,
+            say(
                 f"{frequency:.9g} Hz = {turns} × {plan.rate_hz:.9g} Hz {sign} {alias:.3f} Hz: seen {seen}, "
                 f"{alias * plan.duration_s:.2f} periods in {plan.duration_s:.2f} s",
             )
@@ -455,28 +451,22 @@ def _print_explained(console: Console, size: Size, point: Point) -> None:
     for frequency, alias in zip(plan.lines.fundamentals_hz, plan.alias_hz, strict=False):
         share = float(alias) / plan.rate_hz
         if share < PREFERRED[0]:
-            _say(
-                console,
+            say(
                 f"{frequency:.9g} Hz is seen below {PREFERRED[0]:g} of the rate: drift, slow motion of the rig and "
                 f"other 1/f noise around {alias:.3f} Hz disturb it",
             )
         elif share > PREFERRED[1]:
-            _say(
-                console,
+            say(
                 f"{frequency:.9g} Hz is seen above {PREFERRED[1]:g} of the rate: near the Nyquist frequency a small "
                 "change of rate brings its mirror image onto it",
             )
     if plan.distance_bins < CLEAR_BINS:
-        _say(
-            console, f"lines are only {plan.distance_bins:.2f} bins apart: {CLEAR_BINS:g} are needed to tell them apart"
-        )
-    for other in plan.folds[:SHOWN]:
+        say(f"lines are only {plan.distance_bins:.2f} bins apart: {CLEAR_BINS:g} are needed to tell them apart")
+    for other in plan.folds:
         name = f"harmonic {other.multiple} of {other.fundamental_hz:.9g} Hz, not fitted"
-        _say(console, f"{name}, is aliased to {other.alias_hz:.3f} Hz, within a bin of a line that is fitted")
-    if len(plan.folds) > SHOWN:
-        _say(console, f"so do {len(plan.folds) - SHOWN} more")
+        say(f"{name}, is aliased to {other.alias_hz:.3f} Hz, within a bin of a line that is fitted")
     if point.nearby is not None:
         rate = point.nearby.rate_hz
         share = float(np.max(point.nearby.u_amplitude)) / float(np.max(plan.u_amplitude))
         gain = f", worst u {share:.2g} times the present one" if share > 0.0 else ""
-        _say(console, f"Nearest good rate: {rate:.3f} Hz ({rate - plan.rate_hz:+.3f} Hz){gain}")
+        say(f"Nearest good rate: {rate:.3f} Hz ({rate - plan.rate_hz:+.3f} Hz){gain}")

@@ -41,7 +41,7 @@ from fusion.report.files import claimed, is_own, write_files, write_together
 from fusion.report.kept import CompiledTemplates, kept
 from fusion.report.still import still_svg
 from fusion.report.table import Headline, Table, csv_rows, plain_text
-from fusion.report.terminal import AS_JSON, tell, working
+from fusion.report.terminal import AS_JSON, say, tell, working
 
 if TYPE_CHECKING:
     import h5py
@@ -438,8 +438,9 @@ class Command(Generic[E]):
         if AS_JSON.get():
             print(self.json(evaluation, files))
             return evaluation
-        for line in (evaluation.name, *self.lines(evaluation), f"report: {folder / self.page_file}"):
-            print(line)
+        for line in (evaluation.name, *self.lines(evaluation)):
+            say(line)
+        print(f"report: {folder / self.page_file}")
         tell((notice, "") for notice in warnings_first(evaluation.notices))
         return evaluation
 

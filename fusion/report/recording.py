@@ -38,8 +38,8 @@ from fusion.report.result_figures import acceleration_pictures, draw_budget, sen
 from fusion.report.scene import evaluation_scene, scene_page
 from fusion.report.signal_figures import channel_pictures, point_pictures, trigger_pictures
 from fusion.report.stored import Group
-from fusion.report.table import Column, csv_text, measured, polar_columns, sensitivity_unit, word
-from fusion.sensitivity.analyse import NOT_SHOWN, Evaluation
+from fusion.report.table import Column, capital, csv_text, measured, polar_columns, sensitivity_unit, word
+from fusion.sensitivity.analyse import NO_RESULT, NOT_SHOWN, Evaluation
 from fusion.sensitivity.body import moving_parts
 from fusion.sensitivity.evidence import find_evidence
 from fusion.sensitivity.load import LoadResult
@@ -200,6 +200,7 @@ def render_report(evaluation: Evaluation) -> str:
     context = {
         "name": evaluation.manifest.name,
         "subject": _subject(evaluation),
+        "missing": [capital(notice.text) for notice in evaluation.notices if notice.where == NO_RESULT],
         "headlines": tables.headlines(evaluation),
         "rig": scene_page(evaluation_scene(evaluation)),
         "pictures": draw_all(evaluation),

@@ -11,7 +11,7 @@ from markupsafe import Markup
 from fusion.base import DASH, prefix
 from fusion.estimation.coverage import Polar, polar
 from fusion.estimation.fuse import Acceleration
-from fusion.estimation.uncertainty import Contribution, Uncertainty, polar_elements
+from fusion.estimation.uncertainty import Contribution, Uncertainty, over_static, polar_elements
 from fusion.instruments.transducer import TRANSDUCERS
 from fusion.phasors.steadiness import LineStationarity, line_stationarity
 from fusion.phasors.stereo_phasors import StereoResult
@@ -206,7 +206,7 @@ def sensitivity_table(evaluation: Evaluation) -> Table | None:
     magnitude = Markup("magnitude / ({})").format(unit)
     head = ("frequency / Hz", "quantity", magnitude, "phase / rad", "k", "dof", "kind")
     title = "Output over load" if len(results) == 1 else "Sensitivity, and ratios of output and load,"
-    return Table(f"{title} with U = k·u (95 %)", head, "rlrrrrl", tuple(rows))
+    return Table(f"{title} with U = k·u (95 %)", head, "rlrrrrl", tuple(rows)) if rows else None
 
 
 def source_tables(evaluation: Evaluation) -> list[Table]:
@@ -333,14 +333,8 @@ def _sensitivity_headlines(evaluation: Evaluation, found: Sensitivity, line: int
         return []
     element = sensitivity_element(found, line, channel, component)
     unit = sensitivity_unit(found.unit, LOAD_COMPONENTS[component])
-    static = static_value(evaluation, channel, component)
-    remark = _relative(element)
-    if static is not None:
-        sensor, relative = evaluation.manifest.rig.sensor, element.magnitude / abs(static)
-        u_static = 0.0 if sensor is None else StatedMatrix.of(sensor).u_relative
-        share = 100.0 * (relative - 1.0)
-        u_share = 100.0 * element.k * float(np.hypot(element.u_magnitude / abs(static), relative * u_static))
-        remark += f"; from static: {measured(share, u_share, '%').striptags()}"
+    relative = _over_static(evaluation, found, line, (channel, component))
+    remark = _relative(element) + ("" if relative is None else f"; from static: {deviation(relative)}")
     name = result_name(found.kind[line], found.channels[channel], LOAD_COMPONENTS[component], main=True)
     label = f"Sensitivity {name}" if found.kind[line] == "element" else capital(name)
     size = measured(element.magnitude, element.expanded_magnitude, unit)
@@ -348,6 +342,24 @@ def _sensitivity_headlines(evaluation: Evaluation, found: Sensitivity, line: int
     degrees = measured(np.degrees(element.phase_rad), np.degrees(element.expanded_phase_rad), "°").striptags()
     label = f"{label}, {found.frequency_hz[line]:.4f} Hz"
     return [Headline(label, size, remark), Headline("Phase of the output to the load", turn, degrees)]
+
+
+def _over_static(evaluation: Evaluation, found: Sensitivity, line: int, element: tuple[int, int]) -> Polar | None:
+    """Return an element of a line over its static value; None where none is stated."""
+    sensor, static = evaluation.manifest.rig.sensor, static_sensitivity(evaluation)
+    if sensor is None or static is None or static[element] == 0.0:
+        return None
+    channel, component = element
+    u, name = StatedMatrix.of(sensor).u_elements(static), f"{found.channels[channel]}/{LOAD_COMPONENTS[component]}"
+    own = found.uncertainty.at([found.elements.index(element)]).at_lines([line])
+    value, stated = found.value[line, channel, component].reshape(1, 1), (static[element][None], u[element][None])
+    ((relative,),) = polar_elements(*over_static(value, own, *stated, [name]))
+    return relative
+
+
+def deviation(relative: Polar) -> str:
+    """Deviation of a magnitude from static in per cent."""
+    return measured(100.0 * (relative.magnitude - 1.0), 100.0 * relative.expanded_magnitude, "%").striptags()
 
 
 def _relative(element: Polar) -> str:

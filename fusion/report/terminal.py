@@ -7,7 +7,9 @@ import errno
 import logging
 import os
 import re
+import shutil
 import sys
+import textwrap
 import time
 import unicodedata
 from collections.abc import Iterable, Iterator
@@ -21,13 +23,13 @@ if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions
     from rich.segment import Segment
 
-LONGEST_LINE, MOST_NOTES = 150, 3  # characters of a notice; notes told one by one beside warnings
+MOST_NOTES = 3  # that are shown one by one after the warnings
 log = logging.getLogger(PROGRAM)
 
-# Where tables and sentences for the user go: a terminal of its own width, a pipe of 120 columns.
+# Where tables and sentences for the user go: a terminal of its own width, a pipe in which no line ends early.
 
 
-PIPE_WIDTH = 120
+PIPE_WIDTH = 10_000
 SPELLED = str.maketrans(
     {"\N{MINUS SIGN}": "-", "±": "+-", "·": "*", "×": "x", "²": "^2", "³": "^3", "°": " deg", "µ": "u", "μ": "u"}
     | {"–": "-", "—": "-", "…": "...", "“": '"', "”": '"', "‘": "'", "’": "'", "→": "->", "≤": "<=", "≥": ">="}
@@ -96,20 +98,37 @@ def stdout_console() -> Console:
     return Stdout(file=_behind(sys.stdout), width=width, highlight=False, markup=False)
 
 
-# Notices: the page has them whole.
+def wrapped(text: str, stream: Any) -> str:
+    """Return a text with its lines wrapped between words where `stream` is a terminal, elsewhere as it is."""
+    if not stream.isatty():
+        return text
+    width, lines = shutil.get_terminal_size().columns, list[str]()
+    for line in text.split("\n"):
+        indent = line[: len(line) - len(line.lstrip(" "))] + "  "
+        parts = textwrap.wrap(
+            line, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False, drop_whitespace=True
+        )
+        lines += parts or [line]
+    return "\n".join(lines)
+
+
+def say(text: str) -> None:
+    """Print sentences on stdout, wrapped between words on a terminal."""
+    print(wrapped(text, sys.stdout))
+
+
+# Notices.
 
 
 def tell(notices: Iterable[tuple[AnyNotice, str]]) -> None:
-    """Log notices with a remark each, in one line, and of more notes than a few only how many; with -v all, whole."""
+    """Log notices with a remark each, every warning whole; more notes than a few are only counted, but for -v."""
     told = list(notices)
     verbose = log.isEnabledFor(logging.DEBUG)
     notes = sum(notice.severity != "warning" for notice, _ in told)
     for notice, remark in told:
         level = logging.WARNING if notice.severity == "warning" else logging.INFO
         if level == logging.WARNING or verbose or notes <= MOST_NOTES:
-            text = _named(notice)
-            short = text if verbose or len(text) <= LONGEST_LINE else f"{text[:LONGEST_LINE].rsplit(' ', 1)[0]} …"
-            log.log(level, "%s", f"{short}{remark}")
+            log.log(level, "%s", f"{_named(notice)}{remark}")
     if notes > MOST_NOTES and not verbose:
         log.info("%d notes on the page, or here with -v", notes)
 

@@ -37,7 +37,7 @@ from fusion.sensitivity.ratio import (
     sensor_element,
 )
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, brief
-from shaker.labels import LOAD_COMPONENTS
+from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
 from shaker.lines.frequencies import Lines
 
 if TYPE_CHECKING:
@@ -234,6 +234,8 @@ class Analysis:
 
 NOT_SHOWN = ("repeatability", "mounting anew")
 """What one recording does not show: lines of its budget without a number."""
+REPEATS = "repeats"
+"""Where notices on repeatability belong; those of a campaign replace those of its recordings."""
 SINGLE = (
     "one recording: repeatability and what mounting anew changes are not assessed and not in U; a campaign that holds "
     "it again, mounted anew, has them"
@@ -260,7 +262,7 @@ def analyse(inputs: Inputs) -> Analysis:
     component = driven_component(direction, sensor.capacity)
     ratio = sensitivity_ratio(outputs, load, component, inputs.lines.multiple, sensor.capacity)
     if np.any(np.isfinite(ratio.value)):
-        ratio = replace(ratio, notices=(*ratio.notices, Notice("info", SINGLE, "sensitivity")))
+        ratio = replace(ratio, notices=(*ratio.notices, Notice("info", SINGLE, REPEATS)))
     sizes = np.nanmax(np.nan_to_num(np.abs(ratio.value[:, :, component])), axis=0)
     known = known_matrix(StatedMatrix.of(sensor), outputs.phasors.channels, component, sizes)
     notices = _element_notices(known, outputs, load, sensor, component)
@@ -325,9 +327,9 @@ def _element_notices(
     named = LOAD_COMPONENTS[component]
     if known is None:
         text = (
-            f"results are ratios of outputs and the load {named}, not the sensor's own sensitivity: one recording does "
-            "not span the 6 x 6 matrix, and neither sensor.static_sensitivity (with cross-talk) nor sensor.cross_talk "
-            "is stated; what other loads put into the outputs is neither corrected nor in U"
+            f"results are ratios of outputs and the load {named}, not the sensor's own sensitivity: a recording "
+            "alone does not span the 6 x 6 matrix, and neither sensor.static_sensitivity (with cross-talk) nor "
+            "sensor.cross_talk is stated; what other loads put into the outputs is neither corrected nor in U"
         )
         return (Notice("info", text, "sensitivity"),)
     element = f"element {known.channels[known.main]} per {named}"
@@ -355,6 +357,87 @@ def _element_notices(
         )
         doubt.append(Notice("warning", text, "sensitivity"))
     return (*shares.notices(line, known.main, f"output {known.channels[known.main]} at {hertz}"), *doubt)
+
+
+# Whether the recording gives what it was made for.
+
+
+NO_RESULT = "result"
+"""Where a notice belongs that names driven lines without a result; `shakercal run` then ends with exit status 1."""
+
+
+def missing_result(inputs: Inputs, analysis: Analysis) -> Iterator[Notice]:
+    """Yield a warning that names the driven lines without a result, and why; none where all have one.
+
+    The result is the sensitivity to the driven load where outputs of a sensor were recorded, else the acceleration
+    along the driven component, or along any component where no direction is stated.
+    """
+    driven, direction = np.asarray(inputs.lines.multiple) == 1, inputs.direction
+    capacity = None if inputs.sensor is None else inputs.sensor.capacity
+    component = None if direction is None else driven_component(direction, capacity)
+    if inputs.outputs is not None:
+        what = "sensitivity" if component is None else f"sensitivity to the driven load {LOAD_COMPONENTS[component]}"
+        found = _with_sensitivity(inputs, analysis, component)
+    else:
+        what = "acceleration" if component is None else f"acceleration along the driven {MOTION_COMPONENTS[component]}"
+        found = np.any([_observed(a, component) for a in analysis.accelerations if a.source == "fused"], axis=0)
+    lacking = driven & ~found
+    if lacking.any():
+        hertz = ", ".join(f"{nominal:g}" for nominal in inputs.lines.nominal_hz[lacking])
+        where = f"{hertz} Hz ({int(np.sum(lacking))} of {int(np.sum(driven))} driven lines)"
+        yield Notice("warning", f"no {what} at {where}: {_why(inputs, analysis, component, lacking)}", NO_RESULT)
+
+
+def _observed(acceleration: Acceleration, component: int | None) -> BoolArray:
+    """At which lines (K,) a component of the acceleration, or any, is determined."""
+    seen = acceleration.observed
+    return np.asarray(seen.any(axis=1) if component is None else seen[:, component])
+
+
+def _main_output(sensor: Sensor, component: int) -> str | None:
+    """Return the output that belongs to a load, by the static matrix or else by its name; None where neither tells."""
+    if sensor.static_sensitivity is not None:
+        size = np.abs(np.array(sensor.static_sensitivity, dtype=np.float64)[:, component])
+        return sensor.channels[int(np.argmax(size))] if size.any() else None
+    return LOAD_COMPONENTS[component] if LOAD_COMPONENTS[component] in sensor.channels else None
+
+
+def _with_sensitivity(inputs: Inputs, analysis: Analysis, component: int | None) -> BoolArray:
+    """At which lines (K,) the output that belongs to the driven load has a sensitivity, of unnamed ones any."""
+    found = analysis.sensitivity
+    if found is None or component is None or inputs.sensor is None:
+        return np.zeros(1, dtype=np.bool_)
+    finite, main = np.isfinite(found.value[:, :, component]), _main_output(inputs.sensor, component)
+    if main is None:
+        return np.asarray(finite.any(axis=1))
+    return np.asarray(finite[:, found.channels.index(main)] if main in found.channels else np.zeros(1, dtype=np.bool_))
+
+
+def _why(inputs: Inputs, analysis: Analysis, component: int | None, lacking: BoolArray) -> str:
+    """Say why some lines (K,) have no result: what is not stated, not observed, or contradicted."""
+    if inputs.outputs is not None and component is None:
+        return "excitation.direction is not stated, so that no load counts as driven"
+    if inputs.outputs is not None and inputs.body is None:
+        return "no [load] is stated, with whose mass the acceleration becomes a load"
+    load, told = analysis.load, list[str]()
+    for moved in (a for a in analysis.accelerations if a.source == "fused" and (load is None or a.body == "load")):
+        observed, titles = moved.observed[lacking], ", ".join(moved.instruments)
+        if moved.disputed is not None and moved.disputed[lacking].any():
+            told.append(f"the instruments of the {moved.body} ({titles}) contradict each other")
+        elif component is None or not observed[:, component].all():
+            names = [name for name, own in zip(MOTION_COMPONENTS, observed.T, strict=True) if own.all()]
+            along = f"only {', '.join(names)}" if names else "no component"
+            text = f"the readings of {titles} determine {along} of the {moved.body}"
+            stated = ", ".join(f"{number:g}" for number in inputs.direction or ())
+            told.append(f"{text}, and excitation.direction is [{stated}]" if component is not None else text)
+        elif load is not None and not load.observed[lacking, component].all():
+            hidden = ", ".join(n for n, own in zip(MOTION_COMPONENTS, observed.T, strict=True) if not own.all())
+            told.append(f"no instrument determines {hidden} of its motion, which may dominate the load")
+    if inputs.outputs is not None and load is None:
+        told = ["no instrument measures the motion of the load", *told]
+    if not told and inputs.sensor is not None and component is not None:
+        told = [f"its output {_main_output(inputs.sensor, component) or ''} is not recorded, or has no value"]
+    return "; ".join(told)
 
 
 # What one evaluated recording consists of: the tree handed to the result writers and the report.

@@ -15,7 +15,7 @@ from fusion.phasors.setups import join_set_ups
 from fusion.phasors.stereo_phasors import unseen_fundamentals
 from fusion.recording.load import Manifest
 from fusion.recording.plausible import doubts
-from fusion.sensitivity.analyse import Evaluation, Inputs, analyse, elastic_rows
+from fusion.sensitivity.analyse import Evaluation, Inputs, analyse, elastic_rows, missing_result
 from fusion.sensitivity.body import load_body
 from fusion.sensitivity.disturbances import (
     at_reference_temperature,
@@ -77,8 +77,8 @@ def evaluate_recording(
         entries = [reading.entry for reading in joined.readings]
         found = analysis.element or analysis.sensitivity
         missing += unstated_chain(found, entries, driven_component(direction, sensor.capacity))
-    told = [*manifest.certified, *doubts(manifest), *joined.notices, *shaken, *parallel, *unseen, *measured]
-    told += [*analysis.notices, *missing, *(drawn.notices if drawn else ())]
+    told = [*missing_result(inputs, analysis), *manifest.certified, *doubts(manifest), *joined.notices, *shaken]
+    told += [*parallel, *unseen, *measured, *analysis.notices, *missing, *(drawn.notices if drawn else ())]
     return Evaluation(
         manifest=manifest,
         lines=joined.lines,

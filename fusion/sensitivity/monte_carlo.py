@@ -21,7 +21,6 @@ from fusion.sensitivity.ratio import KnownMatrix
 from shaker.arrays import ComplexArray, FloatArray, Notice
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS
 
-NAMED = 4  # quantities named in a notice
 BLOCK = 2000
 """Draws that are made at once; each block has streams of its own, so that blocks may be computed in any order."""
 CONVERGED = 1e-9
@@ -210,19 +209,15 @@ def _first_order(analysis: Analysis) -> Iterator[FirstOrder]:
 
 def _notices(results: Sequence[Propagated], draws: int) -> tuple[Notice, ...]:
     """Say where first-order propagation does not hold: a warning where its U is too small, else a remark."""
-
-    def some(texts: Sequence[str]) -> str:
-        return "; ".join(texts[:NAMED]) + (f" and {len(texts) - NAMED} more" if len(texts) > NAMED else "")
-
     small, large = judged(results, draws)
     notices = []
     if small:
         text = (
-            f"{draws} Monte Carlo draws do not confirm first-order propagation, whose U is too small: {some(small)}; "
-            "the intervals and regions of the Monte Carlo run hold there"
+            f"{draws} Monte Carlo draws do not confirm first-order propagation, whose U is too small: "
+            f"{'; '.join(small)}; the intervals and regions of the Monte Carlo run hold there"
         )
         notices.append(Notice("warning", text, "monte carlo"))
     if large:
-        text = f"first-order U is larger than {draws} Monte Carlo draws need it to be: {some(large)}"
+        text = f"first-order U is larger than {draws} Monte Carlo draws need it to be: {'; '.join(large)}"
         notices.append(Notice("info", text, "monte carlo"))
     return tuple(notices)

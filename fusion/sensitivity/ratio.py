@@ -134,9 +134,7 @@ def sensitivity_ratio(
     value = np.full((*ratio.shape, 6), complex(np.nan, np.nan))
     value[:, :, component] = ratio
     name, notices = LOAD_COMPONENTS[component], []
-    if not np.any(np.isfinite(ratio)):
-        notices.append(Notice("warning", f"{name} could not be determined: no sensitivity", "sensitivity"))
-    else:
+    if np.any(np.isfinite(ratio)):
         # What else acted on the sensor at the strongest line; forces and moments compare in shares of rated loads only.
         rated = np.ones(6) if capacity is None else np.asarray(capacity)
         given = np.abs(np.where(load.observed, load.value, np.nan)) / rated
@@ -281,6 +279,15 @@ class StatedMatrix:
     def u_relative(self) -> float:
         """Return the relative standard uncertainty of main elements, `U_STATIC` where none is stated."""
         return self.u_static or U_STATIC
+
+    def u_elements(self, static: FloatArray) -> FloatArray:
+        """Return the standard uncertainties of rows of the static matrix (C, 6), in the unit of each element."""
+        share = U_STATIC if self.u_cross_talk is None else self.u_cross_talk
+        signal = np.abs(static) * self.rated
+        u = np.hypot(self.u_relative * np.abs(static), share * signal.max(axis=1)[:, None] / self.rated)
+        own = np.arange(len(static)), np.argmax(signal, axis=1)
+        u[own] = self.u_relative * np.abs(static[own])
+        return np.asarray(u)
 
     @property
     def rated(self) -> FloatArray:
@@ -441,13 +448,7 @@ def static_unknowns(
     stated: StatedMatrix, channels: tuple[str, ...], static: FloatArray
 ) -> tuple[Unknown[ComplexArray], ...]:
     """Return one unknown per element of a static matrix (C, 6), in the unit of the element."""
-    relative = stated.u_relative
-    share = U_STATIC if stated.u_cross_talk is None else stated.u_cross_talk
-    signal = np.abs(static) * stated.rated
-    u = np.hypot(relative * np.abs(static), share * signal.max(axis=1)[:, None] / stated.rated)
-    own = np.arange(len(static)), np.argmax(signal, axis=1)
-    u[own] = relative * np.abs(static[own])
-    found = []
+    u, found = stated.u_elements(static), []
     for c, j in np.ndindex(static.shape):
         effect = np.zeros(static.shape, np.complex128)
         effect[c, j] = u[c, j]

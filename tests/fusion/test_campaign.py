@@ -267,7 +267,7 @@ def test_outcomes_are_in_the_order_of_the_recordings_whoever_was_first(campaign,
     assert [line.split(":")[0] for line in lines[-2:]] == ["2 recordings", "report of all"]
     assert lines[-2] == "2 recordings: 2 evaluated"
     assert told.err.count("318.75 Hz is left out") == 1
-    assert "(2 recordings)" in told.err
+    assert "(all 2 recordings)" in told.err
     assert main(["run", str(campaign), "--workers", "2"]) == EXIT_DONE
     assert "2 recordings: 2 unchanged since the last run" in capsys.readouterr().out
     assert _recordings(campaign / "results" / "load.csv") == TITLES
@@ -275,7 +275,9 @@ def test_outcomes_are_in_the_order_of_the_recordings_whoever_was_first(campaign,
 
 def test_a_notice_of_many_recordings_is_told_once_the_worst_first(tmp_path):
     outcomes = []
-    for number, text in enumerate(("2.1 % at 80 Hz", "3 % at 160 Hz", "other")):
+    for number, text in enumerate(
+        ("2.1 % at 80 Hz (velocity_1)", "3 % at -160 Hz (velocity_1)", "3 % at 7 Hz (velocity_2)")
+    ):
         folder = tmp_path / f"{number}"
         folder.mkdir()
         outcomes.append(Outcome(folder / "recording.toml", folder))
@@ -283,10 +285,11 @@ def test_a_notice_of_many_recordings_is_told_once_the_worst_first(tmp_path):
         with h5py.File(folder / "result.h5", "w") as file:
             write_value(file, "notices", told)
     found = notices_of(outcomes, campaign=False)
-    assert [(one.notice.text, len(one.recordings)) for one in found] == [
-        ("2.1 % at 80 Hz", 2), ("other", 1), ("all alike", 3)
+    assert [(one.text, one.concerned) for one in found] == [
+        ("2.1 to 3 % at -160 to 80 Hz (velocity_1)", "0, 1"), ("3 % at 7 Hz (velocity_2)", "2"),
+        ("all alike", "all 3 recordings"),
     ]  # fmt: skip
-    assert [one.remark for one in found] == [" (2 recordings)", "", " (3 recordings)"]
+    assert found[0].each == (("2.1 % at 80 Hz (velocity_1)", ("0",)), ("3 % at -160 Hz (velocity_1)", ("1",)))
 
 
 def test_the_answer_for_programs(campaign, evaluated, capsys):

@@ -23,7 +23,7 @@ from fusion import simulate as simulation
 from fusion.base import ComputeError, warnings_first
 from fusion.cli import _parser, commands, main
 from fusion.commands.options import EXIT_DONE, EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED
-from fusion.report.terminal import LONGEST_LINE, MOST_NOTES, progress_bar, tell
+from fusion.report.terminal import MOST_NOTES, progress_bar, tell, wrapped
 from shaker.arrays import Notice
 
 HEAVY = ("torch", "kornia", "cv2", "numba", "matplotlib", "scipy", "skimage", "h5py", "rich", "pydantic", "numpy")
@@ -146,20 +146,34 @@ def test_what_is_said_of_several_places_in_one_text_is_one_notice():
 
 @pytest.mark.parametrize("level", [logging.INFO, logging.DEBUG])
 @pytest.mark.parametrize("notes", [1, MOST_NOTES + 1])
-def test_a_notice_is_one_line_and_many_notes_are_counted_unless_all_is_asked_for(level, notes, caplog):
-    long = "word " * LONGEST_LINE
+def test_a_warning_is_whole_and_many_notes_are_counted_unless_all_is_asked_for(level, notes, caplog):
+    long = "word " * 200
     many = [(Notice("info", f"load: light {n}", "load"), "") for n in range(notes)]
     with caplog.at_level(level, "shakercal"):
         tell([(Notice("warning", long, "laser"), " (2 recordings)"), *many])
     warning, *rest = caplog.messages
-    if level == logging.DEBUG:
-        assert warning == f"laser: {long} (2 recordings)"
-    else:
-        assert warning.startswith("laser: word word")
-        assert warning.endswith("word … (2 recordings)")
-        assert len(warning) <= LONGEST_LINE + len(" … (2 recordings)")
+    assert warning == f"laser: {long} (2 recordings)"
     counted = level == logging.INFO and notes > MOST_NOTES
     assert rest == ([f"{notes} notes on the page, or here with -v"] if counted else [note.text for note, _ in many])
+
+
+class Screen(io.StringIO):
+    """A terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize("screen", [False, True])
+def test_a_terminal_wraps_between_words_and_a_pipe_has_one_line_for_each_notice(screen, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    text = f"  laser: {'word ' * 100}/a/path/that/is/longer/than/the/{'terminal/' * 10} end"
+    shown = wrapped(text, Screen() if screen else io.StringIO())
+    lines = shown.split("\n")
+    assert len(lines) == 1 or screen
+    assert shown.split() == text.split(), "no word is cut or left out"
+    assert all(len(line) <= 80 or line.strip().startswith("/a/path") for line in lines) or not screen
+    assert all(line.startswith("    ") for line in lines[1:])
 
 
 def test_the_log_has_how_long_a_stage_took(caplog):

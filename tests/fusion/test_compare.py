@@ -149,6 +149,65 @@ def test_of_several_kinds_the_element_counts_and_ratios_meet_ratios(tmp_path) ->
     assert [float(row["value"]) for row in found] == [2.0e-7, 2.001e-7]
 
 
+def kinds(*values: tuple[float, str, float, str]) -> str:
+    """A table of outputs per Fz: frequency, channel, magnitude, kind; U is a thousandth."""
+    cells = (f"{f:.7f},{channel},Fz,{m},{m / 1000},2,0,0.01,u,{kind}" for f, channel, m, kind in values)
+    return "\n".join([f"{HEAD},kind", *cells]) + "\n"
+
+
+@pytest.mark.parametrize("outputs", [("Fz", "Fx"), ("bridge 1", "bridge 2")])
+def test_what_other_loads_put_into_an_output_is_not_compared(tmp_path, capsys, outputs) -> None:
+    """A good sensor in two rigs: another output answers to other loads, here by a factor of six, some 350 times U."""
+    main_output, other = outputs
+    for name, response in (("a", 1e-9), ("b", 6e-9)):
+        single = [(80.0, main_output, 2e-7, "ratio"), (80.0, other, response, "ratio"), (160.0, other, 1.0, "harmonic")]
+        (tmp_path / f"{name}.csv").write_text(kinds(*single))
+    assert main(["compare", str(tmp_path / "a.csv"), str(tmp_path / "b.csv"), "-o", str(tmp_path / "out")]) == 0
+    assert {row["channel"] for row in rows(tmp_path / "out" / "comparison.csv")} == {main_output}
+    assert "left out (1 of a, 1 of b)" in capsys.readouterr().err
+
+
+def test_kinds_of_one_line_are_one_value_though_their_mean_frequencies_differ(tmp_path) -> None:
+    campaign = [(80.0001 + 1e-6 * n, "Fz", 2e-7, kind) for n, kind in enumerate(("ratio", "element", "matrix"))]
+    (tmp_path / "a.csv").write_text(kinds(*campaign, (80.05, "Fz", 2.1e-7, "element")))
+    (value, other) = read_result("a", tmp_path / "a.csv").values
+    assert (value.frequency_hz, value.ratio) == (pytest.approx(80.000102, abs=1e-7), False)
+    assert other.magnitude == 2.1e-7, "another line, though compare's tolerance is wider"
+
+
+def test_ratios_meet_no_elements_and_the_refusal_says_so(tmp_path, capsys) -> None:
+    (tmp_path / "a.csv").write_text(kinds((80.0, "Fz", 2e-7, "ratio")))
+    (tmp_path / "b.csv").write_text(kinds((80.01, "Fz", 2e-7, "element")))
+    said = refusals(capsys)("compare", tmp_path / "a.csv", tmp_path / "b.csv", "-o", tmp_path / "out")
+    assert "Fz per Fz: a ratios, b elements" in said
+
+
+@pytest.mark.parametrize(
+    ("phases", "asked"),
+    [
+        ((-0.05, 3.08, -0.10, 3.05), "differ by half a turn"),
+        ((-0.05, 0.05, -0.10, 0.10), "have opposite signs"),
+        ((-0.05, -0.05, -0.10, 3.05), ""),
+        ((-0.0005, 0.0005, -0.001, 0.001), ""),
+        ((-0.05, 0.09, -0.10, 0.20), ""),
+    ],
+)
+def test_a_convention_that_two_laboratories_do_not_share_is_named(tmp_path, capsys, phases, asked) -> None:
+    for name, own in (("a", phases[::2]), ("b", phases[1::2])):
+        cells = [f"{f},Fz,Fz,2e-7,2e-10,2,{phase},0.002,u" for f, phase in zip((80.0, 160.0), own, strict=True)]
+        (tmp_path / f"{name}.csv").write_text("\n".join([HEAD, *cells]) + "\n")
+    assert main(["compare", str(tmp_path / "a.csv"), str(tmp_path / "b.csv"), "-o", str(tmp_path / "out"), "-q"]) == 0
+    told = capsys.readouterr().err
+    assert asked in told
+    assert bool(told) is bool(asked)
+
+
+def test_a_ratio_of_a_certificate_is_a_ratio(tmp_path) -> None:
+    text = CERTIFICATE.replace("Sensitivity Fz per Fz", "Ratio of output Fz to driven load Fz")
+    (tmp_path / "b.xml").write_text(text)
+    assert [value.ratio for value in read_result("b", tmp_path / "b.xml").values] == [True, True]
+
+
 DSI = r"\milli\volt\per\volt\per\newton"
 CERTIFICATE = (
     '<dcc:digitalCalibrationCertificate xmlns:dcc="https://ptb.de/dcc" xmlns:si="https://ptb.de/si"><dcc:administrativeData>'
@@ -271,6 +330,10 @@ BROKEN = [
     (table((80.0, 2e-7, 2e-10), unit="mV/N"), "expected a unit that converts into (V/V)/N, found mV/N"),
     (HEAD + "\n", "expected a table with results, found no values"),
     (GOOD.replace("80.0,", "1e300,"), "frequency_hz: expected"),
+    (
+        kinds((80.0, "Fz", 2e-7, "mean")),
+        'kind: expected one of matrix, element, ratio, harmonic, found "mean" in line 2',
+    ),
 ]
 
 

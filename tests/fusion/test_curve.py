@@ -63,7 +63,7 @@ def test_elements_make_a_curve_that_lies_on_the_true_one_where_ratios_do_not():
     assert np.all(np.abs(taken_off - beside) < 0.1 * np.abs(beside) + 1e-4 * np.abs(true))
     assert np.max(np.abs(beside / true)) > 5e-4
     # One unknown of the matrix at all frequencies, also where the curve is taken relative to it.
-    relative = relative_curve(element, truth.real, 1e-4)
+    relative = relative_curve(element, truth.real, 1e-4 * np.abs(truth))
     names = [i.name for i in relative.uncertainty.influences if i.name.startswith("static")]
     assert len(set(names)) == len(names) == 36
 
@@ -140,14 +140,14 @@ def test_matrices_make_a_curve_that_shares_its_unknowns():
 def test_relative_to_static():
     drives, _ = sweep()
     (curve,) = ratio_curves(drives, CAPACITY.tolist())
-    found = relative_curve(curve, np.diag(MAIN), 1e-3)
+    found = relative_curve(curve, np.diag(MAIN), 1e-3 * np.diag(MAIN))
     assert found.elements == ((2, 2),)
     np.testing.assert_allclose(found.value[:, 0], curve.value[:, 2] / MAIN[2])
     parts = {part.label: part.covariance for part in found.uncertainty.grouped()}
     np.testing.assert_allclose(np.sqrt(parts["static sensitivity"][:, 0, 0]), 1e-3 * found.value[:, 0].real, rtol=1e-6)
-    exact = relative_curve(curve, np.diag(MAIN))
+    exact = relative_curve(curve, np.diag(MAIN), np.zeros((6, 6)))
     assert len(exact.uncertainty.influences) == len(curve.uncertainty.influences)
-    assert relative_curve(curve, np.zeros((6, 6))) is None
+    assert relative_curve(curve, np.zeros((6, 6)), np.zeros((6, 6))) is None
 
 
 def test_interpolation_keeps_what_all_points_share():

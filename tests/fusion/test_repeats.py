@@ -40,7 +40,7 @@ from fusion.campaign.repeats import (
     own_and_shared,
     repeat_notices,
 )
-from fusion.estimation.uncertainty import Influence, Uncertainty, polar_elements
+from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, polar_elements
 from fusion.phasors.timing import Grid
 from fusion.recording.load import load_manifest
 from fusion.sensitivity.evaluate import evaluate_recording
@@ -100,6 +100,23 @@ def test_what_all_recordings_share_does_not_average_away():
     assert np.all(found.within < 3e-6)
     assert found.recordings[:2] == ("0", "1")
     assert found.weight.sum() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("mountings", ["11", "112", "123"])
+def test_motion_that_no_instrument_observes_does_not_average_away(mountings):
+    """A bound of 2 % of the load in either part, the same in every recording, which therefore agree to 1e-6."""
+    along = 2e-2 * LOAD[2] * np.isin(np.arange(12), (2, 8))
+    drives = []
+    for n, mounting in enumerate(mountings):
+        drive = recorded(1.0 + 1e-6 * n, f"r{n}", mounting)
+        hidden = Contribution("unobserved rx", "B", np.diag(along**2)[None])
+        own = replace(drive.load_uncertainty, random=(*drive.load_uncertainty.random, hidden))
+        drives.append(replace(drive, load_uncertainty=own, observed=(True, True, True, False, True, True)))
+    (found,) = find_repeats(drives)
+    u = np.sqrt(found.uncertainty.covariance[0].diagonal()).reshape(2, 2) / np.abs(found.value)
+    np.testing.assert_allclose(u, [[np.hypot(2e-2, 1e-3)] * 2, [2e-2] * 2], rtol=1e-4)
+    unknown = [replace(drive, observed=(True, True, False, True, True, True)) for drive in drives]
+    assert not find_repeats(unknown), "of a load that is no result, no mean"
 
 
 def test_stated_errors_of_a_recording_are_not_counted_again_as_scatter():

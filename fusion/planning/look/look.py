@@ -28,7 +28,7 @@ from fusion.recording.files import recorded_channels
 from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.recording.manifest import Images
 from fusion.report.files import write_whole
-from fusion.report.terminal import stdout_console
+from fusion.report.terminal import say, stdout_console
 from photogram.camera import StereoRig
 from photogram.images.files import open_sequence
 from shaker.timebase.trigger import TriggerFit
@@ -246,13 +246,13 @@ def print_look(found: Look) -> None:
     )
     for finding in found.findings:
         where = f"{finding.where}: " if finding.where else ""
-        console.print(f"  {COLOURS[finding.level].lower()}: {where}{finding.text}", soft_wrap=True, highlight=False)
+        say(f"  {COLOURS[finding.level].lower()}: {where}{finding.text}")
     for item in found.expected:
         shares = ", ".join(f"{name} {100 * share:.2g} %" for name, share in item.shares)
         text = (
             f"U (k = 2) to expect of {item.channel} at {item.frequency_hz:g} Hz: about {100 * item.U:.2g} % ({shares})"
         )
-        console.print(f"  {text}", soft_wrap=True, highlight=False)
+        say(f"  {text}")
 
 
 def look_page(found: list[Look], reload_s: float | None) -> str:

@@ -19,7 +19,7 @@ from fusion.planning.validation.cases import CASES
 from fusion.report.files import write_files, write_together
 from fusion.report.folder import render_page
 from fusion.report.table import Column, on_page, table
-from fusion.report.terminal import stdout_console
+from fusion.report.terminal import say, stdout_console
 
 PACKAGES = ("photogram", "shaker", "fusion")
 REFERENCES = Path(__file__).with_name("references.json")
@@ -191,19 +191,19 @@ def print_validation(found: Validation) -> None:
 
     shown = Table(title=f"Validation of {PROGRAM} {__version__}: {'passed' if found.passed else 'FAILED'}")
     for column in COLUMNS:
-        shown.add_column(str(column.head), justify="left" if column.align == "l" else "right")
+        shown.add_column(str(column.head), justify="left" if column.align == "l" else "right", overflow="fold")
     for case in found.cases:
         shown.add_row(*(column.cell(case) for column in COLUMNS))
-    console, own = stdout_console(), found.installation
-    console.print(shown)
+    own = found.installation
+    stdout_console().print(shown)
     for case in found.cases:
         for quantity in (quantity for quantity in case.quantities if not quantity.passed):
             off = f"found {quantity.found:.12g}, reference {quantity.expected:.12g} ± {quantity.tolerance:.2g}"
-            console.print(f"{case.name}: {quantity.quantity}: {off} {quantity.unit}", markup=False)
-    console.print(f"{own.files} files of the program, SHA-256 {own.sha256}: {own.verdict}", markup=False)
-    for name in own.changed[:20]:
-        console.print(f"not as installed: {name}", markup=False)
-    console.print(", ".join(f"{name} {version}" for name, version in own.versions.items()), markup=False)
+            say(f"{case.name}: {quantity.quantity}: {off} {quantity.unit}")
+    say(f"{own.files} files of the program, SHA-256 {own.sha256}: {own.verdict}")
+    for name in own.changed:
+        say(f"not as installed: {name}")
+    say(", ".join(f"{name} {version}" for name, version in own.versions.items()))
 
 
 def validation_json(found: Validation) -> str:

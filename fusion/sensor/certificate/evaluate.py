@@ -239,7 +239,9 @@ def _sensitivities(name: str, manifests: Sequence[Manifest], folders: Sequence[P
         elements=elements,
         figures=(),
         warnings=list(_warnings(recorded, evaluation.notices)),
-        not_assessed=_not_assessed([*(notice for entry in recorded for notice in entry.notices), *evaluation.notices]),
+        not_assessed=_not_assessed(
+            [*(notice for entry in recorded for notice in entry.joint_notices), *evaluation.notices]
+        ),
         versions=recorded[0].origin.versions,
     )
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import date as Date
-from itertools import combinations
+from itertools import combinations, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -25,9 +25,6 @@ from fusion.sensor.compare.consistency import (
 from fusion.sensor.compare.read import Result, Value, year_of
 from fusion.sensor.compare.shared import Shared, acting_on, claims_apart, covariance_of, shared_inputs, unproven
 from shaker.arrays import FloatArray, Notice
-
-NAMED = 4
-"""Inputs that a notice names."""
 
 
 @dataclass(frozen=True)
@@ -106,11 +103,17 @@ def evaluate_comparison(
             compared.append(_compared(turned, "phase", dates, shared))
     if not compared:
         expected = f"an element whose frequencies agree within {tolerance:g}, relative"
-        raise InputError(results[1].file, "frequency_hz", found="nothing in common", expected=expected)
+        kinds = "; ".join(_kinds_apart(alone, tolerance))
+        found = f"nothing in common ({kinds})" if kinds else "nothing in common"
+        raise InputError(results[1].file, "frequency_hz", found=found, expected=expected)
     acting = [item for found in compared for item in found.shared]
     return ComparisonEvaluation(
         name=f"Comparison of {', '.join(result.name for result in results)}",
-        notices=tuple(_notices(results, alone, shared, acting=bool(acting))),
+        notices=(
+            *_notices(results, alone, shared, acting=bool(acting)),
+            *_about_kinds(results, alone, tolerance),
+            *opposite_conventions(compared),
+        ),
         settings={"tolerance": tolerance} | {f"date of {name}": str(day) for name, day in dates.items()},
         input_hashes=hashes,
         duration_s=time.perf_counter() - begun,
@@ -206,11 +209,6 @@ def _of_both(own: Sequence[Value], acting: Sequence[tuple[Shared, FloatArray]]) 
     return complex_normalised_error(size * np.exp(1j * phase), u_size, u_phase, effects)
 
 
-def _first(texts: Sequence[str]) -> str:
-    """List the first texts, and how many more there are."""
-    return ", ".join(texts[:NAMED]) + (f" and {len(texts) - NAMED} more" if len(texts) > NAMED else "")
-
-
 def _notices(
     results: Sequence[Result], alone: Sequence[tuple[str, Value]], shared: Sequence[Shared], *, acting: bool
 ) -> list[Notice]:
@@ -224,19 +222,80 @@ def _notices(
     for one, other in combinations(results, 2):
         apart = list(dict.fromkeys(claims_apart(one, other, shared)))
         if apart:
-            both = f"{one.name} and {other.name} name the same certificate for {_first(apart)}"
+            both = f"{one.name} and {other.name} name the same certificate for {', '.join(apart)}"
             text = f"{both}, but state different values or U"
             found.append(Notice("warning", f"{text}: not taken as shared", "comparison"))
         alike = list(unproven(one, other))
         if alike:
-            both = f"{one.name} and {other.name} both rest on {_first(alike)} with the same u"
+            both = f"{one.name} and {other.name} both rest on {', '.join(alike)} with the same u"
             text = f"{both}, and name no certificate for it"
             found.append(Notice("info", f"{text}: taken as independent; a certificate would tell", "comparison"))
         if Path(one.file).resolve() == Path(other.file).resolve():
             found.append(Notice("warning", f"{one.name} and {other.name} are the same file", "comparison"))
-    if any(value.ratio for result in results for value in result.values):
-        text = "ratios of outputs and driven load are compared with ratios only: other loads act in each as they did"
-        found.append(Notice("info", text, "comparison"))
     if alone:
         found.append(Notice("info", f"{len(alone)} values have no partner and are not compared", "comparison"))
     return found
+
+
+def _about_kinds(results: Sequence[Result], alone: Sequence[tuple[str, Value]], tolerance: float) -> Iterator[Notice]:
+    """Yield what a reader has to know of ratios, which hold more than the sensor's element."""
+    if any(value.ratio for result in results for value in result.values):
+        text = "ratios of outputs and driven load are compared with ratios only: other loads act in each as they did"
+        left = ", ".join(f"{result.responses} of {result.name}" for result in results if result.responses)
+        if left:
+            text += (
+                "; those of outputs that do not belong to the driven load, which other loads dominate, are left out "
+            )
+            text += f"({left}); a stated matrix, or a campaign that spans it, makes elements of them"
+        yield Notice("info", text, "comparison")
+    for text in _kinds_apart(alone, tolerance):
+        yield Notice("warning", f"{text}: not compared, since a ratio contains what other loads do", "comparison")
+
+
+def _kinds_apart(alone: Sequence[tuple[str, Value]], tolerance: float) -> Iterator[str]:
+    """Yield elements of which results state values at one frequency, but one an element and another a ratio."""
+    named: dict[tuple[str, str], list[tuple[float, bool, str]]] = {}
+    for name, value in alone:
+        named.setdefault((value.channel, value.component), []).append((value.frequency_hz, value.ratio, name))
+    for (channel, component), entries in named.items():
+        entries.sort()
+        pairs = [
+            (first, other)
+            for first, other in pairwise(entries)
+            if first[1] != other[1] and first[2] != other[2] and other[0] - first[0] <= tolerance * first[0]
+        ]
+        if pairs:
+            ratios = dict.fromkeys(entry[2] for pair in pairs for entry in pair if entry[1])
+            others = dict.fromkeys(entry[2] for pair in pairs for entry in pair if not entry[1])
+            yield f"{channel} per {component}: {', '.join(ratios)} ratios, {', '.join(others)} elements of the sensor"
+
+
+CONVENTION_RAD = 0.2
+"""Deviation up to which a difference of phases is half a turn, or a sum of phases zero."""
+
+
+def opposite_conventions(compared: Sequence[Compared]) -> Iterator[Notice]:
+    """Yield pairs of results whose phases differ by half a turn, or by their sign, at all frequencies of an element.
+
+    Only contradictions count (|E_n| above 1), and opposite signs only where the phase is several times its deviation.
+    """
+    found: dict[tuple[str, ...], list[tuple[float, float, float]]] = {}
+    for own in (own for own in compared if own.quantity == "phase"):
+        for i, j in combinations(range(len(own.names)), 2):
+            key = own.channel, own.component, *sorted((own.names[i], own.names[j]))
+            turned = float(np.angle(np.exp(1j * (own.value[i] - own.value[j]))))
+            mirrored = float(np.angle(np.exp(1j * (own.value[i] + own.value[j]))))
+            found.setdefault(key, []).append((turned, mirrored, float(own.normalised[i, j])))
+    for (channel, component, one, other), rows in found.items():
+        turned, mirrored, normalised = np.abs(np.array(rows)).T
+        element = f"{channel} per {component}: the phases of {one} and {other}"
+        if np.all(normalised <= 1.0):
+            continue
+        if np.all(turned > np.pi - CONVENTION_RAD):
+            text = f"{element} differ by half a turn at every common frequency: is the sign of the output, or the "
+            yield Notice(
+                "warning", f"{text}sense of the load (sensor.sense), the other one in one of them?", "comparison"
+            )
+        elif np.all(normalised > 1.0) and np.all(mirrored < np.minimum(CONVENTION_RAD, turned / 4.0)):
+            text = f"{element} have opposite signs at every common frequency: does one of them count a lag positive?"
+            yield Notice("warning", text, "comparison")

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import date as Date
 from pathlib import Path
+from typing import TypeAlias
 
 import h5py
 import numpy as np
@@ -26,11 +27,15 @@ LARGEST_TABLE = 50_000_000  # bytes
 NEEDED = ("frequency_hz", "channel", "component", "magnitude", "unit")
 KINDS = ("matrix", "element", "ratio")
 """Of the rows of a table: those that are results of a driven load, the one that tells most of the sensor first."""
+HARMONIC = "harmonic"
+"""Kind of rows that belong to no driven load."""
+SAME_LINE = 1e-4
+"""Relative difference of frequencies at which rows of different kinds are of one line: each is a mean of its own."""
 DAYS = 365.2425
 BESIDE = {CURVE_FILE: CAMPAIGN_FILE, SENSITIVITY_FILE: RESULT_FILE}
 """Beside a table of results: what the values rest on, and when they were recorded."""
-ELEMENT = re.compile(r"(\S+) per (\S+)$")
-"""How the name of a certificate's result ends."""
+ELEMENT = re.compile(r"(?P<ratio>Ratio of output )?(\S+) (?(ratio)to driven load|per) (\S+)$")
+"""How the name of a certificate's result ends: of an element, or of a ratio."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +63,11 @@ class Value:
 
 @dataclass(frozen=True)
 class Result:
-    """What is compared: name, file and values, of a certificate its day and its signatures, what states the inputs."""
+    """What is compared: name, file and values, of a certificate its day and its signatures, what states the inputs.
+
+    `responses`: number of values left out, ratios of outputs that do not belong to the driven load. What the other
+    loads of a recording put into such an output is as large as the output itself, and of another size in every rig.
+    """
 
     name: str
     file: Path
@@ -66,6 +75,7 @@ class Result:
     date: Date | None = None
     evidence: tuple[Evidence, ...] = ()
     signed: tuple[Notice, ...] = ()
+    responses: int = 0
 
 
 def result_file(path: Path) -> Path:
@@ -93,7 +103,8 @@ def read_result(name: str, path: Path) -> Result:
 
     Columns: frequency_hz, channel, component, magnitude, unit, and U_magnitude with k, or u_magnitude; optionally
     phase_rad with U_phase_rad (k_phase, else k) or u_phase_rad, and kind (element where there is none). Of several
-    kinds of one value that counts which tells most of the sensor: matrix, element, ratio.
+    kinds of one value that counts which tells most of the sensor: matrix, element, ratio. Ratios of outputs that do not
+    belong to the driven load are left out.
     """
     file = result_file(path)
     if file.suffix.lower() == SUFFIX:
@@ -104,27 +115,63 @@ def read_result(name: str, path: Path) -> Result:
         raise InputError(file, missing[0], found="no such column", expected="this column")
     if not {"U_magnitude", "u_magnitude"} & set(columns):
         raise InputError(file, "U_magnitude", found="no such column", expected="this column, or u_magnitude")
-    found: dict[tuple[float, str, str], tuple[int, Value]] = {}
+    found: dict[tuple[float, str, str, str], Value] = {}
     for line, row in enumerate(rows, 2):
         kind = row["kind"] if "kind" in columns else KINDS[1]
-        if kind not in KINDS:
+        if kind == HARMONIC:
             continue
-        value, rank = _value(row, file, line, ratio=kind == "ratio"), KINDS.index(kind)
-        key = value.frequency_hz, value.channel, value.component
-        if key in found and found[key][0] == rank:
+        if kind not in KINDS:
+            expected = f"one of {', '.join((*KINDS, HARMONIC))}"
+            raise InputError(file, "kind", found=f'"{describe(kind, plain=True)}" in line {line}', expected=expected)
+        value = _value(row, file, line, ratio=kind == "ratio")
+        key = value.frequency_hz, value.channel, value.component, kind
+        if key in found:
             told = f"{value.frequency_hz:g} Hz twice for {value.channel} per {value.component}"
             raise InputError(file, "frequency_hz", found=f"{told} (line {line})", expected="one value each")
-        if key not in found or rank < found[key][0]:
-            found[key] = rank, value
+        found[key] = value
     if not found:
         raise InputError(file, "", found="no values", expected="a table with results")
     beside = result_files(path)[1:]
     known, evidence = _origin(beside[0]) if beside else ({}, ())
     values = []
-    for key, (rank, value) in found.items():
-        effects, year = known.get((*key, KINDS[rank]), ({}, np.nan))
-        values.append(replace(value, effects=effects, year=year))
-    return Result(name, file, tuple(values), evidence=evidence)
+    for key in _best(found):
+        effects, year = known.get(key, ({}, np.nan))
+        values.append(replace(found[key], effects=effects, year=year))
+    kept, responses = _without_responses(values)
+    return Result(name, file, kept, evidence=evidence, responses=responses)
+
+
+Key: TypeAlias = tuple[float, str, str, str]
+"""Frequency, channel, component and kind of a value."""
+
+
+def _best(found: Collection[Key]) -> list[Key]:
+    """Return of all kinds of one value at one line the one that tells most of the sensor, in the order of the table."""
+    better: dict[tuple[str, str], FloatArray] = {}
+    dropped: set[Key] = set()
+    for kind in KINDS:
+        own: dict[tuple[str, str], list[Key]] = {}
+        for key in (key for key in found if key[3] == kind):
+            own.setdefault(key[1:3], []).append(key)
+        for element, keys in own.items():
+            known, frequency = better.get(element, np.array([])), np.array([key[0] for key in keys])
+            near = np.searchsorted(known, frequency * (1.0 + SAME_LINE), "right")
+            taken = near > np.searchsorted(known, frequency * (1.0 - SAME_LINE), "left")
+            dropped.update(key for key, one in zip(keys, taken.tolist(), strict=True) if one)
+            better[element] = np.sort(np.concatenate([known, frequency[~taken]]))
+    return [key for key in found if key not in dropped]
+
+
+def _without_responses(values: Sequence[Value]) -> tuple[tuple[Value, ...], int]:
+    """Return values without ratios of outputs that do not belong to their load, and how many these are.
+
+    To a load belongs the output of its name, else the one with the largest value.
+    """
+    main: dict[str, str] = {}
+    for value in sorted(values, key=lambda value: (value.channel != value.component, -value.magnitude)):
+        main.setdefault(value.component, value.channel)
+    kept = tuple(value for value in values if not value.ratio or value.channel == main[value.component])
+    return kept, len(values) - len(kept)
 
 
 def year_of(day: Date) -> float:
@@ -132,8 +179,8 @@ def year_of(day: Date) -> float:
     return 1.0 + (day.toordinal() - 1) / DAYS
 
 
-Known = dict[tuple[float, str, str, str], tuple[dict[str, tuple[float, float]], float]]
-"""By frequency, channel, component and kind: effects and year of a value."""
+Known = dict[Key, tuple[dict[str, tuple[float, float]], float]]
+"""Effects and year of every value."""
 
 
 def _origin(path: Path) -> tuple[Known, tuple[Evidence, ...]]:
@@ -198,9 +245,9 @@ def _certified(name: str, file: Path) -> Result:
         for n, frequency_hz in enumerate(curve.frequency_hz.tolist()):
             own = Value(
                 frequency_hz=frequency_hz,
-                channel=element[1],
-                component=element[2],
-                ratio=False,
+                channel=element[2],
+                component=element[3],
+                ratio=element["ratio"] is not None,
                 unit=curve.unit.text,
                 magnitude=float(curve.magnitude[n]) / curve.unit.factor,
                 u_magnitude=float(u_magnitude[n]),
