@@ -67,7 +67,11 @@ def _poses(rng: np.random.Generator, count: int, tilt: float = 0.5) -> list[Rigi
 
 
 def _views(
-    rng: np.random.Generator, poses: list[RigidTransform], rig: StereoRig = RIG, points: np.ndarray = FLAT
+    rng: np.random.Generator,
+    poses: list[RigidTransform],
+    rig: StereoRig = RIG,
+    points: np.ndarray = FLAT,
+    index: np.ndarray = INDEX,
 ) -> list[tuple[TargetView, TargetView]]:
     """Views of the target with normal noise, points outside the picture left out."""
     pairs = []
@@ -78,7 +82,7 @@ def _views(
             inside = ((pixels > 0) & (pixels < SIZE - 1)).all(axis=1)
             seen = pixels[inside] + rng.normal(0, NOISE_PX, (inside.sum(), 2))
             covariance = np.tile(np.eye(2) * NOISE_PX**2, (len(seen), 1, 1))
-            sides.append(TargetView(f"{side}{number}", INDEX[inside], seen, covariance, 0.0, 0.7, SIZE))
+            sides.append(TargetView(f"{side}{number}", index[inside], seen, covariance, 0.0, 0.7, SIZE))
         pairs.append((sides[0], sides[1]))
     return pairs
 
@@ -89,9 +93,9 @@ def _session(seed: int, count: int, **options: Any) -> list[tuple[TargetView, Ta
     return _views(rng, _poses(rng, count), **options)
 
 
-def _largest(calibration: Calibration) -> float:
+def _largest(calibration: Calibration, rig: StereoRig = RIG) -> float:
     """The largest error of a parameter, in standard uncertainties."""
-    error, variance = rig_error(calibration.rig, RIG), np.diagonal(calibration.rig.covariance)
+    error, variance = rig_error(calibration.rig, rig), np.diagonal(calibration.rig.covariance)
     assert not error[variance == 0].any()
     return float(np.abs(error[variance > 0] / np.sqrt(variance[variance > 0])).max())
 
@@ -211,6 +215,42 @@ def test_a_target_numbered_from_another_corner(kind, size, turn):
     assert not [item for item in found.dropped if item.points == 0]
     assert np.allclose(found.rig.left.parameters, plain.rig.left.parameters, rtol=1e-3, atol=1e-3)
     assert found.rms_px == pytest.approx(plain.rms_px, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("kind", "size", "turns", "rolls_deg"),
+    [
+        ("chessboard", (12, 10), (1, -1), (0, 180)),
+        ("chessboard", (12, 10), (1, -1), (0, 90)),
+        ("chessboard", (11, 9), (1, -1), (270, 0)),
+        ("chessboard", (9, 9), (1, -1), (180, 0)),
+        ("chessboard", (8, 8), (1, -1, 1j, -1j), (0, 135)),
+        ("dots", (9, 8), (1, -1), (90, 270)),
+        ("dots", (9, 9), (1, -1, 1j, -1j), (0, 270)),
+    ],
+)
+def test_a_rolled_camera_before_a_target_that_looks_alike_after_a_turn(kind, size, turns, rolls_deg):
+    """Pictures are numbered as the finders do: the first axis to the right, as far as the target leaves a choice."""
+    grid = np.stack(np.meshgrid(*map(np.arange, size), indexing="ij"), axis=-1).reshape(-1, 2)
+    points, middle = np.column_stack([grid * SPACING, np.zeros(len(grid))]), complex(*size) / 2 - 0.5 - 0.5j
+    left, right = (
+        RigidTransform(rotation_from_vector(np.array([0.0, 0.0, np.radians(angle)])), np.zeros(3))
+        for angle in rolls_deg
+    )
+    rig = replace(RIG, right_from_left=right @ RIG.right_from_left @ left.inverse())
+
+    def numbered(view: TargetView) -> TargetView:
+        places = [((view.index @ [1, 1j]) - middle) * turn + middle for turn in turns]
+        slopes = [np.polynomial.polynomial.polyfit(p.real, view.position_px, 1)[1] for p in places]
+        best = places[int(np.argmax([slope[0] / np.linalg.norm(slope) for slope in slopes]))]
+        return replace(view, index=np.rint(np.stack([best.real, best.imag], -1)).astype(np.int64))
+
+    rng = np.random.default_rng(15)
+    poses = [left @ pose for pose in _poses(rng, 8)]
+    pairs = [(numbered(one), numbered(other)) for one, other in _views(rng, poses, rig, points, grid)]
+    calibration = calibrate_pair(pairs, Target(kind, SPACING, size), "flat")
+    assert not [item for item in calibration.dropped if item.points == 0]
+    assert _largest(calibration, rig) < 4.5
 
 
 def test_mixed_up_too_few_and_too_similar_views_are_refused():
