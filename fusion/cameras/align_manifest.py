@@ -386,7 +386,6 @@ def _seen(
     path: Path, key: str, pictures: Mapping[str, Path | None], target: Target, pair: Pair
 ) -> tuple[RigidTransform, FloatArray, FloatArray]:
     """Return `seen_target` of the left and right picture, which are given by the names that they have in the block."""
-    size = [int(n) for n in pair.rig.left.size_px]
     views: list[TargetView | None] = []
     for side, picture in pictures.items():
         if picture is None:
@@ -395,7 +394,8 @@ def _seen(
         with as_input_error(path, f"{key}.{side}"):
             image, full_scale = read_picture(picture)
             view = find_target(image, target, picture.name, full_scale)
-        if list(view.size_px) != size:
+        size = (pair.rig.right if side.endswith("right") else pair.rig.left).size_px.tolist()
+        if view.size_px.tolist() != size:
             shown = f"{picture.name} of {view.size_px[0]} x {view.size_px[1]} pixels"
             raise InputError(path, f"{key}.{side}", shown, f"{size[0]} x {size[1]} as the calibration")
         views.append(view)

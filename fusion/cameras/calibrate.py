@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -253,7 +254,8 @@ def convert_calibration(path: Path, output: Path, force: bool = False, **stated:
     except OSError as error:
         raise InputError.told_by(error, path) from error
     except ValueError as error:
-        told = str(error).replace(": image_size: ", ": --image-size: ").replace(": length_unit: ", ": --length-unit: ")
+        names = "|".join(stated)
+        told = re.sub(rf": ({names}): ", lambda found: f": --{found[1].replace('_', '-')}: ", str(error), count=1)
         raise InputError.told_by(ValueError(told), path) from error
     with as_input_error(output), writing(output):
         write_calibration(output, imported.rig)

@@ -67,7 +67,9 @@ def _import_calibration_options(parser: Parser) -> None:
     parser.value("--extrinsics", path, "FILE", "second file: OpenCV's R and T where apart, ROS's right camera")
     parser.value("--image-size", size, "2448x2048", "width x height, if the file has none")
     text = "of the file's lengths, where it does not say it"
-    parser.add_argument("--length-unit", choices=("m", "mm"), help=text)
+    parser.add_argument("--length-unit", choices=("m", "mm", "cm", "um", "in"), help=text)
+    text = "what OpenCV's four coefficients are, where the file does not say it: k1 k2 p1 p2, or a fisheye lens's"
+    parser.add_argument("--distortion-model", choices=("plumb_bob", "fisheye"), help=text)
     text = "k1 k2 k3 of DICe's text belong to r^2, r^4, r^6, as OpenCV and VIC-3D write them"
     parser.switch("--even-radial", text)
     parser.switch("--force", "overwrite a calibration file that is there")
@@ -78,7 +80,8 @@ def import_calibration(options: argparse.Namespace) -> None:
     """Take over a calibration of OpenCV, DICe, VIC-3D, MatchID, MATLAB, ROS or Kalibr."""
     from fusion.cameras.calibrate import convert_calibration
 
-    stated = {name: getattr(options, name) for name in ("image_size", "length_unit", "extrinsics", "even_radial")}
+    names = ("image_size", "length_unit", "extrinsics", "even_radial", "distortion_model")
+    stated = {name: getattr(options, name) for name in names}
     kind = convert_calibration(options.calibration, options.output, options.force, **stated)
     print(f"calibration of {kind} written: {options.output}")
 
