@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -284,11 +285,7 @@ def _single(pairs: Sequence[Pair], side: int, target: Target) -> _Single:
     """Calibrate one camera by OpenCV (focal length and k1), leaving out pictures that do not fit the others."""
     seen = [(number, pair[side]) for number, pair in enumerate(pairs)]
     views = {number: view for number, view in seen if view is not None and len(view.index) >= FEWEST_POINTS}
-    sizes = {tuple(view.size_px.tolist()): view.name for view in reversed(views.values())}
-    if len(sizes) > 1:
-        first, second, *_ = (name for _, name in sorted(sizes.items()))
-        raise ValueError(f"pictures of one camera differ in size: {first} and {second}")
-    dropped: list[Dropped] = []
+    views, dropped = _of_one_size(views)
     while True:
         if len(views) < FEWEST_VIEWS:
             camera_name, reasons = ("left", "right")[side], [f"; {item.name}: {item.reason}" for item in dropped]
@@ -304,6 +301,32 @@ def _single(pairs: Sequence[Pair], side: int, target: Target) -> _Single:
         view = list(views)[worst]
         reason = f"its points are {rms[worst]:.1f} px off what the other pictures of this camera say"
         dropped.append(Dropped(views.pop(view).name, 0, reason))
+
+
+def _of_one_size(views: dict[int, TargetView]) -> tuple[dict[int, TargetView], list[Dropped]]:
+    """Return the views of the size that most pictures of a camera have, and the others, dropped."""
+    sizes = Counter(tuple(view.size_px.tolist()) for view in views.values())
+    if len(sizes) < 2:
+        return views, []
+    (most, count), (second, _), *_ = sizes.most_common()
+    if 2 * count <= len(views):
+        shown = (
+            f"{next(view.name for view in views.values() if tuple(view.size_px.tolist()) == size)} of {_times(size)} px"
+            for size in (most, second)
+        )
+        raise ValueError(f"pictures of one camera differ in size: {' and '.join(shown)}")
+    kept = {number: view for number, view in views.items() if tuple(view.size_px.tolist()) == most}
+    dropped = [
+        Dropped(view.name, 0, f"{_times(view.size_px)} px, most pictures of this camera have {_times(most)}")
+        for number, view in views.items()
+        if number not in kept
+    ]
+    return kept, dropped
+
+
+def _times(size: Iterable[int]) -> str:
+    """The size of a picture as users write it."""
+    return " x ".join(str(int(length)) for length in size)
 
 
 def _opencv(views: Sequence[TargetView], target: Target) -> tuple[Camera, list[RigidTransform], FloatArray]:

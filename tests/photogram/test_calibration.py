@@ -645,8 +645,28 @@ def test_what_is_no_calibration_text_is_refused_by_file(tmp_path, text):
     refused(r"top\.json: ", read_calibration, tmp_path / "top.json")
 
 
-def test_cameras_of_two_sizes_cannot_be_written_and_an_absent_file_not_read(tmp_path):
+def test_cameras_of_two_sizes_come_back_and_an_absent_file_is_not_read(tmp_path):
     refused(r"absent\.json", read_calibration, tmp_path / "absent.json", error=OSError)
-    other = replace(RIG, right=replace(RIG.right, size_px=np.array([640, 512])))
-    refused("images of one size", write_calibration, tmp_path / "top.json", other)
-    assert not list(tmp_path.iterdir())
+    other = replace(RIG, right=replace(RIG.right, size_px=np.array([1200, 900])))
+    write_calibration(tmp_path / "top.json", other)
+    again = read_calibration(tmp_path / "top.json")
+    assert [camera.size_px.tolist() for camera in (again.left, again.right)] == [[1280, 1024], [1200, 900]]
+    assert read_camera(tmp_path / "top.json")[0].size_px.tolist() == [1280, 1024]
+
+
+def _resized(view: TargetView, size: tuple[int, int]) -> TargetView:
+    return replace(view, size_px=np.array(size))
+
+
+def test_pictures_of_two_sizes_belong_to_two_cameras_and_not_to_one():
+    """A picture cut at its right and lower edges has the pixels of the whole one."""
+    pairs = _session(16, 8)
+    whole = calibrate_pair(pairs, TARGET, "flat", lens="polynomial")
+    cut = calibrate_pair([(left, _resized(right, (1270, 1020))) for left, right in pairs], TARGET, "flat")
+    assert cut.rig.right.size_px.tolist() == [1270, 1020]
+    assert np.abs(rig_error(cut.rig, whole.rig)).max() < 0.2 * np.sqrt(np.diagonal(whole.rig.covariance).max())
+    left, right = pairs[3]
+    odd = calibrate_pair([*pairs[:3], (_resized(left, (1024, 1280)), right), *pairs[4:]], TARGET, "flat")
+    assert [(item.name, "1024 x 1280" in item.reason) for item in odd.dropped if not item.points] == [("L3", True)]
+    mixed = [(_resized(a, (1270, 1020)), b) if n % 2 else (a, b) for n, (a, b) in enumerate(pairs)]
+    refused("L0 of 1280 x 1024 px and L1 of 1270 x 1020 px", calibrate_pair, mixed, TARGET)

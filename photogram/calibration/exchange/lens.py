@@ -278,7 +278,7 @@ def build(stated: Stated, image_size: tuple[int, int] | None, length_unit: Lengt
     rig, by_habit = plausible(StereoRig(left, right, between)), length_unit is None and stated.unit is None
     notices += [Notice("info", told, "extrinsics"), *_distance(between, unit, by_habit)]
     if not _see_the_same(rig):
-        told = "the cameras see nothing in common: is the file's rotation that from the left to the right one?"
+        told = "the right camera does not see what the middle of the left picture shows: is x_right = R x_left + T?"
         notices.append(Notice("warning", told, "extrinsics"))
     return ImportedCalibration(rig, stated.format, (*notices, Notice("info", missing, "covariance")))
 
@@ -298,11 +298,12 @@ def _distance(between: RigidTransform, unit: str, by_habit: bool) -> list[Notice
 
 
 def _see_the_same(rig: StereoRig) -> bool:
-    """Return whether any ray of the left picture leads to a point before both cameras within the right picture.
+    """Return whether any ray of the left picture's middle half leads to a point that is within the right picture.
 
     By their matrices alone: what a lens bends does not matter at this scale.
     """
-    pixel, baseline = picture_grid(rig.left.size_px), float(np.linalg.norm(rig.right_from_left.translation_m))
+    middle, baseline = (rig.left.size_px - 1) / 2, float(np.linalg.norm(rig.right_from_left.translation_m))
+    pixel = middle + (picture_grid(rig.left.size_px) - middle) / 2
     rays = np.column_stack([pixel, np.ones(len(pixel))]) @ np.linalg.inv(rig.left.matrix).T
     points = rig.right_from_left.apply((_DEPTHS[:, None, None] * baseline * rays).reshape(-1, 3))
     seen = points[points[:, 2] > 0] @ rig.right.matrix.T

@@ -244,7 +244,9 @@ def _read_lines(text: str, second: str | None, even_radial: bool, model: Distort
     """Return what a YAML file or another text states."""
     if re.search(r"^cam\d+:\s*$", text, re.MULTILINE):
         return read_kalibr(text)
-    if re.search(r"^(distortion_model|projection_matrix):", text, re.MULTILINE):
+    of_a_pair = text.startswith("%YAML") or re.search(r"^(R|T|rotation|translation)\w*:", text, re.MULTILINE)
+    alone = "projection_matrix" if of_a_pair else "distortion_model|projection_matrix"
+    if re.search(f"^({alone}):", text, re.MULTILINE):
         return read_ros(text, second)
     if text.startswith("%YAML"):
         return read_opencv(text, second, model)
