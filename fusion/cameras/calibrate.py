@@ -119,7 +119,9 @@ def print_calibration(calibration: Calibration, output: Path, page: Path) -> Non
     pairs = sum(view.left is not None and view.right is not None for view in calibration.views)
     rms = calibration.rms_sides_px
     baseline, angle = baseline_m(calibration.rig), axes_angle_rad(calibration.rig)
+    distances = [float(np.linalg.norm(view.left_from_target.translation_m)) for view in calibration.views]
     print(f"{pairs} pairs, rms {calibration.rms_px:.3f} px (left {rms[0]:.3f}, right {rms[1]:.3f})")
+    print(f"target {min(distances):.3g} to {max(distances):.3g} m from the left camera")
     print(f"baseline {plain(1e3 * baseline.value, 2e3 * baseline.u)} mm", end=", ")
     print(f"axes at {plain(np.degrees(angle.value), np.degrees(2 * angle.u))} deg (U: k = 2)")
     for item in calibration.parameters:

@@ -112,6 +112,7 @@ def renumbered(view: TargetView, turn: IntArray, shift: FloatArray) -> TargetVie
 
 _STEPS = 30
 _CONVERGED = 1e-9  # expected decrease of the sum of squares that ends the iteration
+_WORST_PX = 3.0  # rms beyond which points are not those of the target in one pose before these cameras
 
 
 def target_pose(
@@ -123,11 +124,32 @@ def target_pose(
     (Collins and Bartoli 2014, International Journal of Computer Vision 109, 252). The covariance is that of the
     pictures' noise: the calibration's and the spacing's uncertainty are common to all poses and not contained.
     """
-    import cv2
-
     seen = [(view, side) for side, view in enumerate((left, right)) if view is not None]
     if not seen:
         raise ValueError("left, right: expected at least one picture of the target, found none")
+    pose, covariance, rms_px = _posed(rig, target, seen)
+    if not rms_px <= _WORST_PX:
+        names = " and ".join(view.name for view, _ in seen)
+        found = f"none within {rms_px:.1f} px (rms)" if np.isfinite(rms_px) else "none"
+        raise ValueError(f"{names}: expected one pose of a target with spacing {target.spacing_m:g} m, found {found}")
+    return pose, covariance
+
+
+def agreeing(rig: StereoRig, target: Target, left: TargetView | None, right: TargetView | None) -> TargetView | None:
+    """Return the right view numbered as the left one, of a target that looks alike after a turn."""
+    turns = look_alikes(target)
+    if left is None or right is None or not turns:
+        return right
+    offered = [right, *(renumbered(right, *turn) for turn in turns)]
+    return min(offered, key=lambda view: _posed(rig, target, [(left, 0), (view, 1)])[2])
+
+
+def _posed(
+    rig: StereoRig, target: Target, seen: Sequence[tuple[TargetView, int]]
+) -> tuple[RigidTransform, FloatArray, float]:
+    """Return pose and covariance from pictures with their sides, and the rms residual (px), infinite of no pose."""
+    import cv2
+
     index = np.unique(np.concatenate([view.index for view, _ in seen]), axis=0)
     shape = make_shape("flat", index, target.spacing_m)
     pictures = [picture_of(view, 0, side, index, target.spacing_m) for view, side in seen]
@@ -143,8 +165,10 @@ def target_pose(
     fits = [refined_pose(Bundle(rig, (start,), shape), pictures) for start in starts]
     pose, covariance, squares = min(fits, key=lambda fit: fit[2])
     if not np.isfinite(squares):
-        raise ValueError(f"{seen[0][0].name}: no pose of the target explains its points")
-    return pose, covariance
+        return pose, covariance, np.inf
+    bundle = Bundle(rig, (pose,), shape)
+    residuals = [picture.position_px - bundle.see(picture).pixel for picture in pictures]
+    return pose, covariance, float(np.sqrt((np.concatenate(residuals) ** 2).sum(axis=1).mean()))
 
 
 def picture_of(view: TargetView, number: int, side: int, index: IntArray, spacing_m: float) -> Picture:

@@ -16,6 +16,7 @@ from contracts import refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from photogram.alignment.evidence import seen_target
 from photogram.calibration.adjust import adjust
 from photogram.calibration.bundle import Drift, ellipse_centres, make_shape, see
 from photogram.calibration.file import read_calibration, read_camera, write_calibration, write_camera
@@ -431,6 +432,8 @@ def test_a_known_length_is_weighed_against_the_spacing_and_a_contradiction_is_to
     refused("column,row", with_length, found, KnownLength("L0", "nowhere", 0.1, 0.0))
     refused("two different places", with_length, found, KnownLength("0,0", "0,0", 0.1, 0.0))
     refused("above 0 m", KnownLength, "0,0", "1,0", 0.0, 0.0)
+    words = f"expected about {spacing:g} m, .* found 9 m: is one of them in mm"
+    refused(words, with_length, found, KnownLength("0,0", "1,0", 9.0, 0.01))
 
 
 def test_a_single_camera_is_calibrated_with_the_same_care(tmp_path):
@@ -504,6 +507,22 @@ def test_target_pose_comes_back(tilt, turn, depth):
         turned = vector_from_rotation(found.rotation @ rotation.T)
         error = np.concatenate([found.translation_m - pose.translation_m, turned])
         assert error @ np.linalg.solve(covariance, error) < 40  # χ² of six: 40 is exceeded once in 2 million
+
+
+def test_a_target_that_looks_alike_is_numbered_as_the_left_picture_and_one_of_another_spacing_has_no_pose():
+    grid = np.stack(np.meshgrid(np.arange(12), np.arange(10), indexing="ij"), axis=-1).reshape(-1, 2)
+    target, points = replace(TARGET, size=(12, 10)), np.column_stack([grid * SPACING, np.zeros(len(grid))])
+    rng = np.random.default_rng(17)
+    (pose,) = _poses(rng, 1)
+    ((left, right),) = _views(rng, [pose], RIG, points, grid)
+    plain = seen_target(RIG, np.eye(32), target, left, right)
+    half_turn = replace(right, index=[11, 9] - right.index)
+    turned = seen_target(RIG, np.eye(32), target, left, half_turn)
+    np.testing.assert_allclose(turned[0].pose, plain[0].pose, rtol=1e-12)
+    for expected, found in zip(plain[1:], turned[1:], strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-15)
+    words = "L0 and R0: expected one pose of a target with spacing 12 m, found none"
+    refused(words, seen_target, RIG, np.eye(32), replace(target, spacing_m=12.0), left, right)
 
 
 # The calibration file: what is written comes back, and every wrong file is refused by file and key.

@@ -343,7 +343,7 @@ def _common_name(pattern: str, place: tuple[int, int], otherwise: str = "pair") 
 
 
 def calibrations(folders: Iterable[Path]) -> dict[Path, tuple[int, int]]:
-    """Return the calibration files of this program in some folders, with the size of the (left) pictures they are of."""
+    """Return the calibration files of this program in some folders, with the size of their left pictures."""
     found: dict[Path, tuple[int, int]] = {}
     for folder in dict.fromkeys(folders):
         for path in sorted(folder.glob("*.json")) if folder.is_dir() else ():
