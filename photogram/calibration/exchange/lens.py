@@ -207,6 +207,7 @@ DistortionModel = Literal["plumb_bob", "fisheye"]
 FEW_DIGITS = 1e-5  # departure from a rotation above which the user is told
 NO_ROTATION = 1e-3  # and above which it is none
 WIDEST_RAD = np.radians(79.0)  # off the axis; as far as a camera of this program sees
+_OFF_MIDDLE = 0.2  # of the picture's side; at half the resolution the principal point is 0.25 off, a lens some 0.02
 REMARKABLE_PX = 0.05  # difference between the file's camera and this program's that is worth a warning
 NEAR_M, FAR_M = 1e-3, 20.0  # between two cameras of a pair; beyond these a unit is likely to be wrong
 _DEPTHS = np.geomspace(0.3, 1000.0, 40)  # in baselines, at which two cameras may see the same
@@ -394,4 +395,7 @@ def _camera(side: str, lens: Lens, size: IntArray, notices: list[Notice]) -> Cam
     if not ((centre >= 0).all() and (centre < size).all()):
         text = f"its principal point ({centre[0]:.0f}, {centre[1]:.0f}) lies outside a picture of {width}x{height}: "
         notices.append(Notice("warning", f"{text}width and height may be exchanged", where))
+    elif (np.abs(centre - (size - 1) / 2) > _OFF_MIDDLE * size).any():
+        text = f"its principal point ({centre[0]:.0f}, {centre[1]:.0f}) lies far from the middle of a picture of "
+        notices.append(Notice("warning", f"{text}{width}x{height}: is the matrix that of this size, uncut?", where))
     return nearest.camera

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from photogram.arrays import FloatArray
-from photogram.calibration.exchange.lens import SIDES, Lens, Stated, numbers, unit_of
+from photogram.calibration.exchange.lens import NO_ROTATION, SIDES, Lens, Stated, numbers, unit_of
 from photogram.geometry import rotation_from_vector
 from photogram.mat5 import check_mat5
 
@@ -144,6 +144,8 @@ def _bouguet(values: dict[str, Any]) -> Stated:
         alpha = float(array(f"alpha_c_{side}", 1)[0]) if f"alpha_c_{side}" in values else 0.0
         lenses.append(Lens(focal, centre, kc[[0, 1, 4]], kc[2:4], skew_px=alpha * float(focal[0])))
     rotation = array("R", 9).reshape(3, 3) if "om" not in values else rotation_from_vector(array("om", 3))
+    if "om" in values and "R" in values and not np.abs(array("R", 9).reshape(3, 3) - rotation).max() <= NO_ROTATION:
+        raise ValueError("om: expected the rotation vector of R, found another")
     size = (int(array("nx", 1)[0]), int(array("ny", 1)[0])) if {"nx", "ny"} <= set(values) else None
     return Stated("Bouguet's toolbox", (lenses[0], lenses[1]), (size, size), rotation, array("T", 3), None, habit="mm")
 
