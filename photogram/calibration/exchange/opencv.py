@@ -18,8 +18,10 @@ from photogram.geometry import rotation_from_vector
 # OpenCV: FileStorage in YAML, XML or JSON, and plain JSON with the same content in lists.
 
 _MATRICES = ("cameramatrix", "cammatrix", "intrinsicmatrix", "intrinsics", "camera", "matrix", "mtx", "cm", "m", "k")
-_DISTORTIONS = ("distcoeffs", "distcoeff", "distortioncoefficients", "distortioncoeffs", "distortionvector")
-_DISTORTIONS += ("distortion", "dist", "d")
+_DISTORTIONS = (
+    *("distcoeffs", "distcoeff", "distortioncoefficients", "distortioncoeffs", "distortionvector"),
+    *("distortion", "dist", "d"),
+)
 _SIDES = (("1", "2"), ("left", "right"), ("l", "r"), ("0", "1"), ("camera0", "camera1"), ("camera1", "camera2"))
 _ROTATIONS = ("r", "rotation", "rotationmatrix", "rmat", "stereor", "rvec")
 _TRANSLATIONS = ("t", "translation", "translationvector", "tvec", "stereot")
