@@ -29,10 +29,9 @@ class KnownLength:
     u_m: float
 
     def __post_init__(self) -> None:
-        if not (0 < self.length_m < np.inf and 0 <= self.u_m < np.inf):
-            raise ValueError(
-                f"known length: expected a length above 0 m and an uncertainty, found {self.length_m} and {self.u_m}"
-            )
+        if not (0 < self.length_m < np.inf and 0 <= self.u_m < self.length_m):
+            told = "a length above 0 m and a smaller uncertainty"
+            raise ValueError(f"known length: expected {told}, found {self.length_m} and {self.u_m}")
 
     @staticmethod
     def from_words(first: str, second: str, length: str, u: str) -> KnownLength:

@@ -432,6 +432,7 @@ def test_a_known_length_is_weighed_against_the_spacing_and_a_contradiction_is_to
     refused("column,row", with_length, found, KnownLength("L0", "nowhere", 0.1, 0.0))
     refused("two different places", with_length, found, KnownLength("0,0", "0,0", 0.1, 0.0))
     refused("above 0 m", KnownLength, "0,0", "1,0", 0.0, 0.0)
+    refused("a smaller uncertainty, found 0.009 and 5", KnownLength, "0,0", "1,0", 0.009, 5.0)  # in um
     words = f"expected about {spacing:g} m, .* found 9 m: is one of them in mm"
     refused(words, with_length, found, KnownLength("0,0", "1,0", 9.0, 0.01))
 
