@@ -32,6 +32,7 @@ from fusion.cameras.align_manifest import (
     Motion,
     Pair,
     known_pose,
+    orientation_notices,
     read_alignment,
     read_pair,
     still_evidence,
@@ -110,6 +111,7 @@ def align_file(
     evidence = [] if pair is None else still_evidence(path, file, pair)
     moving, stated, notices = _moving_evidence(path, file, pair, settings, progress, allow_outside)
     evidence += moving
+    notices += orientation_notices(file)
     if file.pose is not None:
         evidence.append(known_pose(file.pose))
     shown = file.pose is not None or file.target_view or file.common_view  # by which the search knows where to start

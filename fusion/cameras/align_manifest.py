@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import BeforeValidator, model_validator
 
-from fusion.base import InputError, as_input_error
+from fusion.base import AnyNotice, InputError, as_input_error
 from fusion.recording.toml import read_text, read_toml, validate
 from fusion.recording.values import (
     ZERO3,
@@ -48,11 +48,13 @@ from photogram.alignment.evidence import (
     seen_points,
     seen_target,
 )
+from photogram.arrays import Notice
 from photogram.calibration.file import is_single, read_calibration, read_camera
+from photogram.calibration.start import look_alikes
 from photogram.camera import LEFT, RIG_PARAMETERS, StereoRig
 from photogram.geometry import RigidTransform, displacement_jacobian
 from photogram.images.files import read_picture
-from photogram.targets.view import Target, TargetView, find_target
+from photogram.targets.view import LONGEST_M, SHORTEST_M, Target, TargetView, find_target
 from shaker.arrays import FloatArray
 
 
@@ -297,6 +299,20 @@ def _check_cameras(path: Path, file: AlignmentFile, pair: Pair) -> None:
             raise InputError(path, f"point.{point.name}.right", "nothing", "its pixel in the right camera")
 
 
+def orientation_notices(file: AlignmentFile) -> list[AnyNotice]:
+    """Return what is said of a target that looks alike after a turn, where nothing else shows how the cameras stand."""
+    if file.target is None or not (file.target_view or file.common_view):
+        return []
+    target = Target(file.target.kind, file.target.spacing, file.target.size, file.target.dictionary)
+    if not look_alikes(target) or file.pose or file.point or file.face or file.motion or file.axis:
+        return []
+    told = (
+        "the target looks alike after a turn in its plane: its first axis is taken to point to the right of the left "
+        "picture, by which the pose may be turned; state [pose], or use a target with markers"
+    )
+    return [Notice("warning", told, "target")]
+
+
 def still_evidence(path: Path, file: AlignmentFile, pair: Pair) -> list[Evidence]:
     """Return the evidence of points, faces and target views."""
     _check_cameras(path, file, pair)
@@ -305,6 +321,9 @@ def still_evidence(path: Path, file: AlignmentFile, pair: Pair) -> list[Evidence
     evidence += [_face(path, face, pair, datum) for face in file.face]
     if file.target is not None:
         target = Target(file.target.kind, file.target.spacing, file.target.size, file.target.dictionary)
+        if not target.is_likely:
+            found = f"{target.spacing_m:g} m, of a target {target.length_m:.3g} m long"
+            raise InputError(path, "target.spacing", found, f"m, a target of {SHORTEST_M:g} to {LONGEST_M:g} m")
         evidence += [known for view in file.target_view for known in _views(path, view, target, pair, datum)]
         if file.other is not None and file.common_view:
             evidence += _common(path, file.common_view, file.other, target, pair)
@@ -386,7 +405,6 @@ def _seen(
     path: Path, key: str, pictures: Mapping[str, Path | None], target: Target, pair: Pair
 ) -> tuple[RigidTransform, FloatArray, FloatArray]:
     """Return `seen_target` of the left and right picture, which are given by the names that they have in the block."""
-    size = [int(n) for n in pair.rig.left.size_px]
     views: list[TargetView | None] = []
     for side, picture in pictures.items():
         if picture is None:
@@ -395,7 +413,8 @@ def _seen(
         with as_input_error(path, f"{key}.{side}"):
             image, full_scale = read_picture(picture)
             view = find_target(image, target, picture.name, full_scale)
-        if list(view.size_px) != size:
+        size = (pair.rig.right if side.endswith("right") else pair.rig.left).size_px.tolist()
+        if view.size_px.tolist() != size:
             shown = f"{picture.name} of {view.size_px[0]} x {view.size_px[1]} pixels"
             raise InputError(path, f"{key}.{side}", shown, f"{size[0]} x {size[1]} as the calibration")
         views.append(view)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -119,7 +120,9 @@ def print_calibration(calibration: Calibration, output: Path, page: Path) -> Non
     pairs = sum(view.left is not None and view.right is not None for view in calibration.views)
     rms = calibration.rms_sides_px
     baseline, angle = baseline_m(calibration.rig), axes_angle_rad(calibration.rig)
+    distances = [float(np.linalg.norm(view.left_from_target.translation_m)) for view in calibration.views]
     print(f"{pairs} pairs, rms {calibration.rms_px:.3f} px (left {rms[0]:.3f}, right {rms[1]:.3f})")
+    print(f"target {min(distances):.3g} to {max(distances):.3g} m from the left camera")
     print(f"baseline {plain(1e3 * baseline.value, 2e3 * baseline.u)} mm", end=", ")
     print(f"axes at {plain(np.degrees(angle.value), np.degrees(2 * angle.u))} deg (U: k = 2)")
     for item in calibration.parameters:
@@ -254,7 +257,8 @@ def convert_calibration(path: Path, output: Path, force: bool = False, **stated:
     except OSError as error:
         raise InputError.told_by(error, path) from error
     except ValueError as error:
-        told = str(error).replace(": image_size: ", ": --image-size: ").replace(": length_unit: ", ": --length-unit: ")
+        names = "|".join(stated)
+        told = re.sub(rf": ({names}): ", lambda found: f": --{found[1].replace('_', '-')}: ", str(error), count=1)
         raise InputError.told_by(ValueError(told), path) from error
     with as_input_error(output), writing(output):
         write_calibration(output, imported.rig)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import argparse
 
-from fusion.commands.options import Parser, command, not_negative, path, positive, size
+from fusion.commands.options import Parser, command, in_metres, length, path, share, size
 
 
 def _cameras_options(parser: Parser) -> None:
@@ -15,18 +15,21 @@ def _cameras_options(parser: Parser) -> None:
     parser.add_argument("pictures", nargs="+", metavar="PICTURES", help=text)
     kinds = ("chessboard", "charuco", "dots", "asymmetric-dots")
     parser.add_argument("--target", required=True, choices=kinds, help="dots: with three ring markers, or give --size")
-    parser.value("--spacing", positive, "M", "side of a square, or centre to centre of dots, in m", required=True)
+    text = "side of a square, or centre to centre of dots: in m, or with its unit, such as 7mm"
+    parser.value("--spacing", length, "LENGTH", text, required=True)
     parser.value("--size", size, "9x6", "inner corners (chessboard), squares (charuco) or dots: columns x rows")
     parser.value("--dictionary", str, "NAME", "ArUco dictionary such as DICT_4X4_50 (default: found)")
     text = "relative standard uncertainty of the spacing, part of the covariance (default: 0, with a warning)"
-    parser.value("--scale-uncertainty", not_negative, "U", text, default=0.0)
+    parser.value("--scale-uncertainty", share, "U", text, default=0.0)
     text = "target taken as flat, bowed, or with every point's offset estimated (default: auto, flat where it fits)"
     parser.choice("--shape", ("auto", "flat", "bowed", "free"), text)
     text = "OpenCV's five coefficients, or the rational model with k4 k5 k6 (default: auto, five where they do)"
     parser.choice("--lens", ("auto", "polynomial", "rational"), text)
     parser.switch("--mono", "one camera: all pictures are its own; parameters and covariance, without a page")
-    text = "a length measured otherwise: two points column,row of the target or two pictures, m, standard uncertainty"
-    parser.add_argument("--known-length", nargs=4, metavar=("FROM", "TO", "M", "U"), help=text)
+    text = (
+        "a length measured otherwise: two points column,row of the target or two pictures; m, or with units such as mm"
+    )
+    parser.add_argument("--known-length", nargs=4, metavar=("FROM", "TO", "LENGTH", "U"), help=text)
     parser.add_argument(
         "-o", "--output", required=True, type=path, metavar="CALIBRATION", help="file NAME.json to write"
     )
@@ -46,13 +49,18 @@ def cameras(options: argparse.Namespace) -> None:
     from photogram.targets.view import Target
 
     try:
-        target = Target(options.target, options.spacing, options.size, options.dictionary)
+        target = Target(options.target, options.spacing.m, options.size, options.dictionary)
     except ValueError as error:
         raise InputError("shakercal cameras", "--" + str(error).partition(":")[0], str(error), "") from error
+    if not options.spacing.unit and not target.is_likely:
+        spacing = f"{options.spacing.m:g}"
+        found = f"{spacing} m, of a target {target.length_m:.3g} m long"
+        raise InputError("shakercal cameras", "--spacing", found, f"a unit with it: {spacing}mm or {spacing}m")
     known = None
     if options.known_length is not None:
         try:
-            known = KnownLength.from_words(*options.known_length)
+            first, second, *words = options.known_length
+            known = KnownLength.from_words(first, second, *map(in_metres, words))
         except ValueError as error:
             raise InputError("shakercal cameras", "--known-length", str(error), "") from error
     settings = CameraSettings(target, options.shape, options.scale_uncertainty, options.lens, known)
@@ -67,7 +75,9 @@ def _import_calibration_options(parser: Parser) -> None:
     parser.value("--extrinsics", path, "FILE", "second file: OpenCV's R and T where apart, ROS's right camera")
     parser.value("--image-size", size, "2448x2048", "width x height, if the file has none")
     text = "of the file's lengths, where it does not say it"
-    parser.add_argument("--length-unit", choices=("m", "mm"), help=text)
+    parser.add_argument("--length-unit", choices=("m", "mm", "cm", "um", "in"), help=text)
+    text = "what OpenCV's four coefficients are, where the file does not say it: k1 k2 p1 p2, or a fisheye lens's"
+    parser.add_argument("--distortion-model", choices=("plumb_bob", "fisheye"), help=text)
     text = "k1 k2 k3 of DICe's text belong to r^2, r^4, r^6, as OpenCV and VIC-3D write them"
     parser.switch("--even-radial", text)
     parser.switch("--force", "overwrite a calibration file that is there")
@@ -78,7 +88,8 @@ def import_calibration(options: argparse.Namespace) -> None:
     """Take over a calibration of OpenCV, DICe, VIC-3D, MatchID, MATLAB, ROS or Kalibr."""
     from fusion.cameras.calibrate import convert_calibration
 
-    stated = {name: getattr(options, name) for name in ("image_size", "length_unit", "extrinsics", "even_radial")}
+    names = ("image_size", "length_unit", "extrinsics", "even_radial", "distortion_model")
+    stated = {name: getattr(options, name) for name in names}
     kind = convert_calibration(options.calibration, options.output, options.force, **stated)
     print(f"calibration of {kind} written: {options.output}")
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn, TypeVar
+from typing import Any, NamedTuple, NoReturn, TypeVar
 
 from fusion.base import FEWEST_DRAWS, MOST_DRAWS
 
@@ -125,6 +126,34 @@ not_negative = _number(
     float, lambda value: value == 0 or SMALLEST <= value <= LARGEST, f"a number of at least 0, at most {LARGEST:g}"
 )
 hertz = _number(float, lambda value: 1e-6 <= value <= 1e8, "a frequency in Hz above 0, at most 1e8")
+METRES = {"": 1.0, "m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "in": 0.0254}
+
+
+class Length(NamedTuple):
+    """A length in m, and the unit that was written after it, "" for none."""
+
+    m: float
+    unit: str
+
+
+def length(text: str) -> Length:
+    """Return a length above 0: a number, of m where no unit follows it."""
+    number, unit = re.fullmatch(r"(.*?)\s*([a-zµ]*)", text, re.DOTALL).groups()  # type: ignore[union-attr]
+    if unit not in METRES:
+        raise argparse.ArgumentTypeError(f"expected a length such as 7e-3 (m) or 7mm, found {ascii(text)[:60]}")
+    return Length(positive(number) * METRES[unit], unit)
+
+
+def in_metres(text: str) -> str:
+    """Return the number of m that a text with a unit of length means, any other text as it is."""
+    found = re.fullmatch(r"(.*?)\s*([a-zµ]+)", text)
+    try:
+        return repr(float(found[1]) * METRES[found[2]]) if found else text
+    except (KeyError, ValueError):
+        return text
+
+
+share = _number(float, lambda value: value == 0 or SMALLEST <= value < 1, "a number of at least 0, below 1")
 between_0_and_1 = _number(float, lambda value: 0 < value < 1, "a number between 0 and 1")
 
 

@@ -177,7 +177,7 @@ def open_images(manifest: Manifest, base: TimeBase, entry: Images, already: Alre
             raise InputError(manifest.path, f"{key}.right", found=found, expected=expected)
     if entry.exposure == FILE:
         entry = entry.model_copy(update={"exposure": _stated_exposure(manifest, entry, sequences)})
-    sight = see(manifest, base, entry, len(left), left.size_px[1])
+    sight = see(manifest, base, entry, len(left), max(images.size_px[1] for images in sequences))
     rig = read_rig(sight.pair, sequences)
     first = []
     for (side, _), sequence in zip(entry.cameras, sequences, strict=True):
@@ -425,8 +425,8 @@ def read_rig(stereo: Stereo, sequences: Sequence[ImageSequence]) -> Rig:
         raise ComputeError("a stereo pair with images has no calibration")
     with as_input_error(path):
         rig = read_calibration(path) if stereo.surface is None else _before_surface(stereo, path, stereo.surface)
-    size = [int(length) for length in rig.placed[0][0].size_px]
-    for images in sequences:
+    for images, (camera, _) in zip(sequences, rig.placed, strict=False):
+        size = camera.size_px.tolist()
         if size != list(images.size_px):
             expected = f"{list(images.size_px)}, the size of {images.names[0]}"
             raise InputError(path, "image_size", found=f"{size}", expected=expected)

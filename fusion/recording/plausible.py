@@ -19,6 +19,7 @@ from fusion.recording.rig import DENSEST_KGM3, Rig, Sensor
 from fusion.recording.toml import quoted
 from fusion.recording.values import Vector3
 from photogram.calibration.file import read_calibration
+from photogram.geometry import RigidTransform
 from shaker.arrays import FloatArray, Notice
 
 if TYPE_CHECKING:
@@ -43,6 +44,7 @@ SCALES = {"vibrometer": 0.03, "accelerometer": 0.1}
 """Relative standard uncertainty of a scale from which on it looks like per cent: instruments have a tenth of it."""
 WIDEST = 5.0
 """Distance of two cameras over that of the left one from the sensor: at 2 their axes meet at a right angle."""
+PARALLEL_RAD = np.radians(3.0)  # between axes that need not cross near the sensor
 ASIDE_DEG, TURNED_DEG = 60.0, 30.0
 """Angle between the optical axis and the sensor; the same where the inverse rotation would look towards it. Pairs on
 the base look past it by some 20°."""
@@ -151,14 +153,21 @@ def _pairs(rig: Rig) -> Iterator[tuple[str, str]]:
     for name, pair in rig.stereo.items():
         if pair.calibration is None:
             continue
-        apart, away = np.nan, float(np.linalg.norm(pair.translation))
+        apart, crossing, away = np.nan, np.nan, float(np.linalg.norm(pair.translation))
         with suppress(OSError, ValueError):  # whoever reads it says what is wrong; a camera alone is none of a pair
-            apart = float(np.linalg.norm(read_calibration(pair.calibration).right_from_left.translation_m))
+            between = read_calibration(pair.calibration).right_from_left
+            apart, crossing = float(np.linalg.norm(between.translation_m)), axes_cross_m(between)
         if away > 0.0 and apart > WIDEST * away and pair.surface is None:
             yield (
                 f"stereo.{quoted(name)}.calibration",
                 f"its cameras are {apart:.3g} m apart and the left one {away:.3g} m from the sensor: is the "
                 f"translation of {pair.calibration.name} in m, and that of the pair?",
+            )
+        elif away > 0.0 and pair.surface is None and not (np.isnan(crossing) or 0.1 < crossing / away < 10.0):
+            yield (
+                f"stereo.{quoted(name)}.calibration",
+                f"the axes of its cameras cross {crossing:.3g} m before the left one, which is {away:.3g} m from the "
+                f"sensor: are rotation and translation (m) of {pair.calibration.name} x_right = R · x_left + t?",
             )
         if away == 0.0:
             continue
@@ -171,6 +180,15 @@ def _pairs(rig: Rig) -> Iterator[tuple[str, str]]:
                 f"by it and the translation the left camera looks {aside:.3g}° past the sensor, {turned:.3g}° by its "
                 "inverse: is x_sensor = rotation · x_left_camera + translation?",
             )
+
+
+def axes_cross_m(right_from_left: RigidTransform) -> float:
+    """Return where on the left camera's axis the right one's comes nearest, NaN for nearly parallel axes."""
+    back = right_from_left.inverse()
+    axes = np.stack([[0.0, 0.0, 1.0], -back.rotation[:, 2]], axis=1)
+    if np.hypot(*back.rotation[:2, 2]) < np.sin(PARALLEL_RAD):
+        return float("nan")
+    return float(np.linalg.lstsq(axes, back.translation_m, rcond=None)[0][0])
 
 
 def _gravity(rig: Rig, points: Sequence[Vector3]) -> Iterator[tuple[str, str]]:

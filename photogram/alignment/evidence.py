@@ -16,7 +16,7 @@ import numpy as np
 
 from photogram.arrays import Arrays, BoolArray, ComplexArray, FloatArray, check_shape, derivatives
 from photogram.calibration.bundle import see
-from photogram.calibration.start import target_pose
+from photogram.calibration.start import agreeing, target_pose
 from photogram.camera import TRANSLATION, Camera, StereoRig, principal_components, triangulate
 from photogram.geometry import (
     RigidTransform,
@@ -457,6 +457,7 @@ def seen_target(
     J and G the derivatives of the pixels by pose and rig and W their weights, a step s of the rig changes the most
     likely pose by −(Jᵀ·W·J)⁻¹·Jᵀ·W·G·s.
     """
+    right = agreeing(rig, target, left, right)
     pose, covariance = target_pose(rig, target, left, right)
     change = np.zeros((6, steps.shape[1]))
     for side, view in enumerate((left, right)):

@@ -83,14 +83,13 @@ def write_calibration(path: str | Path, rig: StereoRig, reprojection_rms_px: flo
     >>> with TemporaryDirectory() as folder:
     ...     write_calibration(f"{folder}/rig.json", rig, reprojection_rms_px=0.04)
     """
-    if not np.array_equal(rig.left.size_px, rig.right.size_px):
-        raise ValueError(f"rig: expected two images of one size, found {rig.left.size_px} and {rig.right.size_px}")
+    sizes = [[int(length) for length in camera.size_px] for camera in (rig.left, rig.right)]
     covariance = rig.covariance
     # The lens's further terms, after the 24 parameters of every file, stand in it only where they are uncertain
     stated = [n for n in range(len(RIG_PARAMETERS)) if covariance is not None and (n < 24 or covariance[n, n] > 0)]
     content = {
         "format": 1,
-        "image_size": [int(size) for size in rig.left.size_px],
+        "image_size": sizes[0] if sizes[0] == sizes[1] else sizes,
         "left": _lens(rig.left),
         "right": _lens(rig.right),
         "rotation": rig.right_from_left.rotation.tolist(),
@@ -205,15 +204,17 @@ def _rig(content: Any) -> StereoRig:
     _check_keys("", content, _KEYS)
     if isinstance(content["format"], bool) or content["format"] != 1:
         raise ValueError(f"format: expected 1, found {content['format']!r:.60}")
-    size = _size(content["image_size"])
+    given = content["image_size"]
+    both = isinstance(given, list) and len(given) == 2 and all(isinstance(part, list) for part in given)
+    left, right = map(_size, given if both else [given, given])
     if content["reprojection_rms"] is not None:
         _numbers("reprojection_rms", content["reprojection_rms"], ())
     translation = _numbers("translation", content["translation"], (3,))
-    given = RigidTransform(_numbers("rotation", content["rotation"], (3, 3)), translation)
+    pose = RigidTransform(_numbers("rotation", content["rotation"], (3, 3)), translation)
     return StereoRig(
-        left=_camera("left", content["left"], size),
-        right=_camera("right", content["right"], size),
-        right_from_left=RigidTransform(nearest_rotation(given.rotation), translation),
+        left=_camera("left", content["left"], left),
+        right=_camera("right", content["right"], right),
+        right_from_left=RigidTransform(nearest_rotation(pose.rotation), translation),
         covariance=_covariance(content["covariance"], RIG_PARAMETERS),
     )
 

@@ -11,6 +11,7 @@ from photogram.calibration.result import CalibratedView, Calibration
 from photogram.camera import TRANSLATION
 from photogram.geometry import RigidTransform, skew
 
+_LIKELY_RATIO = 2.0  # of a known length to the calibration's; prints are some percent off, a wrong unit much more
 _APART = 2.0  # standard uncertainties beyond which spacing and known length contradict each other
 
 
@@ -28,10 +29,9 @@ class KnownLength:
     u_m: float
 
     def __post_init__(self) -> None:
-        if not (0 < self.length_m < np.inf and 0 <= self.u_m < np.inf):
-            raise ValueError(
-                f"known length: expected a length above 0 m and an uncertainty, found {self.length_m} and {self.u_m}"
-            )
+        if not (0 < self.length_m < np.inf and 0 <= self.u_m < self.length_m):
+            told = "a length above 0 m and a smaller uncertainty"
+            raise ValueError(f"known length: expected {told}, found {self.length_m} and {self.u_m}")
 
     @staticmethod
     def from_words(first: str, second: str, length: str, u: str) -> KnownLength:
@@ -53,6 +53,9 @@ def with_length(calibration: Calibration, known: KnownLength) -> Calibration:
     """
     length, u = _length(calibration, known)
     ratio = known.length_m / length
+    if not 1 / _LIKELY_RATIO <= ratio <= _LIKELY_RATIO:
+        told = f"about {length:.4g} m, which the spacing of {calibration.target.spacing_m:g} m makes it"
+        raise ValueError(f"known length: expected {told}, found {known.length_m:g} m: is one of them in mm?")
     u_ratio = ratio * float(np.hypot(known.u_m / known.length_m, u / length))
     spacing = calibration.scale_u
     apart = abs(ratio - 1) / float(np.hypot(u_ratio, spacing)) if spacing or u_ratio else float("inf")

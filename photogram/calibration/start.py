@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -13,7 +14,7 @@ from photogram.calibration.adjust import Prior
 from photogram.calibration.bundle import Bundle, Picture, ShapeKind, make_shape, moved_poses
 from photogram.calibration.result import Dropped, refuse_similar_views
 from photogram.camera import LEFT, RIGHT, ROTATION, TRANSLATION, Camera, StereoRig
-from photogram.geometry import RigidTransform, vector_from_rotation
+from photogram.geometry import RigidTransform
 from photogram.targets.view import Target, TargetView
 
 Pair = tuple[TargetView | None, TargetView | None]
@@ -33,8 +34,10 @@ def _pair_up(
     Between them the pairs and their right poses, numbered anew.
 
     A target that looks alike after half a turn (a square one after a quarter) may be numbered differently in the two
-    pictures of a pair: where another numbering of the right one makes it agree, that is taken. Raises `ValueError`
-    when most pairs do not agree: the two lists of pictures do not belong together.
+    pictures of a pair, and is in all of them where one camera is rolled about its axis. So each pair offers a relative
+    pose for every numbering of its right picture; the one to which all pairs come closest, each by the numbering that
+    suits it, is the cameras'. Raises `ValueError` when most pairs do not agree: the two lists of pictures do not belong
+    together.
     """
     common = sorted(set(left_poses) & set(right_poses))
     if not common:
@@ -42,58 +45,74 @@ def _pair_up(
             "no position of the target is seen by both cameras; the two lists of pictures must be in one order"
         )
     depth = float(np.median([np.linalg.norm(left_poses[view].translation_m) for view in common]))
-    relatives = [right_poses[view] @ left_poses[view].inverse() for view in common]
-    apart = np.array([[_disagreement(a, b, depth) for b in relatives] for a in relatives])
-    best = int(np.argmin(np.median(apart, axis=1)))
-    relative, limit = relatives[best], max(_TOLERATED, _STRANGE * float(np.median(apart[best])))
+    turns = [(np.eye(2, dtype=np.int64), np.zeros(2)), *look_alikes(target)]
+    numberings = [_numbering(turn, shift * target.spacing_m) for turn, shift in turns]
+    offered = [[right_poses[view] @ each.inverse() for each in numberings] for view in common]
+    relatives = [
+        each @ left_poses[view].inverse() for view, poses in zip(common, offered, strict=True) for each in poses
+    ]
+    apart = _disagreement(relatives, depth).reshape(len(relatives), len(common), len(turns))
+    typical = np.median(apart.min(axis=2), axis=1)
+    best = int(np.argmin(typical))
+    limit = max(_TOLERATED, _STRANGE * float(typical[best]))
     numbered, poses, strange = list(pairs), dict(right_poses), []
-    for view in common:
-        for turn, shift in ((np.eye(2, dtype=np.int64), np.zeros(2)), *_look_alikes(target)):
-            rotation = np.eye(3)
-            rotation[:2, :2] = turn
-            pose = right_poses[view] @ RigidTransform(rotation, np.append(shift, 0.0) * target.spacing_m).inverse()
-            if _disagreement(pose @ left_poses[view].inverse(), relative, depth) <= limit:
-                left, right = pairs[view]
-                if right is not None:
-                    right = replace(right, index=np.rint(right.index @ turn.T + shift).astype(np.int64))
-                numbered[view], poses[view] = (left, right), pose
-                break
-        else:
+    for place, view in enumerate(common):
+        nearest = int(np.argmin(apart[best, place]))
+        if apart[best, place, nearest] > limit:
             strange.append(view)
+            continue
+        left, right = pairs[view]
+        assert right is not None
+        numbered[view], poses[view] = (left, renumbered(right, *turns[nearest])), offered[place][nearest]
     if len(strange) * 2 > len(common) or limit > 10 * _TOLERATED:
         raise ValueError(
             "the left and right pictures do not belong together: no relative pose of the cameras fits most pairs; "
             "give all left pictures first, then all right ones in the same order"
         )
-    return relative, numbered, poses, strange
+    return relatives[best], numbered, poses, strange
 
 
-def _disagreement(a: RigidTransform, b: RigidTransform, depth_m: float) -> float:
-    """Return how far two relative poses are apart: rotation in rad or shift in distances, whichever is more."""
-    turn = float(np.linalg.norm(vector_from_rotation(a.rotation @ b.rotation.T)))
-    return max(turn, float(np.linalg.norm(a.translation_m - b.translation_m)) / depth_m)
+def _disagreement(poses: Sequence[RigidTransform], depth_m: float) -> FloatArray:
+    """Return how far poses (N) are apart (N, N): rotation in rad or shift in distances, whichever is more."""
+    rotation = np.array([pose.rotation.ravel() for pose in poses])
+    shift = np.array([pose.translation_m for pose in poses])
+    turn = np.arccos(np.clip((rotation @ rotation.T - 1.0) / 2.0, -1.0, 1.0))
+    return np.asarray(np.maximum(turn, np.linalg.norm(shift[:, None] - shift, axis=2) / depth_m))
 
 
-def _look_alikes(target: Target) -> list[tuple[IntArray, FloatArray]]:
+def look_alikes(target: Target) -> list[tuple[IntArray, FloatArray]]:
     """Return the turns (matrix (2, 2), shift (2,)) of lattice indices after which the target looks the same."""
     if target.size is None or target.kind == "charuco":
         return []
     columns, rows = target.size
-    asymmetric = target.kind == "asymmetric-dots"
-    unlike = (columns + rows) % 2 == 1 if target.kind == "chessboard" else asymmetric and rows % 2 == 1
+    asymmetric, chessboard = target.kind == "asymmetric-dots", target.kind == "chessboard"
+    unlike = (columns + rows) % 2 == 1 if chessboard else asymmetric and rows % 2 == 1
     if unlike:
         return []
     last = np.array([2 * columns - 1 if asymmetric else columns - 1, rows - 1])
     turns = [-np.eye(2, dtype=np.int64)]
-    if columns == rows and not asymmetric:
+    if columns == rows and not asymmetric and not (chessboard and columns % 2 == 1):  # odd: corners of two colours
         turns += [_QUARTER_TURN, -_QUARTER_TURN]
     return [(turn, (last - turn @ last) / 2) for turn in turns]
+
+
+def _numbering(turn: IntArray, shift_m: FloatArray) -> RigidTransform:
+    """Return the transform of the target's points to where another numbering has them."""
+    rotation = np.eye(3)
+    rotation[:2, :2] = turn
+    return RigidTransform(rotation, np.append(shift_m, 0.0))
+
+
+def renumbered(view: TargetView, turn: IntArray, shift: FloatArray) -> TargetView:
+    """Return the view with its points counted from another corner of a target that looks alike."""
+    return replace(view, index=np.rint(view.index @ turn.T + shift).astype(np.int64))
 
 
 # Where a target stands, seen by a calibrated pair.
 
 _STEPS = 30
 _CONVERGED = 1e-9  # expected decrease of the sum of squares that ends the iteration
+_WORST_PX = 3.0  # rms beyond which points are not those of the target in one pose before these cameras
 
 
 def target_pose(
@@ -105,11 +124,32 @@ def target_pose(
     (Collins and Bartoli 2014, International Journal of Computer Vision 109, 252). The covariance is that of the
     pictures' noise: the calibration's and the spacing's uncertainty are common to all poses and not contained.
     """
-    import cv2
-
     seen = [(view, side) for side, view in enumerate((left, right)) if view is not None]
     if not seen:
         raise ValueError("left, right: expected at least one picture of the target, found none")
+    pose, covariance, rms_px = _posed(rig, target, seen)
+    if not rms_px <= _WORST_PX:
+        names = " and ".join(view.name for view, _ in seen)
+        found = f"none within {rms_px:.1f} px (rms)" if np.isfinite(rms_px) else "none"
+        raise ValueError(f"{names}: expected one pose of a target with spacing {target.spacing_m:g} m, found {found}")
+    return pose, covariance
+
+
+def agreeing(rig: StereoRig, target: Target, left: TargetView | None, right: TargetView | None) -> TargetView | None:
+    """Return the right view numbered as the left one, of a target that looks alike after a turn."""
+    turns = look_alikes(target)
+    if left is None or right is None or not turns:
+        return right
+    offered = [right, *(renumbered(right, *turn) for turn in turns)]
+    return min(offered, key=lambda view: _posed(rig, target, [(left, 0), (view, 1)])[2])
+
+
+def _posed(
+    rig: StereoRig, target: Target, seen: Sequence[tuple[TargetView, int]]
+) -> tuple[RigidTransform, FloatArray, float]:
+    """Return pose and covariance from pictures with their sides, and the rms residual (px), infinite of no pose."""
+    import cv2
+
     index = np.unique(np.concatenate([view.index for view, _ in seen]), axis=0)
     shape = make_shape("flat", index, target.spacing_m)
     pictures = [picture_of(view, 0, side, index, target.spacing_m) for view, side in seen]
@@ -125,8 +165,10 @@ def target_pose(
     fits = [refined_pose(Bundle(rig, (start,), shape), pictures) for start in starts]
     pose, covariance, squares = min(fits, key=lambda fit: fit[2])
     if not np.isfinite(squares):
-        raise ValueError(f"{seen[0][0].name}: no pose of the target explains its points")
-    return pose, covariance
+        return pose, covariance, np.inf
+    bundle = Bundle(rig, (pose,), shape)
+    residuals = [picture.position_px - bundle.see(picture).pixel for picture in pictures]
+    return pose, covariance, float(np.sqrt((np.concatenate(residuals) ** 2).sum(axis=1).mean()))
 
 
 def picture_of(view: TargetView, number: int, side: int, index: IntArray, spacing_m: float) -> Picture:
@@ -267,11 +309,7 @@ def _single(pairs: Sequence[Pair], side: int, target: Target) -> _Single:
     """Calibrate one camera by OpenCV (focal length and k1), leaving out pictures that do not fit the others."""
     seen = [(number, pair[side]) for number, pair in enumerate(pairs)]
     views = {number: view for number, view in seen if view is not None and len(view.index) >= FEWEST_POINTS}
-    sizes = {tuple(view.size_px.tolist()): view.name for view in reversed(views.values())}
-    if len(sizes) > 1:
-        first, second, *_ = (name for _, name in sorted(sizes.items()))
-        raise ValueError(f"pictures of one camera differ in size: {first} and {second}")
-    dropped: list[Dropped] = []
+    views, dropped = _of_one_size(views)
     while True:
         if len(views) < FEWEST_VIEWS:
             camera_name, reasons = ("left", "right")[side], [f"; {item.name}: {item.reason}" for item in dropped]
@@ -287,6 +325,32 @@ def _single(pairs: Sequence[Pair], side: int, target: Target) -> _Single:
         view = list(views)[worst]
         reason = f"its points are {rms[worst]:.1f} px off what the other pictures of this camera say"
         dropped.append(Dropped(views.pop(view).name, 0, reason))
+
+
+def _of_one_size(views: dict[int, TargetView]) -> tuple[dict[int, TargetView], list[Dropped]]:
+    """Return the views of the size that most pictures of a camera have, and the others, dropped."""
+    sizes = Counter(tuple(view.size_px.tolist()) for view in views.values())
+    if len(sizes) < 2:
+        return views, []
+    (most, count), (second, _), *_ = sizes.most_common()
+    if 2 * count <= len(views):
+        shown = (
+            f"{next(view.name for view in views.values() if tuple(view.size_px.tolist()) == size)} of {_times(size)} px"
+            for size in (most, second)
+        )
+        raise ValueError(f"pictures of one camera differ in size: {' and '.join(shown)}")
+    kept = {number: view for number, view in views.items() if tuple(view.size_px.tolist()) == most}
+    dropped = [
+        Dropped(view.name, 0, f"{_times(view.size_px)} px, most pictures of this camera have {_times(most)}")
+        for number, view in views.items()
+        if number not in kept
+    ]
+    return kept, dropped
+
+
+def _times(size: Iterable[int]) -> str:
+    """The size of a picture as users write it."""
+    return " x ".join(str(int(length)) for length in size)
 
 
 def _opencv(views: Sequence[TargetView], target: Target) -> tuple[Camera, list[RigidTransform], FloatArray]:

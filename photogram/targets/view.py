@@ -12,6 +12,7 @@ from photogram.arrays import Arrays, FloatArray, IntArray, check_shape
 from photogram.images.noise import NoiseModel, fit_noise_model
 from photogram.images.sequence import GreyImage
 
+SHORTEST_M, LONGEST_M = 1e-4, 2.0  # of targets
 TargetKind = Literal["chessboard", "charuco", "dots", "asymmetric-dots"]
 
 
@@ -41,6 +42,16 @@ class Target:
             raise ValueError(f"size: expected columns and rows of the {self.kind} target, found none")
         if self.size is not None and min(self.size) < 2:
             raise ValueError(f"size: expected at least 2 columns and rows, found {self.size[0]} x {self.size[1]}")
+
+    @property
+    def length_m(self) -> float:
+        """About the length of its longer side, of dots of unknown number that of ten."""
+        return self.spacing_m * (10 if self.size is None else max(self.size))
+
+    @property
+    def is_likely(self) -> bool:
+        """Whether there are targets of this length: one of 0.1 mm to 2 m, else its spacing may be in another unit."""
+        return SHORTEST_M <= self.length_m <= LONGEST_M
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -209,6 +209,13 @@ WRONG = {
         {"pose": {**AT_ORIGIN, "pose_uncertainty": [0.0] * 6}},
         "pose.pose_uncertainty: expected 6 numbers above 0",
     ),
+    "target in mm": (
+        {
+            "target": {**TABLE, "spacing": 8.0},
+            "target_view": [{"name": "a", "left": "top.json", **AT_ORIGIN}],
+        },
+        "target.spacing: expected m, a target of 0.0001 to 2 m, found 8 m, of a target 72 m long",
+    ),
     "target view": (
         {"target_view": [{"name": "a", "left": "top.json", **AT_ORIGIN}]},
         "target: expected the [target] that is seen in the views",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from argparse import ArgumentTypeError
 from collections.abc import Callable, Iterable
 from itertools import cycle
 from pathlib import Path
@@ -14,7 +15,7 @@ from alignment_factory import rig_error
 from support import Refused
 
 from fusion.cli import main
-from fusion.commands.options import EXIT_DONE
+from fusion.commands.options import EXIT_DONE, in_metres, length
 from fusion.simulate.preset import read_preset
 from fusion.simulate.statics import SessionPreset
 from photogram.calibration.file import read_calibration, read_camera
@@ -76,7 +77,7 @@ def test_a_picture_that_cannot_be_read_is_left_out_by_name_and_a_known_length_se
         picture.unlink()
     (pictures / "left" / "9.png").write_bytes(b"no picture")
     known = ["--known-length", "0,0", "5,0"]
-    assert main(_command(pictures, "-q", *known, "0.04509", "5e-6")) == EXIT_DONE
+    assert main(_command(pictures, "-q", *known, "45.09mm", "5e-6")) == EXIT_DONE
     told = capsys.readouterr().out
     (line,) = (line for line in told.splitlines() if "9.png" in line)
     assert line.endswith("9.png: left out: not a readable picture")
@@ -88,6 +89,53 @@ def test_a_picture_that_cannot_be_read_is_left_out_by_name_and_a_known_length_se
     assert "column,row" in refused(*_command(pictures, "-q", "--force", "--known-length", "0,0", "99,0", "0.1", "0"))
     told = refused(*_command(pictures, "-q", "--force", *known, "long", "0"))
     assert "--known-length: expected a length and its standard uncertainty in m, found 'long' '0'" in told
+
+
+def test_a_spacing_with_its_unit_and_cameras_of_two_sizes(session: tuple[Path, object], pictures: Path) -> None:
+    """Columns cut off at the right leave the pixels of the others where they were."""
+    for path in (pictures / "right").iterdir():
+        cv2.imwrite(str(path), cv2.imread(str(path), cv2.IMREAD_UNCHANGED)[:, :376])
+    arguments = ["9mm" if text == "9e-3" else text for text in _command(pictures, "-q")]
+    assert main(arguments) == EXIT_DONE
+    found = read_calibration(pictures / "top.json")
+    assert [camera.size_px.tolist() for camera in (found.left, found.right)] == [[384, 307], [376, 307]]
+    assert (np.abs(rig_error(found, session[1])) <= 4.5 * np.sqrt(np.diagonal(found.covariance))).all()
+
+
+@pytest.mark.parametrize(
+    ("spacing", "told"),
+    [
+        ("9", "--spacing: expected a unit with it: 9mm or 9m, found 9 m, of a target 99 m long"),
+        ("0.9", "of a target 9.9 m long"),
+        ("9e-6", "of a target 9.9e-05 m long"),
+    ],
+)
+def test_a_spacing_that_no_target_has_needs_its_unit(pictures: Path, refused: Refused, spacing: str, told: str) -> None:
+    assert told in refused(*[spacing if text == "9e-3" else text for text in _command(pictures, "-q")])
+    assert not list(pictures.glob("top.*"))
+
+
+@pytest.mark.parametrize(
+    ("text", "metres"),
+    [
+        ("7e-3", 7e-3),
+        ("7mm", 7e-3),
+        ("0.7 cm", 7e-3),
+        ("7000um", 7e-3),
+        ("7e3 µm", 7e-3),
+        ("0.25in", 6.35e-3),
+        ("3m", 3),
+    ],
+)
+def test_lengths_with_and_without_units(text: str, metres: float) -> None:
+    assert length(text).m == pytest.approx(metres, rel=1e-15)
+    assert float(in_metres(text)) == length(text).m
+
+
+@pytest.mark.parametrize("text", ["7km", "mm", "-7mm", "nan", "7 7mm", "7mm mm", "", "7M", "1e99"])
+def test_what_is_no_length_is_refused(text: str) -> None:
+    with pytest.raises(ArgumentTypeError, match="expected"):
+        length(text)
 
 
 def test_a_single_camera_comes_back(

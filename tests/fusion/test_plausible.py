@@ -59,6 +59,27 @@ def test_cameras_far_apart_are_asked_about(make_campaign: Campaign) -> None:
     assert "stereo.top.calibration: its cameras are 150 m apart and the left one 0.3 m from the sensor" in notice.text
 
 
+@pytest.mark.parametrize(
+    ("rotation", "translation", "told"),
+    [
+        ("[[0.8, 0, 0.6], [0, 1, 0], [-0.6, 0, 0.8]]", "[-0.18, 0, 0.135]", None),
+        ("[[0.8, 0, 0.6], [0, 1, 0], [-0.6, 0, 0.8]]", "[-0.00018, 0, 0.000135]", "cross 0.0003 m before the left one"),
+        ("[[0.8, 0, -0.6], [0, 1, 0], [0.6, 0, 0.8]]", "[-0.18, 0, 0.135]", "cross -"),
+    ],
+)
+def test_axes_that_do_not_cross_near_the_sensor_are_asked_about(
+    make_campaign: Campaign, rotation: str, translation: str, told: str | None
+) -> None:
+    """Right camera 0.225 m to the right, turned by the larger angle of a triangle 3-4-5: axes cross 0.3 m away."""
+    recording = make_campaign()
+    file = recording.parent / "calibration" / "top.json"
+    text = file.read_text().replace("[-0.15, 0, 0]", translation)
+    file.write_text(text.replace('[[1, 0, 0], [0, 1, 0], [0, 0, 1]], "trans', f'{rotation}, "trans'))
+    notices = doubts(load_manifest(recording))
+    assert [told in notice.text for notice in notices if told is not None] == [True] * (told is not None)
+    assert told is not None or not notices
+
+
 def test_a_pair_that_looks_away_is_asked_about(make_campaign: Campaign) -> None:
     """A rotation of 180 degrees about x turns the camera 0.3 m above the sensor towards it; none, upwards."""
     upwards = ("rig.toml", "[0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]   #", "[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]   #")

@@ -24,6 +24,7 @@ import pytest
 from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
+from photogram.calibration.exchange.lens import LengthUnit
 from photogram.calibration.exchange.read import import_calibration
 from photogram.calibration.exchange.write import export_calibration
 from photogram.calibration.file import read_calibration, read_camera, write_calibration
@@ -119,6 +120,8 @@ def _written(folder: Path) -> dict[str, bytes]:
         "".join(f"{n} = [ {' '.join(map(str, np.ravel(v)))} ];\n" for n, v in variables.items())
     )
     savemat(folder / "bouguet.mat", variables)
+    wide = {"K1": K, "D1": np.array(D[:4]), "K2": K, "D2": np.array(D[:4]), "distortion_model": "fisheye"}
+    np.savez(folder / "fisheye.npz", **wide, R=R, T=T_MM)
     (folder / "kalibr.yaml").write_text(_kalibr())
     (folder / "ros.yaml").write_text(_ros(0.0))
     with zipfile.ZipFile(folder / "vic3d.z3d", "w", zipfile.ZIP_DEFLATED) as archive:
@@ -163,6 +166,11 @@ for line in sys.stdin:
 """.replace("SECONDS", str(SECONDS))
 
 
+def _unit(name: str) -> LengthUnit | None:
+    """The unit that a file's user states; this program's export for OpenCV has one."""
+    return None if "opencv" in name else "mm"
+
+
 def read(path: str) -> str:
     """Return what comes of a file: read, refused in one sentence of the file's name, or what must not be."""
     first, reads = Path(path), []
@@ -172,8 +180,9 @@ def read(path: str) -> str:
     elif first.name.endswith("camera.json"):
         reads = [lambda: read_camera(first)]
     else:
-        reads = [lambda: import_calibration(first, (1280, 1024), "mm", first.with_name("right") if ros else None)]
-        reads += [lambda: import_calibration(first.with_name("first"), (1280, 1024), "mm", first)] * (not ros)
+        unit = _unit(first.name)
+        reads = [lambda: import_calibration(first, (1280, 1024), unit, first.with_name("right") if ros else None)]
+        reads += [lambda: import_calibration(first.with_name("first"), (1280, 1024), None, first)] * (not ros)
     for way in reads:
         try:
             way()
@@ -256,7 +265,7 @@ def test_damaged_calibrations_are_read_or_refused_in_one_sentence(tmp_path, proc
         elif name == "own.json":
             read_calibration(first)
         elif name != "ros.yaml" or _has_yaml():
-            import_calibration(first, (1280, 1024), "mm", tmp_path / "right" if name == "ros.yaml" else None)
+            import_calibration(first, (1280, 1024), _unit(name), tmp_path / "right" if name == "ros.yaml" else None)
     assert not _damage(tmp_path, whole, process, count=12, seed=1)
 
 

@@ -305,7 +305,7 @@ def _paired(cameras: Sequence[FoundCamera]) -> tuple[tuple[FoundSight, ...], tup
             if partner is None:
                 continue
             rest = [item for item in rest if item not in (camera, partner)]
-            if (partner.frames, partner.size_px) == (camera.frames, camera.size_px):
+            if partner.frames == camera.frames:
                 sights.append(FoundSight(_common_name(camera.pattern, place), camera, partner))
                 continue
             for one, beside in ((camera, partner), (partner, camera)):
@@ -343,12 +343,13 @@ def _common_name(pattern: str, place: tuple[int, int], otherwise: str = "pair") 
 
 
 def calibrations(folders: Iterable[Path]) -> dict[Path, tuple[int, int]]:
-    """Return the calibration files of this program in some folders, with the size of the pictures they belong to."""
+    """Return the calibration files of this program in some folders, with the size of their left pictures."""
     found: dict[Path, tuple[int, int]] = {}
     for folder in dict.fromkeys(folders):
         for path in sorted(folder.glob("*.json")) if folder.is_dir() else ():
             content = _content(path)
             size = content.get("image_size")
+            size = size[0] if isinstance(size, list) and size and isinstance(size[0], list) else size
             known = {"left", "right", "translation"} <= set(content) or "camera" in content
             if known and isinstance(size, list) and len(size) == 2:
                 found[path] = size[0], size[1]

@@ -11,12 +11,13 @@ import numpy as np
 from photogram.arrays import FloatArray, Notice
 from photogram.calibration.exchange.lens import (
     EVEN,
-    LengthUnit,
+    NO_ROTATION,
     Lens,
     Stated,
     numbers,
     right_from_left,
     rotation_from_cardan,
+    unit_of,
 )
 
 # DICe: camera systems in XML, and the text of 16 intrinsic and 6 or 12 extrinsic numbers before it.
@@ -31,6 +32,8 @@ _POWERS = {  # of r in the factor by which x and y are multiplied
 }
 _LINEAR = "K1R1_K2R2_K3R3"
 _NONE = "NO_LENS_DISTORTION"
+_COEFFICIENTS = ("K1", "K2", "K3", "P1", "P2", "K4", "K5", "K6")
+_USED = {_NONE: 0, "OPENCV_LENS_DISTORTION": len(_COEFFICIENTS)}  # of these, by model; of all others K1 K2 K3
 _DICE_BEYOND = ("S1", "S2", "S3", "S4", "T1", "T2")
 _TEXT_ORDER = "cx cy fx fy fs k1 k2 k3 of either camera, alpha beta gamma or R11…R33, tx ty tz, [height width]"
 
@@ -53,14 +56,18 @@ def read_dice_xml(root: ElementTree.Element, even_radial: bool = False) -> State
     first, second = (_camera(name, lists[name]) for name in cameras)
     rotation, translation = second[2], second[3]
     if system.get("EXTRINSICS_RELATIVE_CAMERA_TO_CAMERA", "false").lower() != "true":
-        rotation, translation = right_from_left(first[2:], second[2:])
+        rotation, translation = right_from_left(first[2:4], second[2:4])
     lenses, notices = _by_order(first[0], second[0], even_radial)
-    return Stated("DICe", lenses, (first[1], second[1]), rotation, translation, "mm", notices)
+    notices = (*first[4], *second[4], *notices)
+    return Stated("DICe", lenses, (first[1], second[1]), rotation, translation, None, notices, "mm")
 
 
 def _by_order(left: Lens, right: Lens, even_radial: bool) -> tuple[tuple[Lens, Lens], tuple[Notice, ...]]:
     """Return both lenses in the order of radial powers that is asked for, and what is to be said of it."""
-    if not any(lens.exponents == _POWERS[_LINEAR] and lens.radial.any() for lens in (left, right)):
+    linear = [lens for lens in (left, right) if lens.exponents == _POWERS[_LINEAR]]
+    if even_radial and not linear:
+        raise ValueError(f"even_radial: expected coefficients of {_LINEAR}, found others, whose powers of r are stated")
+    if not any(lens.radial.any() for lens in linear):
         return (left, right), ()
     if even_radial:
         told = "k1 k2 k3 are taken as the factor 1 + k1 r^2 + k2 r^4 + k3 r^6, as asked for; DICe takes them otherwise"
@@ -93,7 +100,7 @@ def read_dice_text(text: str, even_radial: bool = False) -> Stated:
         for each in (values[:8], values[8:16])
     )
     lenses, notices = _by_order(left, right, even_radial)
-    return Stated("DICe", lenses, (size, size), rotation, outer[-3:], "mm", notices)
+    return Stated("DICe", lenses, (size, size), rotation, outer[-3:], None, notices, "mm")
 
 
 def _parameters(element: ElementTree.Element) -> dict[str, str]:
@@ -101,8 +108,10 @@ def _parameters(element: ElementTree.Element) -> dict[str, str]:
     return {part.get("name", "").upper(): part.get("value", "") for part in element.findall("parameter")}
 
 
-def _camera(name: str, element: ElementTree.Element) -> tuple[Lens, tuple[int, int], FloatArray, FloatArray]:
-    """Return lens, size, rotation and translation of one camera."""
+def _camera(
+    name: str, element: ElementTree.Element
+) -> tuple[Lens, tuple[int, int], FloatArray, FloatArray, tuple[Notice, ...]]:
+    """Return lens, size, rotation and translation of one camera, and which of its coefficients have no effect."""
     values = _parameters(element)
 
     def number(key: str) -> float:
@@ -117,6 +126,10 @@ def _camera(name: str, element: ElementTree.Element) -> tuple[Lens, tuple[int, i
     model = values.get("LENS_DISTORTION_MODEL", _NONE).upper()
     if model != _NONE and model not in _POWERS:
         raise ValueError(f"{name}.LENS_DISTORTION_MODEL: expected {', '.join((_NONE, *_POWERS))}, found {model}")
+    unused = [key for key in _COEFFICIENTS[_USED.get(model, 3) :] if number(key) != 0]
+    if unused and "LENS_DISTORTION_MODEL" not in values:
+        told = f"the model of distortion that {', '.join(unused)} belong to"
+        raise ValueError(f"{name}.LENS_DISTORTION_MODEL: expected {told}, found none")
     radial = np.array([number("K1"), number("K2"), number("K3")]) * (model != _NONE)
     is_opencv = model == "OPENCV_LENS_DISTORTION"
     tangential = np.array([number("P1"), number("P2")]) * is_opencv
@@ -134,8 +147,15 @@ def _camera(name: str, element: ElementTree.Element) -> tuple[Lens, tuple[int, i
     for part in element.findall("parameterlist"):
         if part.get("name", "").lower() == "rotation_3x3_matrix":
             rows = _parameters(part)
-            rotation = np.array([_list(f"{name}.ROW {i}", rows.get(f"ROW {i}", ""), 3) for i in range(3)])
-    return lens, (int(width), int(height)), rotation, np.array([number("TX"), number("TY"), number("TZ")])
+            matrix = np.array([_list(f"{name}.ROW {i}", rows.get(f"ROW {i}", ""), 3) for i in range(3)])
+            if {"ALPHA", "BETA", "GAMMA"} & set(values) and not np.abs(matrix - rotation).max() <= NO_ROTATION:
+                told = f"found ones off by {np.abs(matrix - rotation).max():.2g}: are they in degrees?"
+                raise ValueError(f"{name}.ALPHA, BETA, GAMMA: expected the angles of rotation_3x3_matrix, {told}")
+            rotation = matrix
+    told = f"{name}: {', '.join(unused)} are left out, since {model} has no such coefficients"
+    notices = (Notice("warning", told, "distortion"),) if unused else ()
+    shift = np.array([number("TX"), number("TY"), number("TZ")])
+    return lens, (int(width), int(height)), rotation, shift, notices
 
 
 def _list(where: str, text: str, count: int) -> FloatArray:
@@ -165,7 +185,7 @@ def read_vic3d(root: ElementTree.Element) -> Stated:
         if size is None and mask.get("width") and mask.get("height"):
             width, height = numbers("polygonmask", [mask.get("width"), mask.get("height")], 2)
             size = int(width), int(height)
-    return Stated("VIC-3D", (left, right), (size, size), rotation, translation, "mm")
+    return Stated("VIC-3D", (left, right), (size, size), rotation, translation, None, habit="mm")
 
 
 def _vic3d_camera(name: str, camera: ElementTree.Element) -> tuple[Lens, FloatArray, FloatArray]:
@@ -197,7 +217,7 @@ _MATCHID = re.compile(
     r"\s?(cam\d_[a-z]\w*(?: \d)?|t[xyz]|theta|phi|psi)\s?(?:\[(\w+)\]|_(px|mm|m|deg|rad))?\s?[;,:=\t]\s*(\S+)",
     re.ASCII,
 )
-_MATCHID_UNITS: dict[str, LengthUnit] = {"mm": "mm", "m": "m"}
+_MATCHID_ANGLES = {"": 1.0, "deg": 1.0, "degrees": 1.0, "rad": 180 / np.pi, "radians": 180 / np.pi}  # in degrees
 
 
 def is_matchid(text: str) -> bool:
@@ -241,8 +261,14 @@ def read_matchid(text: str) -> Stated:
         for camera in cameras
     )
     angles = np.array([number(name) for name in ("theta", "phi", "psi")])
-    if values["theta"][0] == "rad":
-        angles = np.rad2deg(angles)
     translation = np.array([number(name) for name in ("tx", "ty", "tz")])
-    unit = _MATCHID_UNITS.get(values["tx"][0], "mm")
-    return Stated("MatchID", (left, right), (None, None), rotation_from_cardan(angles), translation, unit)
+    units = {name: values[name][0] for name in ("theta", "phi", "psi", "tx", "ty", "tz")}
+    for name, unit in units.items():
+        lengths = name[0] == "t" and name != "theta"
+        if (unit and unit_of(unit) is None) if lengths else unit not in _MATCHID_ANGLES:
+            raise ValueError(f"{name}: expected it in {'m or mm' if lengths else 'deg or rad'}, found {unit}")
+    if len({units[name] for name in ("tx", "ty", "tz")}) > 1:
+        raise ValueError(f"tx, ty, tz: expected one unit, found {', '.join(list(units.values())[3:])}")
+    rotation = rotation_from_cardan(angles * [_MATCHID_ANGLES[units[name]] for name in ("theta", "phi", "psi")])
+    size, stated = (None, None), unit_of(units["tx"])
+    return Stated("MatchID", (left, right), size, rotation, translation, stated, habit="mm")

@@ -11,22 +11,25 @@ import numpy as np
 from photogram.arrays import Arrays, FloatArray, IntArray, Notice
 from photogram.calibration.file import LARGEST, plausible
 from photogram.camera import CAMERA_PARAMETERS, Camera, StereoRig
-from photogram.geometry import RigidTransform, nearest_rotation, rotation_from_vector
+from photogram.geometry import RigidTransform, nearest_rotation, rotation_from_vector, skew
 
 EVEN = (2, 4, 6)
 """Exponents of the radial polynomial 1 + k1·r² + k2·r⁴ + k3·r⁶, which is this program's."""
 _GRID = 21  # points along each side of the picture at which two cameras are compared
 _STEPS = 200  # fixed-point steps of the inverse
 _INVERTED_PX = 1e-6
+_ESSENTIAL = 1e-3  # relative departure of an essential matrix from that of R and T above which they contradict
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Lens(Arrays, shapes="focal_px 2; centre_px 2; radial 3; tangential 2; divisor 3"):
+class Lens(Arrays, shapes="focal_px 2; centre_px 2; radial 3; tangential 2; divisor 3; angular 4"):
     """A pinhole with skew, radial and tangential distortion: focal_px, centre_px (2,), radial (3,), tangential (2,).
 
     With x = X/Z, y = Y/Z, r² = x² + y² and the factor g = (1 + Σ radial·r^exponents)/(1 + Σ divisor·r^(2, 4, 6)):
     x_d = g·x + 2·p1·x·y + p2·(r² + 2x²), y_d = g·y + p1·(r² + 2y²) + 2·p2·x·y,
-    u = fx·x_d + skew·y_d + cx, v = fy·y_d + cy.
+    u = fx·x_d + skew·y_d + cx, v = fy·y_d + cy. With `angular` (4,), of a fisheye lens, g is θ_d/r alone, with
+    θ = arctan r and θ_d = θ·(1 + k1·θ² + k2·θ⁴ + k3·θ⁶ + k4·θ⁸) (Kannala and Brandt 2006, IEEE Transactions on Pattern
+    Analysis and Machine Intelligence 28, 1335; OpenCV's `fisheye`, "equidistant" of ROS and Kalibr).
     """
 
     focal_px: FloatArray
@@ -36,11 +39,17 @@ class Lens(Arrays, shapes="focal_px 2; centre_px 2; radial 3; tangential 2; divi
     skew_px: float = 0.0
     exponents: tuple[int, int, int] = EVEN
     divisor: FloatArray = field(default_factory=lambda: np.zeros(3))
+    angular: FloatArray | None = None
 
     @property
     def is_exact(self) -> bool:
         """Whether a `Camera` describes it without any difference."""
-        return self.exponents == EVEN or not self.radial.any()
+        return self.angular is None and (self.exponents == EVEN or not self.radial.any())
+
+    @property
+    def model(self) -> str:
+        """What a notice calls a distortion that is not exact."""
+        return f"a distortion in powers {self.exponents} of r" if self.angular is None else "a fisheye distortion"
 
     @property
     def parameters(self) -> FloatArray:
@@ -52,13 +61,27 @@ class Lens(Arrays, shapes="focal_px 2; centre_px 2; radial 3; tangential 2; divi
         """Return the pixels (N, 2) of normalised coordinates (N, 2)."""
         x, y = normalised.T
         radius = np.hypot(x, y)
-        factor = 1.0 + sum(k * radius**power for k, power in zip(self.radial, self.exponents, strict=True))
-        factor = factor / (1.0 + sum(k * radius**power for k, power in zip(self.divisor, EVEN, strict=True)))
+        if self.angular is None:
+            factor = 1.0 + sum(k * radius**power for k, power in zip(self.radial, self.exponents, strict=True))
+            factor = factor / (1.0 + sum(k * radius**power for k, power in zip(self.divisor, EVEN, strict=True)))
+        else:
+            factor = fisheye_radius(np.arctan(radius), self.angular) / np.where(radius > 0, radius, 1.0)
+            factor = np.where(radius > 0, factor, 1.0)
         p1, p2 = self.tangential
         x_d = factor * x + 2 * p1 * x * y + p2 * (radius**2 + 2 * x**2)
         y_d = factor * y + p1 * (radius**2 + 2 * y**2) + 2 * p2 * x * y
         pixel = np.stack([self.focal_px[0] * x_d + self.skew_px * y_d, self.focal_px[1] * y_d], axis=1)
         return np.asarray(pixel + self.centre_px)
+
+
+def fisheye_radius(angle_rad: FloatArray, coefficients: FloatArray) -> FloatArray:
+    """Return θ_d of rays at angles θ to the axis, by the coefficients (4,) of a fisheye lens."""
+    return np.asarray(angle_rad * np.polynomial.polynomial.polyval(angle_rad**2, [1.0, *coefficients]))
+
+
+def fisheye(focal_px: FloatArray, centre_px: FloatArray, coefficients: FloatArray, skew_px: float = 0.0) -> Lens:
+    """Return the fisheye lens of these coefficients (4,)."""
+    return Lens(focal_px, centre_px, np.zeros(3), np.zeros(2), skew_px=skew_px, angular=coefficients)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,18 +100,22 @@ def nearest_camera(lens: Lens, size_px: IntArray) -> Nearest:
     """Return the camera that sees, with least squares over the picture, what a lens sees.
 
     A lens of this program's form is taken over as it is. Another radial polynomial is fitted by this one's, with the
-    matrix.
+    matrix; a fisheye lens by the rational model.
     """
     if lens.is_exact:
         return Nearest(Camera.from_parameters(lens.parameters, size_px), np.zeros(3), 0.0)
-    normalised = _seen(lens, size_px)
     start = lens.parameters
+    if lens.angular is not None:
+        normalised = _seen_by_fisheye(lens, lens.angular, size_px)
+        return fitted_camera(lens.project(normalised), normalised, start, (*RADIAL, *DIVISOR), size_px)
+    normalised = _seen(lens, size_px)
     start[[4, 5, 8]] = 0.0
     start[:2] *= 1.0 + sum(k for k, power in zip(lens.radial, lens.exponents, strict=True) if power == 0)
     return fitted_camera(lens.project(normalised), normalised, start, ("fx", "fy", "cx", "cy", *RADIAL), size_px)
 
 
 RADIAL = ("k1", "k2", "k3")
+DIVISOR = ("k4", "k5", "k6")
 TURN = ("x", "y", "z")
 
 
@@ -107,7 +134,7 @@ def fitted_camera(
     # Each unknown in steps that move the corner by about 1 px.
     radius = float(np.linalg.norm(normalised, axis=1).max())
     reach = float(start[:2].mean())
-    powers = {"k1": 3, "k2": 5, "k3": 7, "x": 0, "y": 0, "z": 1}
+    powers = {"k1": 3, "k2": 5, "k3": 7, "k4": 3, "k5": 5, "k6": 7, "x": 0, "y": 0, "z": 1}
     steps = np.array(
         [
             {"c": 1.0, "f": 1 / radius, "s": 1 / radius}.get(name[0]) or 1 / (reach * radius ** powers[name])
@@ -150,13 +177,40 @@ def _seen(lens: Lens, size_px: IntArray) -> FloatArray:
     raise ValueError("distortion: expected coefficients with an inverse over the picture, found none")
 
 
+def _seen_by_fisheye(lens: Lens, coefficients: FloatArray, size_px: IntArray) -> FloatArray:
+    """Return the normalised coordinates (N, 2) of a grid of pixels over the picture of a fisheye lens, from a table."""
+    matrix = np.array([[lens.focal_px[0], lens.skew_px], [0.0, lens.focal_px[1]]])
+    distorted = np.linalg.solve(matrix, (picture_grid(size_px) - lens.centre_px).T).T
+    angle = np.linspace(0.0, WIDEST_RAD, 20_001)
+    table, radius = fisheye_radius(angle, coefficients), np.linalg.norm(distorted, axis=1)
+    growing = int(np.argmin(np.append(np.diff(table) > 0, False)))  # how far it grows, and has an inverse
+    if not radius.max() <= table[growing]:
+        told = f"at most {np.degrees(angle[growing]):.0f} degrees off its axis, as far as its model has an inverse"
+        raise ValueError(f"distortion: expected a fisheye lens whose picture shows {told}, found more")
+    theta = np.interp(radius, table[: growing + 1], angle[: growing + 1])
+    return np.asarray(distorted * (np.tan(theta) / np.where(radius > 0, radius, 1.0))[:, None])
+
+
 # From what a file holds to a stereo rig: units, rotations written with few digits, differences of camera models.
 
-LengthUnit = Literal["m", "mm"]
-METRES = {"m": 1.0, "mm": 1e-3}
+LengthUnit = Literal["m", "mm", "cm", "um", "in"]
+METRES = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "um": 1e-6, "in": 0.0254}
+_UNIT_WORDS: dict[str, LengthUnit] = {
+    **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), "m"),
+    **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre", "millimetres"), "mm"),
+    **dict.fromkeys(("cm", "centimeter", "centimeters", "centimetre", "centimetres"), "cm"),
+    **dict.fromkeys(("um", "µm", "μm", "micrometer", "micrometers", "micrometre", "micrometres", "microns"), "um"),
+    **dict.fromkeys(("in", "inch", "inches"), "in"),
+}
+DistortionModel = Literal["plumb_bob", "fisheye"]
+"""What four coefficients of a distortion are: k1 k2 p1 p2, or those of an angle."""
 FEW_DIGITS = 1e-5  # departure from a rotation above which the user is told
 NO_ROTATION = 1e-3  # and above which it is none
+WIDEST_RAD = np.radians(79.0)  # off the axis; as far as a camera of this program sees
+_OFF_MIDDLE = 0.2  # of the picture's side; at half the resolution the principal point is 0.25 off, a lens some 0.02
 REMARKABLE_PX = 0.05  # difference between the file's camera and this program's that is worth a warning
+NEAR_M, FAR_M = 1e-3, 20.0  # between two cameras of a pair; beyond these a unit is likely to be wrong
+_DEPTHS = np.geomspace(0.3, 1000.0, 40)  # in baselines, at which two cameras may see the same
 UNUSABLE_PX = 0.5  # and that is refused
 SIDES = ("left", "right")
 
@@ -174,7 +228,9 @@ class ImportedCalibration:
 class Stated:
     """What a file states: lenses, sizes (None where it has none), x_right = rotation·x_left + translation (file units).
 
-    `unit` is the unit that the format fixes or its program uses, None where nobody can know.
+    `unit` is the unit that the file or its format fixes, None where neither does; `habit` the one that its program
+    uses then, None where nobody can know. `essential` is name and value (3, 3) of the
+    pair's essential matrix where the file holds it.
     """
 
     format: str
@@ -184,13 +240,22 @@ class Stated:
     translation: FloatArray
     unit: LengthUnit | None
     notices: tuple[Notice, ...] = ()
+    habit: LengthUnit | None = None
+    essential: tuple[str, FloatArray] | None = None
+
+
+def unit_of(word: str | None) -> LengthUnit | None:
+    """Return the unit of length that a file's word means, None for none or another word."""
+    return None if word is None else _UNIT_WORDS.get(word.strip().lower())
 
 
 def build(stated: Stated, image_size: tuple[int, int] | None, length_unit: LengthUnit | None) -> ImportedCalibration:
     """Return the stereo rig of what a file states."""
-    size, unit = _size(stated.sizes_px, image_size), length_unit or stated.unit
+    sizes, unit = _sizes(stated.sizes_px, image_size), length_unit or stated.unit or stated.habit
     if unit is None:
         raise ValueError(f"length_unit: expected m or mm, which a file of {stated.format} does not say")
+    if stated.unit is not None and unit != stated.unit:
+        raise ValueError(f"length_unit: expected {stated.unit} as in the file, found {unit}")
     departure = float(np.abs(stated.rotation.T @ stated.rotation - np.eye(3)).max())
     if not departure <= NO_ROTATION or np.linalg.det(stated.rotation) < 0:
         raise ValueError(
@@ -201,7 +266,9 @@ def build(stated: Stated, image_size: tuple[int, int] | None, length_unit: Lengt
     if departure > FEW_DIGITS:
         text = f"the rotation is written with so few digits that it is {1e3 * departure:.2f} mrad away from one"
         notices.append(Notice("warning", text, "rotation"))
-    left, right = (_camera(side, lens, size, notices) for side, lens in zip(SIDES, stated.lenses, strict=True))
+    if stated.essential is not None:
+        _check_essential(*stated.essential, stated)
+    left, right = (_camera(*each, notices) for each in zip(SIDES, stated.lenses, sizes, strict=True))
     between = RigidTransform(nearest_rotation(stated.rotation), stated.translation * METRES[unit])
     cosine = np.clip((np.trace(between.rotation) - 1.0) / 2.0, -1.0, 1.0)
     told = (
@@ -209,8 +276,48 @@ def build(stated: Stated, image_size: tuple[int, int] | None, length_unit: Lengt
         f"{np.rad2deg(np.arccos(cosine)):.2f} degrees against each other (lengths in the file taken as {unit})"
     )
     missing = "no uncertainties came with it: state scale_uncertainty under [stereo.NAME] in rig.toml"
-    notices += [Notice("info", told, "extrinsics"), Notice("info", missing, "covariance")]
-    return ImportedCalibration(plausible(StereoRig(left, right, between)), stated.format, tuple(notices))
+    rig, by_habit = plausible(StereoRig(left, right, between)), length_unit is None and stated.unit is None
+    notices += [Notice("info", told, "extrinsics"), *_distance(between, unit, by_habit)]
+    if not _see_the_same(rig):
+        told = "the right camera does not see what the middle of the left picture shows: is x_right = R x_left + T?"
+        notices.append(Notice("warning", told, "extrinsics"))
+    return ImportedCalibration(rig, stated.format, (*notices, Notice("info", missing, "covariance")))
+
+
+def _distance(between: RigidTransform, unit: str, by_habit: bool) -> list[Notice]:
+    """Return what is said of two cameras too near to each other or too far apart for a pair.
+
+    `ValueError` where the unit is only its program's habit.
+    """
+    distance = float(np.linalg.norm(between.translation_m))
+    if NEAR_M <= distance <= FAR_M:
+        return []
+    found = f"cameras {distance:.3g} m apart with lengths in {unit}"
+    if by_habit:
+        raise ValueError(f"length_unit: expected the unit to be stated, as the file does not, found {found}")
+    return [Notice("warning", f"{found}: is the unit right?", "extrinsics")]
+
+
+def _see_the_same(rig: StereoRig) -> bool:
+    """Return whether any ray of the left picture's middle half leads to a point that is within the right picture.
+
+    By their matrices alone: what a lens bends does not matter at this scale.
+    """
+    middle, baseline = (rig.left.size_px - 1) / 2, float(np.linalg.norm(rig.right_from_left.translation_m))
+    pixel = middle + (picture_grid(rig.left.size_px) - middle) / 2
+    rays = np.column_stack([pixel, np.ones(len(pixel))]) @ np.linalg.inv(rig.left.matrix).T
+    points = rig.right_from_left.apply((_DEPTHS[:, None, None] * baseline * rays).reshape(-1, 3))
+    seen = points[points[:, 2] > 0] @ rig.right.matrix.T
+    place = seen[:, :2] / seen[:, 2:]
+    return bool(((place > -0.5) & (place < rig.right.size_px - 0.5)).all(axis=1).any())
+
+
+def _check_essential(name: str, given: FloatArray, stated: Stated) -> None:
+    """Refuse a file whose essential matrix is not that of its rotation and translation."""
+    expected = skew(stated.translation) @ stated.rotation
+    share = abs(float((given * expected).sum())) / (np.linalg.norm(given) * np.linalg.norm(expected))
+    if not 1.0 - share < _ESSENTIAL**2:
+        raise ValueError(f"{name}: expected the one of the file's rotation and translation, found another")
 
 
 def numbers(where: str, values: Any, count: int | tuple[int, ...]) -> FloatArray:
@@ -246,22 +353,21 @@ def right_from_left(left: Sequence[FloatArray], right: Sequence[FloatArray]) -> 
     return rotation, right[1] - rotation @ left[1]
 
 
-def _size(sizes: tuple[tuple[int, int] | None, ...], option: tuple[int, int] | None) -> IntArray:
-    """Return the one image size (2,), width and height, from the file or from the caller."""
-    stated = {size for size in sizes if size is not None}
-    if len(stated) > 1:
-        raise ValueError(f"image size: expected one for both cameras, found {_times(sizes[0])} and {_times(sizes[1])}")
-    size = stated.pop() if stated else option
-    if size is None:
-        raise ValueError("image_size: expected width and height of the pictures, which the file does not hold")
-    if option is not None and size != option:
-        raise ValueError(f"image_size: expected {_times(size)} as in the file, found {_times(option)}")
-    return np.array(size, dtype=np.int64)
+def _sizes(sizes: tuple[tuple[int, int] | None, ...], option: tuple[int, int] | None) -> list[IntArray]:
+    """Return the image sizes (2,), width and height, of both cameras, from the file or from the caller."""
+    found = []
+    for size in sizes:
+        if size is None and option is None:
+            raise ValueError("image_size: expected width and height of the pictures, which the file does not hold")
+        if size is not None and option is not None and size != option:
+            raise ValueError(f"image_size: expected {_times(size)} as in the file, found {_times(option)}")
+        found.append(np.array(size or option, dtype=np.int64))
+    return found
 
 
-def _times(size: tuple[int, int] | None) -> str:
+def _times(size: tuple[int, int]) -> str:
     """The size as users write it."""
-    return "none" if size is None else f"{size[0]}x{size[1]}"
+    return f"{size[0]}x{size[1]}"
 
 
 def approximated(where: str, beyond: str, nearest: Nearest) -> Notice:
@@ -284,9 +390,12 @@ def _camera(side: str, lens: Lens, size: IntArray, notices: list[Notice]) -> Cam
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from error
     if not lens.is_exact:
-        notices.append(approximated(where, f"a distortion in powers {lens.exponents} of r", nearest))
+        notices.append(approximated(where, lens.model, nearest))
     centre, (width, height) = nearest.camera.matrix[:2, 2], size
     if not ((centre >= 0).all() and (centre < size).all()):
         text = f"its principal point ({centre[0]:.0f}, {centre[1]:.0f}) lies outside a picture of {width}x{height}: "
         notices.append(Notice("warning", f"{text}width and height may be exchanged", where))
+    elif (np.abs(centre - (size - 1) / 2) > _OFF_MIDDLE * size).any():
+        text = f"its principal point ({centre[0]:.0f}, {centre[1]:.0f}) lies far from the middle of a picture of "
+        notices.append(Notice("warning", f"{text}{width}x{height}: is the matrix that of this size, uncut?", where))
     return nearest.camera

@@ -10,14 +10,12 @@ from typing import Any
 import numpy as np
 
 from photogram.arrays import FloatArray
-from photogram.calibration.exchange.lens import SIDES, LengthUnit, Lens, Stated, numbers
-from photogram.geometry import rotation_from_vector, skew
+from photogram.calibration.exchange.lens import NO_ROTATION, SIDES, Lens, Stated, numbers, unit_of
+from photogram.geometry import rotation_from_vector
 from photogram.mat5 import check_mat5
 
 # MATLAB: stereoParameters as JSON, and Bouguet's calibration toolbox as text.
 
-_UNITS: dict[str, LengthUnit] = {"mm": "mm", "millimeters": "mm", "millimetres": "mm", "m": "m", "meters": "m"}
-_ESSENTIAL = 1e-3  # relative departure of an essential matrix from that of R and T above which they contradict
 _LARGEST_UNPACKED, _MOST_ARRAYS = 2**26, 3000
 _ASSIGNMENT = re.compile(r"\b([A-Za-z]\w*)\s*=\s*(?:\[([^\[\]]*)\]|([-+]?[\d.][\w.+-]*))")
 
@@ -33,14 +31,12 @@ def read_matlab(content: dict[str, Any]) -> Stated:
         _matlab_camera(name, content.get(name)) for name in ("CameraParameters1", "CameraParameters2")
     )
     rotation, translation = _extrinsics(content)
-    if content.get("EssentialMatrix") is not None:
-        given = numbers("EssentialMatrix", content["EssentialMatrix"], 9)
-        expected = (skew(translation) @ rotation).ravel()
-        share = abs(given @ expected) / (np.linalg.norm(given) * np.linalg.norm(expected))
-        if not 1.0 - share < _ESSENTIAL**2:
-            raise ValueError("EssentialMatrix: expected the one of the file's rotation and translation, found another")
-    known = _UNITS.get(str(content.get("WorldUnits", unit)).lower())
-    return Stated("MATLAB", (left, right), (left_size, right_size), rotation, translation, known)
+    name, essential = "EssentialMatrix", content.get("EssentialMatrix")
+    given = None if essential is None else (name, numbers(name, essential, (3, 3)))
+    word = str(content.get("WorldUnits", unit))
+    known, sizes = unit_of(word), (left_size, right_size)
+    stated = None if known == "mm" else known  # millimetres stand there as well where nobody chose a unit
+    return Stated("MATLAB", (left, right), sizes, rotation, translation, stated, habit=known, essential=given)
 
 
 def read_mat(path: Path) -> Stated:
@@ -148,8 +144,10 @@ def _bouguet(values: dict[str, Any]) -> Stated:
         alpha = float(array(f"alpha_c_{side}", 1)[0]) if f"alpha_c_{side}" in values else 0.0
         lenses.append(Lens(focal, centre, kc[[0, 1, 4]], kc[2:4], skew_px=alpha * float(focal[0])))
     rotation = array("R", 9).reshape(3, 3) if "om" not in values else rotation_from_vector(array("om", 3))
+    if "om" in values and "R" in values and not np.abs(array("R", 9).reshape(3, 3) - rotation).max() <= NO_ROTATION:
+        raise ValueError("om: expected the rotation vector of R, found another")
     size = (int(array("nx", 1)[0]), int(array("ny", 1)[0])) if {"nx", "ny"} <= set(values) else None
-    return Stated("Bouguet's toolbox", (lenses[0], lenses[1]), (size, size), rotation, array("T", 3), "mm")
+    return Stated("Bouguet's toolbox", (lenses[0], lenses[1]), (size, size), rotation, array("T", 3), None, habit="mm")
 
 
 def _matlab_camera(name: str, camera: Any) -> tuple[Lens, tuple[int, int] | None, str]:
@@ -158,6 +156,9 @@ def _matlab_camera(name: str, camera: Any) -> tuple[Lens, tuple[int, int] | None
         raise ValueError(f"{name}: expected an object, found {str(camera)[:40]!r}")
     inner = camera.get("Intrinsics")
     parameters = {**camera, **inner} if isinstance(inner, dict) else camera
+    if parameters.get("MappingCoefficients") is not None:
+        told = "a pinhole camera (cameraParameters), found a fisheye lens by mapping coefficients (Scaramuzza's model)"
+        raise ValueError(f"{name}: expected {told}")
     if parameters.get("K") is not None:
         k = numbers(f"{name}.K", parameters["K"], (3, 3))
     elif parameters.get("IntrinsicMatrix") is not None:

@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from itertools import count
 from typing import Any
 
 import numpy as np
 
 from photogram.arrays import FloatArray
-from photogram.calibration.exchange.lens import LengthUnit, Lens, Stated, numbers
+from photogram.calibration.exchange.lens import DistortionModel, Lens, Stated, fisheye, numbers, unit_of
 from photogram.geometry import rotation_from_vector
 
 # OpenCV: FileStorage in YAML, XML or JSON, and plain JSON with the same content in lists.
 
 _MATRICES = ("cameramatrix", "cammatrix", "intrinsicmatrix", "intrinsics", "camera", "matrix", "mtx", "cm", "m", "k")
-_DISTORTIONS = ("distcoeffs", "distcoeff", "distortioncoefficients", "distortioncoeffs", "distortion", "dist", "d")
-_SIDES = (("1", "2"), ("left", "right"), ("l", "r"), ("0", "1"))
+_DISTORTIONS = (
+    *("distcoeffs", "distcoeff", "distortioncoefficients", "distortioncoeffs", "distortionvector"),
+    *("distortion", "dist", "d"),
+)
+_SIDES = (("1", "2"), ("left", "right"), ("l", "r"), ("0", "1"), ("camera0", "camera1"), ("camera1", "camera2"))
 _ROTATIONS = ("r", "rotation", "rotationmatrix", "rmat", "stereor", "rvec")
 _TRANSLATIONS = ("t", "translation", "translationvector", "tvec", "stereot")
 _SIZES = ("imagesize", "imgsize", "size", "resolution")
@@ -26,6 +30,16 @@ _WIDTHS, _HEIGHTS = ("imagewidth", "imgwidth", "width", "w"), ("imageheight", "i
 _UNITS = ("lengthunit", "worldunits")
 _BEYOND = ("s1", "s2", "s3", "s4", "tauX", "tauY")
 _LENGTHS = (4, 5, 8, 12, 14)
+_FEW = 4  # coefficients: k1 k2 p1 p2, or a fisheye lens's k1 k2 k3 k4
+_MODEL_KEY = re.compile(r"(distortion|camera|lens)(model|type)|fisheye|^model$")
+_FLAG_KEY = re.compile(r"distortiontype|fisheye")  # of which a number is a model: 0 or 1 (OpenCV's sample, MC-Calib)
+_MODELS: dict[str, DistortionModel | None] = {  # None: says nothing of the distortion
+    **dict.fromkeys(("plumbbob", "radtan", "radialtangential", "brown", "brownconrady", "opencv"), "plumb_bob"),
+    **dict.fromkeys(("rational", "rationalpolynomial", "fullopencv", "none", "0", "false", "no"), "plumb_bob"),
+    **dict.fromkeys(("fisheye", "equidistant", "equi", "kannalabrandt", "1", "true", "yes"), "fisheye"),
+    **dict.fromkeys(("pinhole", "perspective"), None),
+}
+_OTHER_MODELS = re.compile(r"omni|^mei|^ds$|doublesphere|^eucm|scaramuzza|ocam|fov|division|thinprism|kannala|fisheye")
 _DEEPEST = 500  # levels that OpenCV's parser can be trusted with; it dies beyond some 30 000
 _LONGEST = 2000  # elements of one list or object; image points may stand beside the calibration
 _MOST_VALUES = 500_000
@@ -35,31 +49,61 @@ Values = dict[str, tuple[str, Any]]
 """Values of a file by simplified name, each with the name as it stands there."""
 
 
-def read_opencv(text: str, extrinsics: str | None = None) -> Stated:
+def read_opencv(
+    content: str | dict[str, Any], extrinsics: str | None = None, model: DistortionModel | None = None
+) -> Stated:
     """Return what an OpenCV file holds: matrices and distortions of two cameras, R and T with x₂ = R·x₁ + T.
 
     Names in any of the usual spellings (M1 D1 M2 D2 R T, cameraMatrix1 distCoeffs1, K_left, mtxL, left: {…}); a
     rotation vector is accepted for R. Distortion in OpenCV's order k1 k2 p1 p2 k3 k4 k5 k6; later coefficients, of thin
-    prisms and tilted sensors, must be zero. A `length_unit` is this program's own addition.
+    prisms and tilted sensors, must be zero. Four coefficients are k1 k2 p1 p2 or those of OpenCV's fisheye module,
+    which no file shows by its numbers: a key such as `distortion_model` or `fisheye_model` says it, or the caller. A
+    `length_unit` is this program's own addition. `content`: the text, or arrays by name.
     """
-    values = _values(text)
+    values = _values(content)
     if extrinsics is not None:
         values |= _values(extrinsics)
     matrices, distortions = _pair(values, _MATRICES, "M1 and M2"), _pair(values, _DISTORTIONS, "D1 and D2")
-    left, right = (_lens(matrix, distortion) for matrix, distortion in zip(matrices, distortions, strict=True))
-    size = _size(values)
+    model = _model(values, model)
+    left, right = (_lens(matrix, distortion, model) for matrix, distortion in zip(matrices, distortions, strict=True))
+    sizes = _sizes(values)
     name, value = _one(values, _ROTATIONS, "rotation R")
     is_vector = np.size(np.asarray(value, dtype=object)) == 3
     rotation = rotation_from_vector(numbers(name, value, 3)) if is_vector else numbers(name, value, (3, 3))
     translation = numbers(*_one(values, _TRANSLATIONS, "translation T"), 3)
     stated = next((str(values[name][1]) for name in _UNITS if name in values), None)
-    unit: LengthUnit | None = "mm" if stated == "mm" else "m" if stated == "m" else None
-    return Stated("OpenCV", (left, right), (size, size), rotation, translation, unit)
+    essentials = [values[name] for name in ("e", "essential", "essentialmatrix") if name in values]
+    essential = next(((name, numbers(name, value, (3, 3))) for name, value in essentials), None)
+    unit = unit_of(stated)
+    return Stated("OpenCV", (left, right), sizes, rotation, translation, unit, essential=essential)
 
 
-def _values(text: str) -> Values:
-    """Return every value of a text."""
-    if text.lstrip().startswith(("{", "[")):
+def _model(values: Values, asked: DistortionModel | None) -> DistortionModel | None:
+    """Return the model of distortion that a file's keys, or else the caller, state, None where neither does."""
+    found: dict[DistortionModel, str] = {} if asked is None else {asked: f"{asked} as asked for"}
+    for name, (key, value) in values.items():
+        if re.fullmatch(r"xi(\d|l|r|left|right)?|(left|right|camera\d)xi", name):
+            raise ValueError(f"{key}: expected a pinhole or a fisheye lens, found one of the omnidirectional model")
+        number = isinstance(value, float | int) and not isinstance(value, bool)
+        if not (_FLAG_KEY if number else _MODEL_KEY).search(name) or not isinstance(value, str | float | int):
+            continue
+        word = re.sub(r"[^a-z0-9]", "", f"{value:g}" if number else str(value).lower())
+        if word not in _MODELS and ("distortion" in name or _OTHER_MODELS.search(word)):
+            told = "plumb_bob, rational_polynomial or fisheye, the models of distortion that are read"
+            raise ValueError(f"{key}: expected {told}, found {str(value)[:40]}")
+        stated = _MODELS.get(word)
+        if stated is not None:
+            found.setdefault(stated, f"{key} = {str(value)[:40]}")
+    if len(found) > 1:
+        raise ValueError(f"distortion_model: expected one model of distortion, found {' and '.join(found.values())}")
+    return next(iter(found), None)
+
+
+def _values(text: str | dict[str, Any]) -> Values:
+    """Return every value of a text, or of arrays by name."""
+    if isinstance(text, dict):
+        content: Any = text
+    elif text.lstrip().startswith(("{", "[")):
         content = parse_json(text)
     else:
         content = _storage(text) if text.lstrip().startswith(("%YAML", "<")) else parse_yaml(text)
@@ -150,8 +194,8 @@ def _one(values: Values, names: tuple[str, ...], what: str) -> tuple[str, Any]:
     raise ValueError(f"expected the {what} from the first to the second camera, found none: is it in a second file?")
 
 
-def _lens(matrix: tuple[str, Any], distortion: tuple[str, Any]) -> Lens:
-    """Return one camera's lens."""
+def _lens(matrix: tuple[str, Any], distortion: tuple[str, Any], model: DistortionModel | None) -> Lens:
+    """Return one camera's lens; four coefficients need a model."""
     name, value = matrix
     k = numbers(name, value, (3, 3))
     if k[1, 0] != 0 or not np.array_equal(k[2], [0, 0, 1]):
@@ -161,6 +205,14 @@ def _lens(matrix: tuple[str, Any], distortion: tuple[str, Any]) -> Lens:
     if length not in _LENGTHS:
         raise ValueError(f"{name}: expected {', '.join(map(str, _LENGTHS))} coefficients, found {length}")
     coefficients = numbers(name, value, length)
+    focal, centre = np.array([k[0, 0], k[1, 1]]), k[:2, 2].copy()
+    if model == "fisheye":
+        if length != _FEW:
+            raise ValueError(f"{name}: expected the {_FEW} coefficients of a fisheye lens, found {length}")
+        return fisheye(focal, centre, coefficients, float(k[0, 1]))
+    if length == _FEW and model is None:
+        told = "k1 k2 p1 p2 (plumb_bob) or k1 k2 k3 k4 of a fisheye lens"
+        raise ValueError(f"distortion_model: expected plumb_bob or fisheye, for {name} has 4 coefficients, {told}")
     for label, coefficient in zip(_BEYOND, coefficients[8:], strict=False):
         if coefficient != 0:
             raise ValueError(
@@ -168,25 +220,41 @@ def _lens(matrix: tuple[str, Any], distortion: tuple[str, Any]) -> Lens:
                 "model; calibrate without it"
             )
     k1, k2, p1, p2, k3, *divisor = np.concatenate([coefficients, np.zeros(4)])[:8]
-    focal, centre = np.array([k[0, 0], k[1, 1]]), k[:2, 2].copy()
     radial, tangential = np.array([k1, k2, k3]), np.array([p1, p2])
     return Lens(focal, centre, radial, tangential, skew_px=float(k[0, 1]), divisor=np.array(divisor))
 
 
-def _size(values: Values) -> tuple[int, int] | None:
-    """Return width and height where the file holds them."""
+def _sizes(values: Values) -> tuple[tuple[int, int] | None, tuple[int, int] | None]:
+    """Return width and height of either camera's pictures where the file holds them, by camera or of both."""
+    for sides in _SIDES:
+        for spelling in ("{name}{side}", "{side}{name}"):
+            first, second = (_size(values, partial(spelling.format, side=side)) for side in sides)
+            if first is not None and second is not None:
+                return first, second
+    size = _size(values, "{name}".format)
+    return size, size
+
+
+def _size(values: Values, spelled: Callable[..., str]) -> tuple[int, int] | None:
+    """Return width and height under names that are spelled so."""
     for name in _SIZES:
-        if name in values:
-            width, height = numbers(*values[name], 2)
+        if (key := spelled(name=name)) in values:
+            width, height = numbers(*values[key], 2)
             return int(width), int(height)
-    sides = [next((values[name] for name in names if name in values), None) for names in (_WIDTHS, _HEIGHTS)]
+    spellings = ([spelled(name=name) for name in names] for names in (_WIDTHS, _HEIGHTS))
+    sides = [next((values[name] for name in names if name in values), None) for names in spellings]
     whole = [int(numbers(*side, 1)[0]) for side in sides if side is not None]
     return (whole[0], whole[1]) if len(whole) == 2 else None
 
 
 # ROS and Kalibr: YAML.
 
-_ROS_MODELS = {"plumb_bob": 5, "rational_polynomial": 8}  # and their numbers of coefficients, OpenCV's
+_ROS_MODELS: dict[str, tuple[tuple[int, ...], DistortionModel]] = {  # their numbers of coefficients, OpenCV's
+    "plumb_bob": ((5, 4), "plumb_bob"),
+    "rational_polynomial": ((8,), "plumb_bob"),
+    "equidistant": ((4,), "fisheye"),
+    "fisheye": ((4,), "fisheye"),
+}
 _PLACES = ("T_cn_cnm1", "T_cam_imu", "T_imu_cam")
 
 
@@ -229,9 +297,13 @@ def read_ros(text: str, second: str | None) -> Stated:
             raise ValueError(f"{side} distortion_model: expected {' or '.join(_ROS_MODELS)}, found {kind[:40]}")
         names = "camera_matrix", "distortion_coefficients", "rectification_matrix", "projection_matrix"
         matrix, distortion, rectification, projection = (_ros_data(side, content, name) for name in names)
-        if np.size(np.asarray(distortion[1], dtype=object)) != _ROS_MODELS[kind]:
-            raise ValueError(f"{distortion[0]}: expected {_ROS_MODELS[kind]} coefficients for {kind}")
-        lenses.append(_lens(matrix, distortion))
+        lengths, model = _ROS_MODELS[kind]
+        if (length := np.size(np.asarray(distortion[1], dtype=object))) not in lengths:
+            raise ValueError(f"{distortion[0]}: expected {lengths[0]} coefficients for {kind}, found {length}")
+        lenses.append(_lens(matrix, distortion, model))
+        for key, value in _reduced(content):
+            told = "those of the whole sensor at full resolution, to which camera_matrix belongs"
+            raise ValueError(f"{side} {key}: expected {told}, found {value:g}")
         rotations.append(numbers(*rectification, (3, 3)))
         p = numbers(*projection, (3, 4))
         if not p[0, 0] > 0:
@@ -243,7 +315,20 @@ def read_ros(text: str, second: str | None) -> Stated:
         raise ValueError("projection_matrix: expected a baseline of a stereo pair, found two single cameras")
     back = np.linalg.inv(rotations[1])
     translation = back @ np.array([shifts[1] - shifts[0], 0.0, 0.0])
-    return Stated("ROS", (lenses[0], lenses[1]), (sizes[0], sizes[1]), back @ rotations[0], translation, "m")
+    pair, both = (lenses[0], lenses[1]), (sizes[0], sizes[1])
+    return Stated("ROS", pair, both, back @ rotations[0], translation, None, habit="m")
+
+
+def _reduced(content: dict[str, Any]) -> Iterator[tuple[str, float]]:
+    """Yield what says that pictures are binned or cut, of which `camera_matrix` knows nothing."""
+    region = content.get("roi")
+    parts = region if isinstance(region, dict) else {}
+    for key, value, whole in (
+        *((key, content.get(key), (0, 1)) for key in ("binning_x", "binning_y")),
+        *((f"roi.{key}", parts.get(key), (0,)) for key in ("x_offset", "y_offset")),
+    ):
+        if value is not None and float(numbers(key, value, 1)[0]) not in whole:
+            yield key, float(value)
 
 
 def _ros_data(side: str, content: dict[str, Any], name: str) -> tuple[str, Any]:
@@ -255,7 +340,7 @@ def _ros_data(side: str, content: dict[str, Any], name: str) -> tuple[str, Any]:
 
 
 def read_kalibr(text: str) -> Stated:
-    """Return what a Kalibr camchain holds of two pinhole cameras with radial and tangential distortion. Lengths in m.
+    """Return what a Kalibr camchain holds of two pinhole cameras, `radtan`, `equidistant` or `none`. Lengths in m.
 
     `T_cn_cnm1` (4, 4): x_cam1 = T·x_cam0; else both cameras have `T_cam_imu`, x_cam = T·x_imu, or `T_imu_cam`, its
     inverse.
@@ -270,13 +355,16 @@ def read_kalibr(text: str) -> Stated:
         if not isinstance(camera, dict):
             raise ValueError(f"{name}: expected named values, found {str(camera)[:40]!r}")
         models = camera.get("camera_model"), camera.get("distortion_model")
-        if models not in (("pinhole", "radtan"), ("pinhole", "none")):
-            raise ValueError(f"{name}: expected a camera pinhole-radtan, found {models[0]}-{models[1]}")
+        if models[0] != "pinhole" or models[1] not in ("radtan", "equidistant", "none"):
+            told = "a camera pinhole-radtan, pinhole-equidistant or pinhole-none"
+            raise ValueError(f"{name}: expected {told}, found {models[0]}-{models[1]}")
         fx, fy, cx, cy = numbers(f"{name}.intrinsics", camera.get("intrinsics"), 4)
         k = np.zeros(4)
-        if models[1] == "radtan":
+        if models[1] != "none":
             k = numbers(f"{name}.distortion_coeffs", camera.get("distortion_coeffs"), 4)
-        lenses.append(Lens(np.array([fx, fy]), np.array([cx, cy]), np.array([*k[:2], 0.0]), k[2:]))
+        focal, centre = np.array([fx, fy]), np.array([cx, cy])
+        plain = Lens(focal, centre, np.array([*k[:2], 0.0]), k[2:])
+        lenses.append(fisheye(focal, centre, k) if models[1] == "equidistant" else plain)
         width, height = numbers(f"{name}.resolution", camera.get("resolution"), 2)
         sizes.append((int(width), int(height)))
         poses.append({key: _place(f"{name}.{key}", camera[key]) for key in _PLACES if camera.get(key) is not None})
@@ -288,7 +376,8 @@ def read_kalibr(text: str) -> Stated:
         between = np.linalg.inv(poses[1]["T_imu_cam"]) @ poses[0]["T_imu_cam"]
     else:
         raise ValueError(f"cam1: expected its place against cam0, one of {', '.join(_PLACES)}, found none")
-    return Stated("Kalibr", (lenses[0], lenses[1]), (sizes[0], sizes[1]), between[:3, :3], between[:3, 3], "m")
+    pair, both = (lenses[0], lenses[1]), (sizes[0], sizes[1])
+    return Stated("Kalibr", pair, both, between[:3, :3], between[:3, 3], None, habit="m")
 
 
 def _place(where: str, value: Any) -> FloatArray:

@@ -10,13 +10,21 @@ from contextlib import contextmanager
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
+from numpy.lib.format import read_array_header_1_0, read_array_header_2_0, read_magic
 
 from photogram.arrays import Notice
 from photogram.calibration.exchange.dic import is_matchid, read_dice_text, read_dice_xml, read_matchid, read_vic3d
-from photogram.calibration.exchange.lens import ImportedCalibration, LengthUnit, Stated, build
+from photogram.calibration.exchange.lens import (
+    DistortionModel,
+    ImportedCalibration,
+    LengthUnit,
+    Stated,
+    build,
+)
 from photogram.calibration.exchange.matlab import read_bouguet, read_mat, read_matlab
 from photogram.calibration.exchange.opencv import parse_json, read_kalibr, read_opencv, read_ros
 
@@ -26,6 +34,7 @@ _LARGEST_TEXT = 2**20  # of a text that is neither OpenCV's, XML nor JSON: these
 _DEEPEST = 64  # lists within lists: readers follow these by recursion
 _QUOTED = re.compile(r""" "[^"]*" | '[^'\n]*' """, re.VERBOSE)
 _KNOWN = "OpenCV, DICe, VIC-3D, MatchID, MATLAB or its toolbox of Bouguet, ROS, Kalibr"
+_MOST_ARRAYS, _LONGEST_ARRAY = 1000, 2000  # in a file of NumPy; elements of one that is looked at
 _LONGEST_SENTENCE = 400  # of what is said of a file, which may quote it
 
 
@@ -67,13 +76,15 @@ def import_calibration(
     length_unit: LengthUnit | None = None,
     extrinsics: str | Path | None = None,
     even_radial: bool = False,
+    distortion_model: DistortionModel | None = None,
 ) -> ImportedCalibration:
     """Return the stereo pair of another program's calibration file; its content, not its name, tells the format.
 
     `image_size` (width, height): for files that do not hold it. `length_unit`: for OpenCV's files, which do not say it,
     and against the unit that a format has by habit. `extrinsics`: the second file of OpenCV's sample program, which
     writes intrinsics and extrinsics apart, or of ROS, that of the right camera. `even_radial`: k1 k2 k3 of DICe's text
-    belong to r², r⁴, r⁶. `ValueError` names the file and what is wrong in it.
+    belong to r², r⁴, r⁶. `distortion_model`: what four coefficients of OpenCV's files are. `ValueError` names the file
+    and what is wrong in it, or the argument that has no effect on such a file.
 
     >>> import json
     >>> from pathlib import Path
@@ -91,7 +102,15 @@ def import_calibration(
         raise ValueError(f"image_size: expected a width and a height of at least 1, found {image_size}")
     with _one_sentence(path), np.errstate(all="ignore"):  # of numbers beyond reason, told by what comes of them
         second = None if extrinsics is None else _second(Path(extrinsics))
-        return build(_read(path, second, even_radial), image_size, length_unit)
+        stated = _read(path, second, even_radial, distortion_model)
+        for name, given, formats in (
+            ("extrinsics", second is not None, ("OpenCV", "ROS")),
+            ("even_radial", even_radial, ("DICe",)),
+            ("distortion_model", distortion_model is not None, ("OpenCV",)),
+        ):
+            if given and stated.format not in formats:
+                raise ValueError(f"{name}: expected a file of {' or '.join(formats)}, found one of {stated.format}")
+        return build(stated, image_size, length_unit)
 
 
 @contextmanager
@@ -126,6 +145,15 @@ def _second(path: Path) -> str:
         return _text(text)
 
 
+@contextmanager
+def _unpacking() -> Iterator[None]:
+    """Tell what is wrong with a zipped file."""
+    try:
+        yield
+    except (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError, OSError) as error:
+        raise ValueError(f"expected a zipped file that can be unpacked, found: {error}") from error
+
+
 def _content(path: Path) -> bytes:
     """Return a file's content; of a zipped VIC-3D project the one part that matters."""
     if path.exists() and not path.is_file():
@@ -134,13 +162,11 @@ def _content(path: Path) -> bytes:
         raise ValueError(f"expected a calibration of at most {_LARGEST >> 20} MB, found {path.stat().st_size >> 20} MB")
     if not zipfile.is_zipfile(path):
         return path.read_bytes()
-    try:
-        with zipfile.ZipFile(path) as archive, archive.open(_PROJECT) as part:
+    with _unpacking(), zipfile.ZipFile(path) as archive:
+        if _PROJECT not in archive.namelist():
+            raise ValueError(f"expected {_PROJECT} in this zipped file, or arrays of NumPy alone, found neither")
+        with archive.open(_PROJECT) as part:
             content = part.read(_LARGEST + 1)
-    except KeyError as error:
-        raise ValueError(f"expected {_PROJECT} in this zipped file, found none") from error
-    except (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError, OSError) as error:
-        raise ValueError(f"expected a zipped file that can be unpacked, found: {error}") from error
     if len(content) > _LARGEST:
         raise ValueError(f"expected {_PROJECT} of at most {_LARGEST >> 20} MB in this zipped file, found a larger one")
     return content
@@ -157,39 +183,73 @@ def _text(text: str) -> str:
     return text
 
 
-def _read(path: Path, second: str | None, even_radial: bool) -> Stated:
+def _arrays(path: Path) -> dict[str, Any] | None:
+    """Return the arrays of a file of `numpy.savez` as lists by name, None of another file."""
+    if not zipfile.is_zipfile(path):
+        return None
+    with _unpacking(), zipfile.ZipFile(path) as archive:
+        members = archive.infolist()
+        if not members or not all(member.filename.endswith(".npy") for member in members):
+            return None
+        if len(members) > _MOST_ARRAYS or sum(member.file_size for member in members) > _LARGEST:
+            raise ValueError(f"expected arrays of at most {_LARGEST >> 20} MB, {_MOST_ARRAYS} of them, found more")
+        return {member.filename[:-4]: _array(member.filename, archive.read(member)) for member in members}
+
+
+def _array(name: str, content: bytes) -> Any:
+    """Return an array of a .npy file as lists, None of what is long and of no camera."""
+    stream = BytesIO(content)
+    try:
+        read = {(1, 0): read_array_header_1_0, (2, 0): read_array_header_2_0}[read_magic(stream)]
+        shape, by_columns, dtype = read(stream)
+        if dtype.hasobject or dtype.kind not in "fiubU":
+            raise ValueError(f"numbers and texts, found {dtype}")
+        array = np.frombuffer(content[stream.tell() :], dtype).reshape(shape, order="F" if by_columns else "C")
+    except (ValueError, KeyError, SyntaxError, EOFError) as error:
+        raise ValueError(f"{name}: expected an array that can be read, found: {error}") from error
+    return array.tolist() if array.size <= _LONGEST_ARRAY else None
+
+
+def _read(path: Path, second: str | None, even_radial: bool, model: DistortionModel | None) -> Stated:
     """Return what a file of any known format states."""
+    arrays = _arrays(path) if path.is_file() else None
+    if arrays is not None:
+        return read_opencv(arrays, second, model)
     content = _content(path)
     if content.startswith((b"MATLAB 5.0", b"MATLAB 7.3")):
         return read_mat(path)
     text = content.decode("utf-8-sig", errors="replace")
     if text.lstrip().startswith("<"):
         stated = _read_xml(content, even_radial)
-        return stated if stated is not None else read_opencv(text, second)
+        return stated if stated is not None else read_opencv(text, second, model)
     _text(text)
     if not text.lstrip().startswith("{") and not text.startswith("%YAML") and len(text) > _LARGEST_TEXT:
         raise ValueError(f"expected a text of at most {_LARGEST_TEXT >> 20} MB, found {len(text)} characters")
-    return _read_json(text, second) if text.lstrip().startswith("{") else _read_lines(text, second, even_radial)
+    if text.lstrip().startswith("{"):
+        return _read_json(text, second, model)
+    return _read_lines(text, second, even_radial, model)
 
 
-def _read_json(text: str, second: str | None) -> Stated:
+def _read_json(text: str, second: str | None, model: DistortionModel | None) -> Stated:
     """Return what a JSON file states."""
     values = parse_json(text)
     if "CameraParameters1" in values:
         return read_matlab(values)
     if values.get("format") == 1 and "rotation" in values:
         raise ValueError("expected another program's calibration, found one of this program, ready for use")
-    return read_opencv(text, second)
+    return read_opencv(text, second, model)
 
 
-def _read_lines(text: str, second: str | None, even_radial: bool) -> Stated:
+def _read_lines(text: str, second: str | None, even_radial: bool, model: DistortionModel | None) -> Stated:
     """Return what a YAML file or another text states."""
     if re.search(r"^cam\d+:\s*$", text, re.MULTILINE):
         return read_kalibr(text)
-    if re.search(r"^(distortion_model|projection_matrix):", text, re.MULTILINE):
+    of_a_pair = text.startswith("%YAML") or re.search(r"^(R|T|rotation|translation)\w*:", text, re.MULTILINE)
+    alone = "projection_matrix" if of_a_pair else "distortion_model|projection_matrix"
+    if re.search(f"^({alone}):", text, re.MULTILINE):
         return read_ros(text, second)
     if text.startswith("%YAML"):
-        return read_opencv(text, second)
+        return read_opencv(text, second, model)
     for is_it, read in ((lambda text: "fc_left" in text, read_bouguet), (is_matchid, read_matchid)):
         if is_it(text):
             return read(text)
@@ -197,7 +257,7 @@ def _read_lines(text: str, second: str | None, even_radial: bool) -> Stated:
     if not lines:
         raise ValueError("the file is empty")
     if re.match(r"---(\s|$)|[^\W\d][\w. -]*:(\s|$)", lines[0]):
-        return read_opencv(text, second)
+        return read_opencv(text, second, model)
     if not any(character.isdigit() for character in lines[0].split("#")[0]):
         raise ValueError(f"expected a calibration of {_KNOWN}, found {lines[0][:40]!r}")
     return read_dice_text(text, even_radial)

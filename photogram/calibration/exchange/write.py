@@ -34,8 +34,11 @@ def opencv_yaml(rig: StereoRig) -> tuple[str, list[Notice]]:
     import cv2
 
     storage = cv2.FileStorage(".yml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
-    storage.write("image_width", int(rig.left.size_px[0]))
-    storage.write("image_height", int(rig.left.size_px[1]))
+    alike = np.array_equal(rig.left.size_px, rig.right.size_px)
+    for number, camera in enumerate((rig.left, rig.right), start=1):
+        for name, length in zip(("image_width", "image_height"), camera.size_px, strict=True):
+            if not alike or number == 1:
+                storage.write(name if alike else f"{name}{number}", int(length))
     storage.write("length_unit", "m")
     for number, camera in enumerate((rig.left, rig.right), start=1):
         storage.write(f"M{number}", camera.matrix)
@@ -56,6 +59,9 @@ def vic3d_xml(rig: StereoRig) -> tuple[str, list[Notice]]:
     Tangential distortion and k4 k5 k6 are taken up, with least squares over the picture, by the parameters it has and
     by turns of the two cameras' frames. The world is the left camera's frame, so turned.
     """
+    if not np.array_equal(rig.left.size_px, rig.right.size_px):
+        found = " and ".join("x".join(map(str, camera.size_px)) for camera in (rig.left, rig.right))
+        raise ValueError(f"image_size: expected pictures of one size, as VIC-3D's projects have them, found {found}")
     notices: list[Notice] = []
     free = (*_MATRIX, *RADIAL, *TURN)
     left, right = (
@@ -127,8 +133,6 @@ def export_calibration(path: str | Path, rig: StereoRig) -> tuple[str, tuple[Not
         raise ValueError(
             f"{path}: expected a name that ends in {', '.join(FORMATS)}, found {path.suffix or 'no suffix'}"
         )
-    if not np.array_equal(rig.left.size_px, rig.right.size_px):
-        raise ValueError(f"rig: expected two images of one size, found {rig.left.size_px} and {rig.right.size_px}")
     program, write = FORMATS[path.suffix.lower()]
     text, notices = write(rig)
     if rig.covariance is not None:
