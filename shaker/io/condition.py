@@ -1,0 +1,264 @@
+"""The condition of a channel's samples: stretches that were lost, ranges that were exceeded, steps of the converter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from shaker.arrays import BoolArray, FloatArray, IntArray, check_shape
+
+DefectKind = Literal["lost", "clipped", "steps"]
+
+FEWEST_STEPS = 30.0
+"""Converter steps in an amplitude below which quantisation without dither may cost more than 1e-3 of it: 0.2·n^-1.5."""
+_EXCERPT = 1 << 16  # samples that show the steps of a converter
+_LEVELS = 0.25  # of an excerpt: with more distinct values than that the steps are too fine to matter
+_ROUNDING = 5e-7  # of the largest value: single precision of equal values
+_LONGER = 3  # times the longest constant run that is typical of a record: a longer one is a stretch without signal
+_SHORTEST = 8  # samples of a stretch that counts as lost
+_BLOCKS = 32  # parts of a record in which the longest constant run is typical
+_FEWEST = 8  # samples at a limit
+_BEYOND = (
+    0.0,
+    5e-4,
+    1e-2,
+)  # shares of all samples that may lie beyond a limit: none, spikes, noise added later
+_CURVED = 25.0  # times the range and the square of such a share: ten times the depth of a sine's crest of this share
+_WIDEST = 0.03  # of the range: how far samples at one limit may differ
+_HELD = 4.0 / 3.0  # samples within eight widths of a limit over those within one
+# Widths, samples within them over those within one that are fewer than the √widths of a smooth crest, and samples from
+# which on that is no chance.
+_CROWDED = ((8.0, 1.8, 200), (4.0, 1.5, 300), (2.0, 1.25, 1000))
+_RUN = 3  # samples at a limit one after another, which no sampling of a smooth crest can give without others nearby
+_CHOSEN, _CLUSTER = 4096, 2.5  # values of the middle half whose clusters are counted; samples at a limit over theirs
+_LIKE = 1e-5  # of the range: how far values of one cluster lie apart
+_CLUSTERED = 0.5  # of the middle half of the values that the widest twentieth of their gaps takes
+_RESTS = 0.02  # of the record: a level kept for longer at a time is where the signal rests
+_NAMED = 3  # stretches named
+
+
+@dataclass(frozen=True)
+class Defect:
+    """What is wrong with some samples of a channel.
+
+    `kind`: "lost" (constant or not a number for longer than the signal can be), "clipped" (held at a limit) or "steps"
+    (few steps of the converter in the driven line). `spans` (N, 2): first sample and the one after the last of each
+    stretch, none for steps. `levels`: the values at which samples were held; the limits of clipped ones, lower first,
+    -inf or inf where that side is not clipped. `step`: of the converter, 0 where none shows. `steps`: how many the
+    amplitude of the driven line has, infinite if that is not known.
+    """
+
+    kind: DefectKind
+    spans: IntArray
+    levels: tuple[float, ...] = ()
+    step: float = 0.0
+    steps: float = np.inf
+
+    def __post_init__(self) -> None:
+        check_shape("spans", self.spans, (None, 2))
+
+    @property
+    def count(self) -> int:
+        """Number of samples in all stretches."""
+        return int(np.sum(self.spans[:, 1] - self.spans[:, 0]))
+
+    def mask(self, samples: int) -> BoolArray:
+        """Return which of so many samples are in a stretch, (S,)."""
+        change = np.zeros(samples + 1, dtype=np.int64)
+        np.add.at(change, self.spans[:, 0], 1)
+        np.add.at(change, self.spans[:, 1], -1)
+        return np.asarray(np.cumsum(change[:-1]) > 0)
+
+    def text(self, samples: int, sample_rate_hz: float, unit: str = "", start_s: float = 0.0) -> str:
+        """Describe the defect of a channel of so many samples: kind, numbers, times."""
+        unit = f" {unit}" if unit else ""
+        if self.kind == "steps":
+            return (
+                f"its driven line has only {self.steps:.2g} converter steps of {self.step:.4g}{unit} in its amplitude"
+            )
+        share = f"{self.count} of {samples} samples"
+        if self.kind == "clipped":
+            low, high = self.levels
+            limits = [f"{level:.5g}{unit}" for level in (low, high) if np.isfinite(level)]
+            return f"is clipped at {' and '.join(limits)}: {share}"
+        ends = start_s + self.spans / sample_rate_hz
+        told = ", ".join(f"{a:.6g} s to {b:.6g} s" for a, b in ends[:_NAMED].tolist())
+        more = f" and {len(ends) - _NAMED} more" if len(ends) > _NAMED else ""
+        return f"has no signal (constant or no numbers) from {told}{more}: {share}"
+
+
+def examine_samples(
+    samples: FloatArray, sample_rate_hz: float, amplitude: float | None = None, frequency_hz: float | None = None
+) -> list[Defect]:
+    """Find lost stretches, clipping and few converter steps in samples (S,) of one channel.
+
+    `amplitude`: of the driven line in this channel, in the unit of the samples; `frequency_hz`: of the slowest driven
+    line. Without a driven line only clipping is sought: a signal that comes to rest is constant by nature, and so is
+    the level at which most samples lie.
+
+    >>> import numpy as np
+    >>> sine = 50.0 * np.cos(2 * np.pi * 106.25 * np.arange(20_000) / 2000.0)
+    >>> [defect.text(20_000, 2000.0, "m/s²") for defect in examine_samples(np.clip(sine, -60.0, 40.0), 2000.0)]
+    ['is clipped at 40 m/s²: 4063 of 20000 samples']
+    """
+    check_shape("samples", samples, (None,))
+    found: list[Defect] = []
+    step = converter_step(samples)
+    rest = samples
+    if frequency_hz is not None:
+        lost = find_lost(samples, step, sample_rate_hz / frequency_hz)
+        if lost is not None:
+            found.append(lost)
+            rest = samples[~lost.mask(len(samples))]
+    low, high = clip_levels(rest, step, resting=frequency_hz is None)
+    if np.isfinite(low) or np.isfinite(high):
+        reach = (samples <= low) | (samples >= high)
+        for defect in found:
+            reach &= ~defect.mask(len(samples))
+        found.append(Defect("clipped", _spans(reach), (low, high), step))
+    if amplitude is not None and step > 0.0 and amplitude < FEWEST_STEPS * step:
+        found.append(Defect("steps", np.zeros((0, 2), dtype=np.int64), (), step, amplitude / step))
+    return found
+
+
+def _spans(chosen: BoolArray) -> IntArray:
+    """Return first and last + 1 (N, 2) of each run of true values (S,)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]).astype(np.int8)))
+    return np.asarray(edges.reshape(-1, 2), dtype=np.int64)
+
+
+# Steps of the converter.
+
+
+def converter_step(samples: FloatArray) -> float:
+    """Return the step between neighbouring values of samples (S,); 0 where they are too fine to show any.
+
+    The smallest difference between distinct values, of which all other differences are multiples.
+    """
+    excerpt = samples[:_EXCERPT]
+    excerpt = excerpt[np.isfinite(excerpt)]
+    levels = np.unique(excerpt)
+    if len(levels) < 2 or len(levels) > max(_LEVELS * len(excerpt), 2):
+        return 0.0
+    apart = np.diff(levels)
+    apart = apart[apart > _ROUNDING * float(np.max(np.abs(levels)))]
+    if not len(apart):
+        return 0.0
+    step = float(np.median(apart[apart < 1.5 * apart.min()]))
+    off = np.abs(apart / step - np.rint(apart / step))
+    return step if np.mean(off < 0.1) > 0.95 else 0.0
+
+
+# Stretches without signal.
+
+
+def find_lost(samples: FloatArray, step: float, period: float) -> Defect | None:
+    """Find stretches of samples (S,) that are constant for longer than a signal of this `period` (samples) can be.
+
+    What is typical are the longest constant runs of the parts of the record; the crest of a sine between two steps of a
+    converter, or at a limit, is one of these. NaN and infinite samples count as constant.
+    """
+    bad = ~np.isfinite(samples)
+    values = np.where(bad, np.inf, samples) if bad.any() else samples
+    edges = np.concatenate([[0], np.flatnonzero(values[1:] != values[:-1]) + 1, [len(values)]])
+    length = np.diff(edges)
+    parts = int(np.clip(len(samples) / (2.0 * period), 4, _BLOCKS))
+    cuts = np.searchsorted(edges[:-1], np.linspace(0, len(samples), parts + 1)[:-1])
+    cuts = np.unique(np.minimum(cuts, len(length) - 1))
+    least = max(_SHORTEST, _LONGER * float(np.median(np.maximum.reduceat(length, cuts))))
+    long = length >= least
+    if step > 0.0 and long.any():
+        long &= _interrupts(samples, edges, long, period)
+    long |= ~np.isfinite(values[edges[:-1]])
+    if not long.any():
+        return None
+    spans = np.stack([edges[:-1][long], edges[1:][long]], axis=1)
+    levels = tuple(float(v) for v in np.unique(values[spans[:, 0]])[:_NAMED])
+    return Defect("lost", spans, levels, step)
+
+
+def _interrupts(samples: FloatArray, edges: IntArray, long: BoolArray, period: float) -> BoolArray:
+    """Return which `long` runs between `edges` (R + 1,) have the usual signal right before or after them.
+
+    A beat, or a motion that dies away, rests between two steps of a converter as well, but comes to rest.
+    """
+    reach = max(int(np.ceil(period)), _SHORTEST)
+
+    def swing(first: int, last: int) -> float:
+        part = samples[max(first, 0) : last]
+        part = part[np.isfinite(part)]
+        return float(np.ptp(part)) if len(part) else 0.0
+
+    usual = float(np.median([swing(first, first + reach) for first in range(0, len(samples), reach)]))
+    kept = np.zeros_like(long)
+    for run in np.flatnonzero(long):
+        first, last = int(edges[run]), int(edges[run + 1])
+        kept[run] = max(swing(first - reach, first), swing(last, last + reach)) > 0.5 * usual
+    return kept
+
+
+# Limits at which samples are held.
+
+
+def clip_levels(samples: FloatArray, step: float, *, resting: bool = False) -> tuple[float, float]:
+    """Return the limits from which on samples (S,) are held, -inf and inf where they are not.
+
+    A smooth crest has √8 times as many samples within eight widths of its top as within one; one that is cut off has
+    hardly more, whether the values at the limit are equal or scatter a little. `resting`: a level at which most samples
+    lie is where the signal rests, and no limit.
+    """
+    samples = samples[np.isfinite(samples)]
+    if len(samples) < 2 * _FEWEST or np.ptp(samples) == 0.0:
+        return -np.inf, np.inf
+    high, low = (_held_from(signal, step, resting) for signal in (samples, -samples))
+    return (-low, high) if -low < high else (-np.inf, np.inf)  # one level, at which the signal rests between its peaks
+
+
+def _held_from(samples: FloatArray, step: float, resting: bool) -> float:
+    """Return the level from which on samples are held at their upper limit, inf where they are not."""
+    span, total = float(np.ptp(samples)), len(samples)
+    exact = step * (1.0 - 1e-3) if step > 0.0 else _ROUNDING * float(np.max(np.abs(samples)))
+    for share in _BEYOND:
+        beyond = int(share * total)
+        top = float(np.partition(samples, -1 - beyond)[-1 - beyond])
+        width = max(exact, _CURVED * share**2 * span)
+        while width <= max(_WIDEST * span, exact):
+            near = samples > top - width
+            count = int(np.count_nonzero(near))
+            if count >= max(_FEWEST, 10 * beyond) and _is_limit(samples, near, (top, width, exact), resting):
+                return float(np.min(samples[near]))
+            width *= 2.0
+    return np.inf
+
+
+def _is_limit(samples: FloatArray, near: BoolArray, where: tuple[float, float, float], resting: bool) -> bool:
+    """Return whether the samples `near` a top, within a width, are held there; `exact` is the width of equal ones."""
+    top, width, exact = where
+    count, spans = int(np.count_nonzero(near)), _spans(near)
+    length = spans[:, 1] - spans[:, 0]
+    if resting:
+        visits = _spans(samples > top - _CROWDED[0][0] * width)
+        if len(spans) < 3 or np.max(visits[:, 1] - visits[:, 0]) > _RESTS * len(near):
+            return False
+    within = [int(np.count_nonzero(samples > top - widths * width)) for widths, _, _ in _CROWDED]
+    if within[0] < _HELD * int(np.sum(length[length >= _RUN])):
+        return True
+    held = within[0] < _HELD * count and (width <= exact or count >= _CROWDED[0][2])
+    crowded = any(
+        count >= fewest and number < most * count for (_, most, fewest), number in zip(_CROWDED, within, strict=True)
+    )
+    if not (held or crowded):
+        return False
+    # Samples synchronous with the signal lie in clusters everywhere, not at its limits alone.
+    quarter = len(samples) // 4
+    inner = np.sort(np.partition(samples, (quarter, -1 - quarter))[quarter:-quarter])
+    if held:
+        middle = inner[:: -(-len(inner) // _CHOSEN)]
+        half = max(width, _LIKE * float(np.ptp(samples))) / 2.0
+        like = np.searchsorted(inner, middle + half) - np.searchsorted(inner, middle - half)
+        if count > _CLUSTER * float(np.median(like)):
+            return True
+    gaps = np.sort(np.maximum(np.diff(inner) - 1.01 * exact, 0.0))
+    return crowded and float(np.sum(gaps[-len(gaps) // 20 :])) < _CLUSTERED * float(inner[-1] - inner[0])
