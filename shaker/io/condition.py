@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import BoolArray, FloatArray, IntArray, check_shape
+from shaker.arrays import BoolArray, FloatArray, IntArray, brief, check_shape
 
 DefectKind = Literal["lost", "clipped", "steps"]
 
@@ -58,6 +58,8 @@ class Defect:
 
     def __post_init__(self) -> None:
         check_shape("spans", self.spans, (None, 2))
+
+    __repr__ = brief
 
     @property
     def count(self) -> int:

@@ -36,8 +36,16 @@ def test_sound_sines_are_sound_however_they_are_sampled(rate_hz: float, step: fl
 @pytest.mark.parametrize("step", [0.0, 1e-3, 0.1])
 @pytest.mark.parametrize(
     ("low", "high", "later"),
-    [(-40.0, 40.0, 0.0), (-60.0, 40.0, 0.0), (-40.0, 60.0, 0.0), (-49.0, 49.0, 0.0), (-15.0, 15.0, 0.0)]
-    + [(-60.0, -15.0, 0.0), (-40.0, 40.0, 0.05), (-40.0, 40.0, 0.5)],
+    [
+        (-40.0, 40.0, 0.0),
+        (-60.0, 40.0, 0.0),
+        (-40.0, 60.0, 0.0),
+        (-49.0, 49.0, 0.0),
+        (-15.0, 15.0, 0.0),
+        (-60.0, -15.0, 0.0),
+        (-40.0, 40.0, 0.05),
+        (-40.0, 40.0, 0.5),
+    ],
 )
 def test_clipping_is_found_at_its_limits(low: float, high: float, later: float, step: float) -> None:
     noise = later * np.random.default_rng(2).standard_normal(20_000)
@@ -103,7 +111,7 @@ def test_several_lines_and_noise() -> None:
     beat = 10.0 * np.cos(2.0 * np.pi * 100.0 * time) + 10.0 * np.cos(2.0 * np.pi * 101.0 * time)
     noise = rng.standard_normal(40_000)
     for samples in (lines, noise, beat):
-        for step in (0.0, 0.01):
+        for step in (0.0, 0.003):
             read = _read(np.asarray(samples), step)
             assert not examine_samples(read, 5000.0, 10.0, 100.0)
             limit = 0.6 * float(read.max())
