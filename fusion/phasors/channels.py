@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from hashlib import sha256
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,7 @@ import numpy as np
 from fusion.base import AnyNotice, InputError, as_input_error
 from fusion.instruments.channel import NOISE_REACH, ChainUncertainty, Reading, acting, chain_errors
 from fusion.instruments.transducer import HEAD, ROOM, TRANSDUCERS
+from fusion.phasors.condition import check_usable, condition_of, fit_usable
 from fusion.phasors.timing import Lateness, TimeBase, together
 from fusion.recording.response import read_response
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, Stacked, brief
@@ -20,7 +22,7 @@ from shaker.lines.detection import relative_strength, survey_lines
 from shaker.lines.frequencies import Lines, find_lines
 from shaker.lines.spectrum import Spectrum, amplitude_spectrum
 from shaker.sine.aliasing import CAPTURE, Fold, alias_frequency, folded_harmonics
-from shaker.sine.fit import Stationarity, fit_sines, stationarity
+from shaker.sine.fit import Stationarity, fit_sines, rows_present, stationarity
 from shaker.sine.phasor import Phasors
 from shaker.sine.solve import SineFit, SineModel
 
@@ -49,6 +51,7 @@ STEADY = 1e-8
 """Relative standard uncertainty with which two blocks record the same frequency: a generator's drift in a minute."""
 FEW = 3
 """Fundamentals up to which their harmonics are looked at: a multisine has its own lines there, and intermodulation."""
+_ROBUST = SineModel(robust=True)
 # The order in which quantities are preferred for finding the lines: those that show high frequencies best.
 LINE_QUANTITIES = (*sorted(TRANSDUCERS, key=lambda name: -TRANSDUCERS[name].order), "output", "force", "voltage")
 
@@ -114,6 +117,7 @@ def _fastest(base: TimeBase) -> tuple[DaqRecord, ChannelEntry] | None:
         (
             channel.body in (ROOM, HEAD),
             -record.raw[channel.name].sample_rate_hz,
+            bool(record.defects(channel)),
             LINE_QUANTITIES.index(channel.quantity),
             place,
             record,
@@ -125,7 +129,7 @@ def _fastest(base: TimeBase) -> tuple[DaqRecord, ChannelEntry] | None:
     ]
     if not candidates:
         return None
-    *_, record, channel = min(candidates, key=lambda item: item[:4])
+    *_, record, channel = min(candidates, key=lambda item: item[:5])
     return record, channel
 
 
@@ -137,7 +141,8 @@ def line_record(base: TimeBase) -> LineRecord | None:
     record, channel = fastest
     time_s = base.to_base_s(record.entry.name, record.time_s(channel.name))
     group = next(group for group in _same_times(record) if channel in group)
-    return LineRecord(record, tuple(group), time_s, record.stacked(group))
+    check_usable(record, channel)
+    return LineRecord(record, tuple(group), time_s, record.usable(group))
 
 
 def find_channel_lines(manifest: Manifest, base: TimeBase) -> Lines | None:
@@ -228,7 +233,7 @@ def line_stretch(
         inside = (time_s >= span_s[0]) & (time_s <= span_s[1])
         with suppress(ValueError):
             names, free = [member.name for member in chosen], SineModel(free=(0,) * len(frequency_hz))
-            values = record.stacked(chosen).kept(None if inside.all() else inside)
+            values = record.usable(chosen).kept(None if inside.all() else inside)
             fit = fit_sines(time_s[inside], values, frequency_hz, names, names, model=free)
             ratio = float(fit.phasors.frequency_hz[0] / frequency_hz[0])
             return ratio - 1.0, float(fit.u_frequency_hz[0] / frequency_hz[0])
@@ -314,13 +319,17 @@ def channel_phasors(
 
 
 def _same_times(record: DaqRecord) -> list[list[ChannelEntry]]:
-    """Group a block's channels (triggers left out) by equal times, to be fitted in one solve."""
-    groups: dict[tuple[float, float, int, bytes], list[ChannelEntry]] = {}
+    """Group a block's channels (triggers left out) by equal times, to be fitted in one solve.
+
+    One that has lost or clipped samples is fitted alone.
+    """
+    groups: dict[tuple[float, float, int, bytes, str], list[ChannelEntry]] = {}
     for channel in record.entry.channel:
         if channel.quantity != "trigger":
             raw = record.raw[channel.name]
             stamps = b"" if raw.stamp_s is None else sha256(raw.stamp_s.tobytes()).digest()
-            groups.setdefault((raw.sample_rate_hz, raw.start_s, len(raw.samples), stamps), []).append(channel)
+            alone = channel.name if record.defects(channel) else ""
+            groups.setdefault((raw.sample_rate_hz, raw.start_s, len(raw.samples), stamps, alone), []).append(channel)
     return list(groups.values())
 
 
@@ -340,7 +349,6 @@ def _fit_group(
     lines, seen, errors = wanted_lines
     time_s = base.to_base_s(record.entry.name, record.time_s(group[0].name))
     rate_hz = record.raw[group[0].name].sample_rate_hz
-    values = record.stacked(group)
     names = [channel.name for channel in group]
     apart = np.abs(np.subtract.outer(lines.nuisance_hz, alias_frequency(lines.frequency_hz, rate_hz)))
     clear = np.all(apart * float(time_s[-1] - time_s[0]) >= APART_PERIODS, axis=1)
@@ -351,7 +359,8 @@ def _fit_group(
     added = multiples[~np.isin(multiples, frequency_hz)]
     with as_input_error(record.entry.file, names[0]):
         every = np.concatenate([frequency_hz, added])
-        fit = fit_sines(time_s, values, every, names, units, model=SineModel(robust=True))
+        fitted_to = partial(fit_sines, time_s, frequency_hz=every, channels=names, unit=units, model=_ROBUST)
+        fit, values, clipped = fit_usable(record, group, fitted_to, time_s)
     wanted = spread_lines(fit.phasors.at_lines(np.arange(np.count_nonzero(seen))), seen, lines.frequency_hz)
     kept = None
     if len(fit.spikes):
@@ -365,11 +374,12 @@ def _fit_group(
         result, reading = _result(record, channel, time_s, fit, own, shown)
         order = -TRANSDUCERS[channel.quantity].order if channel.quantity in TRANSDUCERS else 0
         late = [error.through(fit, seen, order).of_channel(c).relative_to(own) for error in errors]
+        open_values, told = condition_of(record, c, fit, time_s, clipped, seen)
         steady_here = steady and steady.select(channel.name)
         harmonics = _harmonics(channel, fit, every, multiples) if shown else None
-        result = replace(result, stationarity=steady_here, harmonics=harmonics)
+        result = replace(result, stationarity=steady_here, harmonics=harmonics, notices=(*result.notices, *told))
         result = replace(result, spectrum_hz=fitted[0][0].spectrum_hz) if fitted else result  # the same, held once
-        fitted.append((result, replace(reading, further=acting(late))))
+        fitted.append((result, replace(reading, further=acting([*late, *open_values]))))
     return fitted
 
 
@@ -426,8 +436,8 @@ def _result(
     place = fit.phasors.channels.index(channel.name)
     first = slice(0, min(len(values), int(EXCERPT_PERIODS * rate_hz / fit.phasors.frequency_hz[0]) + 2))
     none = Spectrum(np.empty(0), np.empty((0, 1)))
-    uniform = record.raw[channel.name].stamp_s is None
-    spectrum = amplitude_spectrum(values, rate_hz, MOST_BINS) if shown and uniform else none
+    uniform, whole = record.raw[channel.name].stamp_s is None, _filled(values, time_s, fit, place)
+    spectrum = amplitude_spectrum(whole, rate_hz, MOST_BINS) if shown and uniform else none
     result = ChannelResult(
         name=channel.name,
         daq=block,
@@ -446,6 +456,14 @@ def _result(
         notices=tuple(Notice(n.severity, f"{block}, {n.where}: {n.text}", block) for n in fit.notices),
     )
     return result, Reading(channel, phasors, chain)
+
+
+def _filled(values: Stacked, time_s: FloatArray, fit: SineFit, place: int) -> FloatArray | Stacked:
+    """Return the values of a channel, those that are no numbers as the fit has them."""
+    present = rows_present(values)
+    if present is None:
+        return values
+    return np.where(present[:, None], values[:], fit.model(time_s, slice(place, place + 1)))
 
 
 def folding(frequency_hz: Sequence[float], rate_hz: float, samples: int, most: int = HARMONICS[-1]) -> list[Fold]:

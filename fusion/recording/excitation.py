@@ -127,6 +127,13 @@ class Excitation(Block):
         return self
 
     @property
+    def slowest_hz(self) -> float | None:
+        """Lowest frequency of a motion that is periodic as long as it is recorded; None of others."""
+        if "run" not in KINDS[self.kind].commands:
+            return None
+        return min(self.frequencies) if self.frequencies else max(self.band[0], 1.0 / self.period)  # type: ignore[index,operator]
+
+    @property
     def channels(self) -> tuple[tuple[str, tuple[str, ...]], ...]:
         """Keys that name recorded channels, with these names."""
         force = () if self.force is None else (self.force,)

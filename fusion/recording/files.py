@@ -17,6 +17,7 @@ from fusion.recording.manifest import SCAN, ChannelEntry, Daq, Frames
 from shaker.arrays import FloatArray, Stacked
 from shaker.io import read_channels
 from shaker.io.channel import RawChannel
+from shaker.io.condition import Defect, examine_samples
 from shaker.timebase.edges import find_edges
 from shaker.timebase.trigger import PulseWidth, TriggerFit, fit_trigger, pulse_width
 
@@ -30,11 +31,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class DaqRecord:
-    """One DAQ block: its manifest entry, its channels by name, and the file's start time (s) of the earliest sample."""
+    """One DAQ block: its manifest entry, its channels by name, and the file's start time (s) of the earliest sample.
+
+    `slowest_hz`: the lowest driven frequency of a periodic motion, which tells a stretch without signal from a rest.
+    """
 
     entry: Daq
     raw: dict[str, RawChannel]
     start_s: float
+    slowest_hz: float | None = field(default=None, kw_only=True)
+    _defects: dict[str, tuple[Defect, ...]] = field(default_factory=dict, init=False, repr=False, compare=False)
     _triggers: dict[str, TriggerFit] = field(default_factory=dict, init=False, repr=False, compare=False)
     _pulses: dict[str, PulseWidth | ValueError] = field(default_factory=dict, init=False, repr=False, compare=False)
 
@@ -61,6 +67,25 @@ class DaqRecord:
         """Return channels sampled alike side by side, (S, C), in SI of their quantities."""
         columns = tuple(self.raw[channel.name].samples for channel in channels)
         return Stacked(columns, tuple(channel.scale for channel in channels))
+
+    def defects(self, channel: ChannelEntry) -> tuple[Defect, ...]:
+        """Return which samples of a channel are lost or clipped, examined once; none of a trigger."""
+        if channel.quantity == "trigger":
+            return ()
+        if channel.name not in self._defects:
+            raw = self.raw[channel.name]
+            found = examine_samples(raw.samples, raw.sample_rate_hz, frequency_hz=self.slowest_hz)
+            self._defects[channel.name] = tuple(found)
+        return self._defects[channel.name]
+
+    def usable(self, channels: Sequence[ChannelEntry]) -> Stacked:
+        """Return channels as `stacked`, NaN where samples are lost or clipped."""
+        stacked = self.stacked(channels)
+        columns = list(stacked.columns)
+        for c, channel in enumerate(channels):
+            for defect in self.defects(channel):
+                columns[c] = np.where(defect.mask(len(columns[c])), np.nan, columns[c])
+        return replace(stacked, columns=tuple(columns))
 
     def fit_trigger(self, channel: ChannelEntry) -> TriggerFit:
         """Fit the edges of a trigger channel, once, in seconds from its first sample."""
@@ -222,7 +247,10 @@ def read_set_ups(manifest: Manifest, already: AlreadyRead | None = None) -> tupl
     for where, block in manifest.set_ups:
         with told_in(manifest.path, where):
             for part, point in split_scan(block):
-                records = tuple(_read_daq(part, daq, point, read.get((where, daq.name))) for daq in part.daq)
+                records = tuple(
+                    _read_daq(part, daq, point, read.get((where, daq.name)), part.excitation.slowest_hz)
+                    for daq in part.daq
+                )
                 set_ups.append(SetUpRecords(part, records, where))
     return tuple(set_ups)
 
@@ -247,30 +275,41 @@ def recorded_channels(daq: Daq) -> dict[str, RawChannel]:
 
 
 def _read_daq(
-    manifest: Manifest, daq: Daq, point: ScannedPoint | None = None, raw: dict[str, RawChannel] | None = None
+    manifest: Manifest,
+    daq: Daq,
+    point: ScannedPoint | None = None,
+    raw: dict[str, RawChannel] | None = None,
+    slowest_hz: float | None = None,
 ) -> DaqRecord:
-    """Read and check a block; what has been read, the point of a scan or `raw` channels, is checked only."""
+    """Read and check a block; what has been read, the point of a scan or `raw` channels, is checked only.
+
+    With the frequency of a periodic motion, samples may be missing.
+    """
     if point is not None and point.entry is daq:
-        record: DaqRecord = point
+        record: DaqRecord = replace(point, slowest_hz=slowest_hz)
     else:
         with as_input_error(manifest.path, f"daq.{daq.name}.file"):
             raw = recorded_channels(daq) if raw is None else raw
-        record = DaqRecord(daq, raw, min(channel.start_s for channel in raw.values()))
+        start_s = min(channel.start_s for channel in raw.values())
+        record = DaqRecord(daq, raw, start_s, slowest_hz=slowest_hz)
     for entry in daq.channel:
-        _check_samples(daq, entry, record.raw[entry.name])
+        gaps = slowest_hz is not None and entry.quantity != "trigger"
+        _check_samples(daq, entry, record.raw[entry.name], gaps=gaps)
     every = KINDS[manifest.excitation.kind].uniform
     record.check_uniform(entry for entry in daq.channel if every or entry.quantity == "trigger")
     return record
 
 
-def _check_samples(daq: Daq, entry: ChannelEntry, channel: RawChannel) -> None:
-    """Refuse an empty channel, samples that are not numbers, and a channel that has measured nothing."""
-    name = entry.stored_name
-    if len(channel.samples) < 2:
-        raise InputError(daq.file, name, found=str(len(channel.samples)), expected="at least 2 samples")
-    bad = np.flatnonzero(~np.isfinite(channel.samples))
-    if len(bad):
+def _check_samples(daq: Daq, entry: ChannelEntry, channel: RawChannel, *, gaps: bool) -> None:
+    """Refuse an empty channel, samples that are not numbers unless there may be `gaps`, and a dead channel."""
+    name, samples = entry.stored_name, channel.samples
+    if len(samples) < 2:
+        raise InputError(daq.file, name, found=str(len(samples)), expected="at least 2 samples")
+    bad = np.flatnonzero(~np.isfinite(samples))
+    if len(bad) and gaps and len(samples) - len(bad) > 1:
+        samples = np.delete(samples, bad)
+    elif len(bad):
         found = f"{len(bad)} of {len(channel.samples)} not finite, the first at sample {bad[0]}"
         raise InputError(daq.file, name, found=found, expected="finite samples")
-    if entry.quantity != "trigger" and np.ptp(channel.samples) == 0.0:
-        raise InputError(daq.file, name, found=f"{channel.samples[0]:g} throughout", expected="samples that change")
+    if entry.quantity != "trigger" and np.ptp(samples) == 0.0:
+        raise InputError(daq.file, name, found=f"{samples[0]:g} throughout", expected="samples that change")

@@ -110,7 +110,8 @@ def examine_samples(
     step = converter_step(samples)
     rest = samples
     if frequency_hz is not None:
-        lost = find_lost(samples, step, sample_rate_hz / frequency_hz)
+        seen_hz = abs(frequency_hz - sample_rate_hz * round(frequency_hz / sample_rate_hz))  # its alias
+        lost = find_lost(samples, step, min(sample_rate_hz / max(seen_hz, 1e-300), len(samples) / 8.0))
         if lost is not None:
             found.append(lost)
             rest = samples[~lost.mask(len(samples))]
