@@ -9,7 +9,7 @@ from shaker.sine.solve import SineFit
 
 _MOST = 1 << 21  # values of the exponentials of all lines
 _LONGEST = 1 << 15  # samples that are rounded
-_OFFSETS, _SIZES = 4, np.arange(-4, 4) / 8.0  # places between two steps; changes of the amplitude, in steps
+_OFFSETS, _SIZES = 4, np.arange(-16, 17) / 32.0  # places between two steps; changes of the amplitude, in steps
 _SHIFTS, _GOLDEN = 6, (5.0**0.5 - 1.0) / 2.0  # places of the sampling times between two samples, and how they follow
 _UNDITHERED = 0.1  # of a step: noise below which rounding is that of the sine alone
 _TERMS = 30.0  # exponent at which terms of the series end
@@ -23,22 +23,25 @@ def quantisation_error(fit: SineFit, place: int, time_s: FloatArray, step: float
     Σ (-1)^m 2q/(πm)·J₁(2πmA/q)·cos(2πm·offset/q) without noise (Widrow and Kollár, Quantization Noise, 2008), to which
     samples that are synchronous with the line add what folds onto it. It is evaluated at the sampling times, for all
     lines together; the largest change over offsets, over amplitudes within a step and over sampling times within an
-    interval counts: samples that are synchronous with a line do not tell where between them a step is taken. The noise is that around
-    each line, at most what the fit leaves, less the q²/12 that rounding itself may contribute.
+    interval counts: samples that are synchronous with a line do not tell where between them a step is taken. Lines
+    below half a step may be the rounding's own. The noise is that around each line, at most what the fit leaves, less
+    the q²/12 that rounding may contribute.
     """
     phasors, value = fit.phasors, fit.phasors.value[:, place]
     count = min(len(time_s), _LONGEST, max(_MOST // max(len(value), 1), 256))
     time, size = time_s[:count], float(np.max(np.abs(value)))
     near = 0.5 * len(time_s) * float(np.min(phasors.u_re[:, place] ** 2 + phasors.u_im[:, place] ** 2)) / 2.0
     noise = np.sqrt(max(min(near, float(fit.residual_rms[place]) ** 2) - step**2 / 12.0, 0.0)) / step
+    kept = np.where(np.abs(value) > min(0.5 * step, 0.5 * size), value, 0.0)
+    sizes = _SIZES if size > step else np.zeros(_SHIFTS)
     interval = float(time[-1] - time[0]) / (count - 1)
     largest = np.zeros((2, len(value)))
     for number, late in enumerate(np.arange(_SHIFTS) * _GOLDEN % 1.0 * interval):
-        curve = (fit.model(time + late, slice(place, place + 1))[:, 0] - fit.offset[place]) / step
-        turns = np.exp(-2j * np.pi * np.multiply.outer(phasors.frequency_hz, time + late)) * (2.0 / count)
-        for scale in 1.0 + (_SIZES if size > step else _SIZES[4:5]) * step / size:
-            for offset in (np.arange(_OFFSETS) + number / _SHIFTS) / _OFFSETS:
-                change = turns @ _rounding(scale * curve + offset, noise) * step
+        turns = np.exp(-2j * np.pi * np.multiply.outer(phasors.frequency_hz, time + late))
+        curve = (kept.conj() @ turns).real / step
+        for scale in 1.0 + sizes[number::_SHIFTS] * step / size:
+            for offset in np.arange(_OFFSETS) / _OFFSETS:
+                change = turns @ _rounding(scale * curve + offset, noise) * (2.0 / count * step)
                 relative = np.divide(change, value, out=np.zeros_like(change), where=value != 0.0)
                 largest = np.maximum(largest, np.abs([relative.real, relative.imag]))
     return np.asarray(largest[0] + 1j * largest[1])
