@@ -13,6 +13,9 @@ EdgeKind = Literal["sampled", "resolved"]
 
 _HYSTERESIS = 0.1  # of the distance from the threshold to the nearer level
 _ON_RISE = 0.12  # of the step: samples beside the crossings further than this from their level lie on the rise
+_SHORT_PAUSE = 0.25  # of the usual pause between pulses: after a shorter one, a pulse is a bounce of the one before
+_LIKE_PAUSE, _USUAL = 0.1, 0.45  # how much equal pauses may differ; pauses over the commonest ones that are usual
+_BOUNCES = 0.2  # of all edges from which on bounces are no single strays
 _HALF_WIDTH = 24  # samples of the interpolation kernel on each side
 _KAISER = 8.0
 
@@ -24,7 +27,8 @@ class Edges:
     Each crossing lies in (`lower_s`, `upper_s`] (E,), between the last sample below the level and the first at or above
     it. `estimate_s` (E,): without the half-sample bias, the middle where no sample lies on the rise (`kind` "sampled"),
     the crossing of the reconstructed signal where the rise is "resolved"; `u_reading_s` is then what the noise of the
-    samples does to it. `record_s` is the record's length, `threshold` the level used.
+    samples does to it. `record_s` is the record's length, `threshold` the level used. `bounces`: edges left out since
+    their pulses begin right after others end.
     """
 
     lower_s: FloatArray
@@ -34,6 +38,7 @@ class Edges:
     u_reading_s: float
     record_s: float
     threshold: float
+    bounces: int = 0
 
     def __post_init__(self) -> None:
         check_shape("lower_s", self.lower_s, (None,))
@@ -55,7 +60,8 @@ def find_edges(
     than 5 % of the record), midway between the smallest and largest sample. A hysteresis of 10 % of the step keeps
     noise from counting twice. Where most edges have a sample on the rise, the crossing is that of the signal
     reconstructed by a Kaiser-windowed sinc: exact for a band-limited input, and a start for `shaker.timebase.trigger`
-    where the rise is another.
+    where the rise is another. Where pulses regularly come twice or more, as from a contact that bounces, the first edge
+    of each counts.
 
     >>> import numpy as np
     >>> from shaker import find_edges
@@ -83,15 +89,19 @@ def find_edges(
             f"threshold: expected a level that the signal crosses, found {sign * level:.6g} while the "
             f"signal stays between {samples.min():.6g} and {samples.max():.6g}"
         )
-    after = _crossings(signal, level, _HYSTERESIS * min(level - low, high - level))
+    hysteresis = _HYSTERESIS * min(level - low, high - level)
+    every = _crossings(signal, level, hysteresis)
+    after = _without_bounces(every, _crossings(-signal, -level, hysteresis))
+    bounces = len(every) - len(after)
     step = 1.0 / sample_rate_hz
     upper = np.asarray(step * after, dtype=np.float64)
     rest, pulse = np.median(signal[signal < level]), np.median(signal[signal >= level])
     off = np.maximum(signal[after - 1] - rest, pulse - signal[after]) / (pulse - rest)
     if len(after) and np.median(off) > _ON_RISE:  # samples on the rise: it is resolved, and band-limited
         crossing, noise = _reconstructed(signal, after, level)
-        return Edges(upper - step, upper, step * crossing, "resolved", step * noise, step * len(samples), sign * level)
-    return Edges(upper - step, upper, upper - step / 2.0, "sampled", 0.0, step * len(samples), sign * level)
+        found = "resolved", step * noise, step * len(samples), sign * level, bounces
+        return Edges(upper - step, upper, step * crossing, *found)
+    return Edges(upper - step, upper, upper - step / 2.0, "sampled", 0.0, step * len(samples), sign * level, bounces)
 
 
 def _crossings(signal: FloatArray, level: float, hysteresis: float) -> IntArray:
@@ -102,6 +112,23 @@ def _crossings(signal: FloatArray, level: float, hysteresis: float) -> IntArray:
     last_low = outside[:-1][~high[:-1] & high[1:]]
     crossing = np.flatnonzero((signal[:-1] < level) & (signal[1:] >= level)) + 1
     return np.asarray(crossing[np.searchsorted(crossing, last_low, side="right")], dtype=np.int64)
+
+
+def _without_bounces(rises: IntArray, falls: IntArray) -> IntArray:
+    """Return the rises (E,) without those right after a fall, if these are a regular part of the signal.
+
+    The usual pause is the longest of those that are common: of pulses that come twice, that between the pairs.
+    """
+    last = np.searchsorted(falls, rises) - 1
+    pause = np.full(len(rises), np.inf)
+    pause[last >= 0] = rises[last >= 0] - falls[last[last >= 0]]
+    known = np.sort(pause[np.isfinite(pause)])
+    if len(known) < 3:
+        return rises
+    like = np.searchsorted(known, known * (1.0 + _LIKE_PAUSE)) - np.searchsorted(known, known * (1.0 - _LIKE_PAUSE))
+    usual = float(np.max(known[like >= _USUAL * like.max()]))
+    bounce = pause < _SHORT_PAUSE * usual
+    return rises[~bounce] if np.count_nonzero(bounce) >= _BOUNCES * len(rises) else rises
 
 
 def _reconstructed(signal: FloatArray, after: IntArray, level: float) -> tuple[FloatArray, float]:
@@ -131,6 +158,7 @@ def _interpolate(local: FloatArray, tap: IntArray, place: FloatArray) -> FloatAr
 
 # Numbers of the edges of a periodic trigger: which edge is which period, and which are none.
 
+_ALTERNATING, _MOSTLY = 0.1, 0.8  # of two distances by which they alternate; of all that do
 _CAPTURE = 0.2  # of a period: an edge further from its place is spurious
 
 
@@ -155,6 +183,7 @@ def number_edges(edges: Edges) -> Numbering:
     time = edges.estimate_s
     if len(time) < 3:
         raise ValueError(f"edges: expected at least 3 edges, found {len(time)}")
+    _check_no_alternation(np.diff(time))
     period = _period(time, edges.upper_s - edges.lower_s)
     start = period * np.angle(np.mean(np.exp(2j * np.pi * time / period))) / (2.0 * np.pi)
     # The first line is drawn aside by doubled edges; one through the edges that agree with each other is not.
@@ -175,6 +204,21 @@ def number_edges(edges: Edges) -> Numbering:
     near = np.abs((time - start) / period - number) <= _CAPTURE
     doubled = int(np.count_nonzero(~kept & near & np.isin(number, number[kept])))
     return Numbering(number, kept, doubled, int(np.count_nonzero(~kept)) - doubled)
+
+
+def _check_no_alternation(gap: FloatArray) -> None:
+    """Refuse edges whose distances alternate between two values: no period tells which of them are the trigger's."""
+    if len(gap) < 4:
+        return
+    pair, apart = gap[1:] + gap[:-1], np.abs(gap[1:] - gap[:-1])
+    both = float(np.median(pair))
+    alternate = (np.abs(pair - both) < 0.5 * _ALTERNATING * both) & (apart > _ALTERNATING * both)
+    short, long = (float(np.median(part)) for part in np.array_split(np.sort(gap), 2))
+    if np.mean(alternate) > _MOSTLY:
+        raise ValueError(
+            f"edges: expected equal distances, found distances that alternate between {short:.6g} s and {long:.6g} s: "
+            f"every pulse twice, every third one lost, or two triggers on one line"
+        )
 
 
 def _period(time: FloatArray, width: FloatArray) -> float:

@@ -348,7 +348,7 @@ def fit_trigger(edges: Edges) -> TriggerFit:
         covariance=jacobian @ line.covariance @ jacobian.T,
         jitter_s=line.jitter_s,
         missing=missing,
-        doubled=numbering.doubled,
+        doubled=numbering.doubled + edges.bounces,
         spurious=numbering.spurious,
         idle_before=bool(start > _IDLE * period),
         idle_after=bool(edges.record_s - (start + n[-1] * period) > _IDLE * period),
