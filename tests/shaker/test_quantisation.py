@@ -29,8 +29,8 @@ def test_the_largest_change_is_that_of_the_bessel_series(steps: float, noise: fl
         read = step * np.rint(signal / step)
         fit = fit_sines(time, read[:, None], np.array([106.25]), ["a"], ["V"])
         (bound,) = quantisation_error(fit, 0, time, step)
-        if max(moved) > 1e-3:
-            assert 0.6 * max(moved) / steps < bound.real < 2.5 * max(moved) / steps
+        if max(moved) > 1e-3:  # of the noise, what rounding may explain counts as none
+            assert 0.6 * max(moved) / steps < bound.real < (1.3 if noise == 0.0 else 4.0) * max(moved) / steps
         else:
             assert bound.real < 2e-3 / steps
         noise_u = float(fit.phasors.u_re[0, 0]) / abs(true)
