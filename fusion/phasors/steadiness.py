@@ -42,7 +42,7 @@ class Doubt(NamedTuple):
 def doubted(
     readings: Sequence[Reading], changes: Sequence[LineStationarity], distorted: Iterable[Distortion]
 ) -> tuple[Reading, ...]:
-    """Return the readings of a set-up with what its outputs are found to hold beside the load."""
+    """Return the readings of a set-up with what its channels are found to hold beside the load's motion."""
     doubts = {DISTORTION: [found.doubt for found in distorted]}
     doubts[DRIFT] = [doubt for frequency in _frequencies(changes) for doubt in _told(changes, frequency).doubts]
     return tuple(_doubted(reading, doubts) for reading in readings)
@@ -54,15 +54,15 @@ def _doubted(reading: Reading, doubts: Mapping[str, Sequence[Doubt]]) -> Reading
     The largest share a at a line, in a direction of the complex plane of which nothing is known: an arc-sine
     distribution with a/√2 in either part.
     """
-    name, errors = reading.entry.name, []
+    name, quantity, errors = reading.entry.name, reading.entry.quantity, []
     for what, found in doubts.items():
         u = np.zeros(len(reading.phasors.frequency_hz))
         for doubt in (doubt for doubt in found if doubt.channel == name):
             here = reading.phasors.frequency_hz == doubt.frequency_hz
             u[here] = np.maximum(u[here], doubt.share / np.sqrt(2.0))
         for part, turn in (("in phase", 1.0), ("in quadrature", 1.0j)):
-            unknown, effect = f"{what} of output {name}: {part}", np.asarray(turn * u[:, None], np.complex128)
-            errors.append(RelativeError(unknown, f"output: {what}", float(u.max()), "1", effect, SCOPES[what]))
+            unknown, effect = f"{what} of {quantity} {name}: {part}", np.asarray(turn * u[:, None], np.complex128)
+            errors.append(RelativeError(unknown, f"{quantity}: {what}", float(u.max()), "1", effect, SCOPES[what]))
     return replace(reading, further=acting([*reading.further, *errors]))
 
 
@@ -215,7 +215,7 @@ def _of_lines(
     return changes
 
 
-# Harmonics of the outputs that the load's motion does not have.
+# Harmonics of outputs that the load's motion does not have, and of the motion that no output answers to.
 
 STRONG = 0.5  # of the largest fundamental: outputs and motion channels whose harmonics are compared
 CHANGED = 0.3  # relative: what the sensor may answer otherwise at a harmonic than at its fundamental
@@ -229,23 +229,26 @@ class Distortion(NamedTuple):
 
 
 def distortions(channels: Sequence[ChannelResult], lines: Lines) -> Iterator[Distortion]:
-    """Yield each harmonic of an output that is surely there, matters, and that the load's motion has not.
+    """Yield each harmonic of an output that is surely there, matters, and that the load's motion does not have.
 
-    Harmonics are compared relative to the fundamental: of the outputs that answer most, of the acceleration in the
-    channels that move most. Of x - ε·x³ the third harmonic is ε/4 of the amplitude and the fundamental lowered by
-    3ε/4, which is what the ratio is then off by; of other harmonics it is taken to be off by as much as they have.
-    Nothing is said where no channel measures the load's motion.
+    Also vice versa. Harmonics are compared relative to the fundamental: of the outputs that answer most, of the
+    acceleration in the channels that move most. A channel of the motion is compared with all others of these: what
+    neither the outputs nor the rest of the motion has was made by the channel, as by an amplifier that saturates before
+    a filter. Of x - ε·x³ the third harmonic is ε/4 of the amplitude and the fundamental lowered by 3ε/4, which is what
+    the ratio is then off by; of other harmonics it is taken to be off by as much as they have. Nothing is said where no
+    channel measures the load's motion.
     """
     outputs = [c for c in channels if c.quantity == "output" and c.harmonics is not None]
     motion = [c for c in channels if c.quantity in TRANSDUCERS and c.body == "load" and c.harmonics is not None]
     for f in lines.frequency_hz[lines.multiple == 1].tolist():
-        moving = _strongest(motion, f)
-        for output in _strongest(outputs, f) if moving else []:
-            for m in HARMONICS:
-                own = _share(output, f, m)
-                theirs = [share for channel in moving if (share := _share(channel, f, m)) is not None]
-                if own is not None and theirs:
-                    yield from _distortion(output, f, m, own, theirs)
+        moving, answering = _strongest(motion, f), _strongest(outputs, f)
+        for m in HARMONICS:
+            shares = {c.name: share for c in (*moving, *answering) if (share := _share(c, f, m)) is not None}
+            for channel in (*answering, *moving):
+                compared = moving if channel in answering else (*answering, *(c for c in moving if c is not channel))
+                theirs = [shares[c.name] for c in compared if c.name in shares]
+                if channel.name in shares and theirs and moving and answering:
+                    yield from _distortion(channel, f, m, shares[channel.name], theirs)
 
 
 def _strongest(channels: Sequence[ChannelResult], frequency_hz: float) -> list[ChannelResult]:
@@ -287,13 +290,13 @@ def _share(channel: ChannelResult, frequency_hz: float, m: int) -> _Share | None
 
 
 def _distortion(
-    output: ChannelResult,
+    channel: ChannelResult,
     frequency_hz: float,
     m: int,
     own: _Share,
     theirs: Sequence[_Share],
 ) -> Iterator[Distortion]:
-    """Yield what is left of one harmonic of an output beside that of the channels that see the motion."""
+    """Yield what is left of one harmonic of a channel after that of others, if they have less."""
     from scipy.special import fdtri
 
     share = np.array([one.value for one in theirs])
@@ -305,17 +308,20 @@ def _distortion(
     size, dof = abs(excess), max(own.dof, 1.0)
     sure = float(np.sqrt(2.0 * fdtri(2.0, dof, 1.0 - SURE / len(HARMONICS)))) * u + CHANGED * abs(motion)
     cubic = 3.0 if m == 3 else 1.0
-    # Less harmonic in the output than in the motion is a distortion of what measures the motion.
+    # With less than the others have, one of these is distorted.
     if size <= sure or cubic * size <= MATTERS or abs(own.value) < size / 2.0:
         return
     part = rounded(100.0 * size, 100.0 * coverage_factor(dof) * u, 0)
+    output = channel.quantity == "output"
+    others = "the load's motion explains" if output else "the outputs answer to"
     text = (
-        f"distortion of output {output.name}: harmonic {m} of {frequency_hz:.6g} Hz is "
-        f"({part.value} ± {part.expanded}) % of the fundamental beyond what the load's motion explains; "
-        "the sensor or its converter is not linear"
+        f"distortion of {channel.quantity} {channel.name}: harmonic {m} of {frequency_hz:.6g} Hz is "
+        f"({part.value} ± {part.expanded}) % of the fundamental beyond what {others}; "
+        f"the {'sensor' if output else 'transducer, its amplifier'} or its converter is not linear"
     )
     if m == 3:
-        sign = "small" if (excess * np.exp(-2j * own.phase_rad)).real < 0.0 else "large"
+        flattened = (excess * np.exp(-2j * own.phase_rad)).real < 0.0
+        sign = "small" if flattened == output else "large"
         text += f"; if it is so by the cube, the ratio at the fundamental is too {sign} by about {300.0 * size:.2g} %"
     text += f"; U contains {100.0 * cubic * size:.2g} % in any direction"
-    yield Distortion(Doubt(output.name, frequency_hz, cubic * size), Notice("warning", text, output.name))
+    yield Distortion(Doubt(channel.name, frequency_hz, cubic * size), Notice("warning", text, channel.name))
