@@ -36,6 +36,8 @@ _CHOSEN, _CLUSTER = 4096, 2.5  # values of the middle half whose clusters are co
 _LIKE = 1e-5  # of the range: how far values of one cluster lie apart
 _CLUSTERED = 0.5  # of the middle half of the values that the widest twentieth of their gaps takes
 _RESTS = 0.02  # of the record: a level kept for longer at a time is where the signal rests
+_OUTSIDE = 12.0  # resolutions that the record falls off beside a cut peak; the top of a wave falls off by 9 at most
+_NOISE, _MEDIAN_DIFFERENCE = 6.0, 0.954  # standard deviations of noise; median difference of two samples of unit noise
 _NAMED = 3  # stretches named
 
 
@@ -219,6 +221,22 @@ def clip_levels(samples: FloatArray, step: float, *, resting: bool = False) -> t
     return (-low, high) if -low < high else (-np.inf, np.inf)  # one level, at which the signal rests between its peaks
 
 
+def cut_run(samples: FloatArray, resolution: float, noise: float) -> int:
+    """Return the length of a run of equal samples (N,) at which their largest value is a limit; 0 if there is none.
+
+    A run of equal samples at the top of a wave of resolution q falls off by 9q at most within its own length on either
+    side; a cut one falls off by more.
+    """
+    top = _spans(samples >= samples.max() - 0.25 * resolution)
+    for start, end in top.tolist():
+        length = end - start
+        if length >= _RUN and start - length >= 0 and end + length <= len(samples):
+            beside = samples.max() - max(samples[start - length], samples[end + length - 1])
+            if beside > _OUTSIDE * resolution + _NOISE * noise:
+                return int(length)
+    return 0
+
+
 def _held_from(samples: FloatArray, step: float, resting: bool) -> float:
     """Return the level from which on samples are held at their upper limit, inf where they are not."""
     span, total = float(np.ptp(samples)), len(samples)
@@ -233,6 +251,9 @@ def _held_from(samples: FloatArray, step: float, resting: bool) -> float:
             if count >= max(_FEWEST, 10 * beyond) and _is_limit(samples, near, (top, width, exact), resting):
                 return float(np.min(samples[near]))
             width *= 2.0
+    noise = float(np.median(np.abs(np.diff(samples)))) / _MEDIAN_DIFFERENCE
+    if resting and 0 < cut_run(samples, step, noise) <= _RESTS * total:
+        return float(samples.max())
     return np.inf
 
 

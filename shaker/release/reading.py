@@ -12,6 +12,7 @@ import numpy as np
 from shaker.arrays import BoolArray, FloatArray, Notice, Severity
 from shaker.fitting import Block, Changes, Rules, Separable, levenberg_marquardt
 from shaker.frf.spline import cubic_spline
+from shaker.io.condition import cut_run
 from shaker.release.onset import Beginning, Window, find_beginning, longest_lag_s, moved, rise_time, solved
 from shaker.release.record import (
     Level,
@@ -19,7 +20,6 @@ from shaker.release.record import (
     Reading,
     Shape,
     StepRecord,
-    clipped,
     correlation_factor,
     locate,
     ringing_level,
@@ -402,7 +402,7 @@ def _reading(record: StepRecord, channel: int, place: Location, timing: Timing) 
         static_gain=gain,
         u_static_gain=float(u_gain),
         noise=baseline.noise,
-        clipped=clipped(samples, place.resolution, baseline.noise),
+        clipped=any(cut_run(side, place.resolution, baseline.noise) for side in (samples, -samples)),
         peaks=spectrum_peaks(samples[after:] - steady.value, rate, baseline.noise),
     )
     return replace(reading, notices=_remarks(record, reading, timing, (baseline, steady)))

@@ -197,9 +197,6 @@ def _passing(samples: FloatArray, baseline: float, steady: float, share: float, 
 
 # Levels before and after a release, and whether the record holds all of it.
 
-_OUTSIDE = 12.0  # resolutions that the record falls off beside a cut peak; the top of a wave falls off by 9 at most
-_NOISE = 6.0
-
 
 @dataclass(frozen=True)
 class Level:
@@ -295,25 +292,6 @@ def correlation_factor(residual: FloatArray) -> float:
             break
         total, lag = total + pair, lag + 2
     return max(1.0, 1.0 + 2.0 * total)
-
-
-def clipped(samples: FloatArray, resolution: float, noise: float) -> bool:
-    """Tell whether the largest or smallest value of samples (N,) is a limit that cuts the record.
-
-    A run of equal samples at the top of a wave of resolution q falls off by 9q at most within its own length on either
-    side; a cut one falls off by more.
-    """
-    for side in (samples, -samples):
-        top = np.concatenate([[False], side >= side.max() - 0.25 * resolution, [False]])
-        edges = np.flatnonzero(np.diff(top.astype(np.int8)))
-        for start, end in zip(edges[::2], edges[1::2], strict=True):
-            length = int(end - start)
-            if length < _RUN or start - length < 0 or end + length > len(side):
-                continue
-            beside = side.max() - max(side[start - length], side[end + length - 1])
-            if beside > _OUTSIDE * resolution + _NOISE * noise:
-                return True
-    return False
 
 
 # The spectrum of a response: its first and second peak.

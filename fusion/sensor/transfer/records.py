@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -19,11 +19,16 @@ from shaker.frf.chain import ChainResponse
 from shaker.frf.result import TransferFunction, TransferRecord
 from shaker.identification.measured import RelativeError
 from shaker.identification.oscillator import Resonance
+from shaker.io.condition import examine_samples
 from shaker.timebase.edges import PASS_BAND, kernel_reach, resampled
 from shaker.timebase.tie import ClockTie
 
 EstimatorChoice = Literal["auto", "periodic", "local", "H1", "H2", "Hv"]
 Quantity = Literal["displacement", "velocity", "acceleration"]
+LASTING = ("noise", "multisine")
+"""Kinds of excitation that never rest."""
+SLOWEST, DITHERED = 100.0, 10.0
+"""Samples of a period where no band is stated; how many times fewer steps suffice for a signal that dithers itself."""
 
 
 @dataclass(frozen=True)
@@ -290,7 +295,7 @@ def align(
 ) -> Aligned:
     """Return channels, each with the name of its block, as they were sampled together or else on a common grid.
 
-    Raises `InputError` at `key` where they do not overlap.
+    Raises `InputError` at `key` where they do not overlap, and for a channel with clipped or lost samples.
     """
     blocks = {record.entry.name: record for record in records}
     for block, entry in wanted:
@@ -300,11 +305,12 @@ def align(
     if len(used) > 1:
         base = tie_daqs(manifest, [record for record in records if record is records[0] or record.entry.name in used])
     channels = tuple(Located(entry, blocks[name], base) for name, entry in wanted)
+    coarse = [notice for channel in channels for notice in _condition(manifest, channel)]
     alike = {(c.record.entry.name, c.rate_hz, c.record.lag_s(c.entry.name), c.length) for c in channels}
     recorded = tuple(c.record.values(c.entry) for c in channels)
     if len(alike) == 1:
         start_s = channels[0].record.lag_s(channels[0].entry.name)
-        return Aligned(channels, recorded, channels[0].rate_hz, start_s, None, base, ())
+        return Aligned(channels, recorded, channels[0].rate_hz, start_s, None, base, tuple(coarse))
     slowest = min(channels, key=lambda channel: channel.rate_hz)
     time_s, rate_hz = _common_times(channels, slowest)
     if len(time_s) < 2 * len(channels):
@@ -319,7 +325,28 @@ def align(
         f"channels of different clocks or rates are read at the times of {name}, {rate_hz:.9g} Hz of the first clock, "
         f"and used up to {highest_hz:.6g} Hz"
     )
-    return Aligned(channels, values, rate_hz, float(time_s[0]), highest_hz, base, (Notice("info", text, name),))
+    notices = Notice("info", text, name), *coarse
+    return Aligned(channels, values, rate_hz, float(time_s[0]), highest_hz, base, notices)
+
+
+def _condition(manifest: Manifest, channel: Located) -> Iterator[Notice]:
+    """Refuse a channel with clipped or lost samples; warn of one that uses few steps of the converter."""
+    entry, raw, excitation = channel.entry, channel.record.raw[channel.entry.name], manifest.excitation
+    lasting = excitation.kind in LASTING  # what rests by nature loses nothing by it
+    slowest_hz = (excitation.band or (0.0,))[0] or channel.rate_hz / SLOWEST if lasting else None
+    size = DITHERED * float(np.std(raw.samples)) if lasting else float(np.ptp(raw.samples)) / 2.0
+    for defect in examine_samples(raw.samples, raw.sample_rate_hz, size, slowest_hz):
+        text = defect.text(len(raw.samples), raw.sample_rate_hz, raw.unit)
+        if defect.kind == "clipped" and excitation.kind == "step":
+            continue  # a reading of the release says whether its own peaks are cut
+        if defect.kind != "steps":
+            expected = "samples within the range of the recorder, without gaps"
+            raise InputError(channel.record.entry.file, entry.stored_name, found=f"one that {text}", expected=expected)
+        what = f"{size / (DITHERED if lasting else 0.5):.2g} {raw.unit}".rstrip()
+        name = "standard deviation" if lasting else "range"
+        text = f"its {name} is only {what}, at converter steps of {defect.step:.4g}"
+        told = "what their rounding does is not in U; a smaller range of the recorder avoids it"
+        yield Notice("warning", f"{text}: {told}", entry.name)
 
 
 def _common_times(channels: Sequence[Located], slowest: Located) -> tuple[FloatArray, float]:
