@@ -119,6 +119,12 @@ def _with_nan(samples: Any) -> Any:
     return values
 
 
+def _mostly_nan(samples: Any) -> Any:
+    values = samples.astype(np.float64)
+    values[2000:17_000] = np.nan
+    return values
+
+
 def _twenty_edges(samples: Any) -> Any:
     rising = np.flatnonzero((samples[1:] > 2.5) & (samples[:-1] < 2.5))
     samples[rising[20] - 5 :] = samples[0]
@@ -220,7 +226,12 @@ WRONG: dict[str, dict[str, tuple[Break, *tuple[str, ...]]]] = {
         ),
     },
     BRIDGE: {
-        "NaN in a channel": (_channel(BRIDGE, "Fz", _with_nan), "Fz: expected finite samples", "sample 777"),
+        "NaN in a trigger": (
+            _channel(BRIDGE, "camera_trigger", _with_nan), "camera_trigger: expected finite samples", "sample 777",
+        ),
+        "NaN in most of a channel": (
+            _channel(BRIDGE, "Fz", _mostly_nan), "Fz: expected at least 25 % of the samples", "15000 of 19000 samples",
+        ),
         "channel of a few samples": (
             _channel(BRIDGE, "Fz", lambda samples: samples[:5]), "Fz: expected more than", "complete samples, found 5",
         ),
