@@ -42,8 +42,7 @@ def _unusable(record: DaqRecord, channel: ChannelEntry, defects: Sequence[Defect
 
 
 def _described(record: DaqRecord, channel: ChannelEntry, defect: Defect) -> str:
-    raw = record.raw[channel.name]
-    return defect.text(len(raw.samples), raw.sample_rate_hz, raw.unit, record.lag_s(channel.name))
+    return defect.text(record.time_s(channel.name), record.raw[channel.name].unit)
 
 
 def fit_usable(

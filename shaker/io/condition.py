@@ -75,21 +75,20 @@ class Defect:
         np.add.at(change, self.spans[:, 1], -1)
         return np.asarray(np.cumsum(change[:-1]) > 0)
 
-    def text(self, samples: int, sample_rate_hz: float, unit: str = "", start_s: float = 0.0) -> str:
-        """Describe the defect of a channel of so many samples: kind, numbers, times."""
+    def text(self, time_s: FloatArray, unit: str = "") -> str:
+        """Describe the defect of a channel sampled at `time_s` (S,): kind, numbers, times."""
         unit = f" {unit}" if unit else ""
         if self.kind == "steps":
-            return (
-                f"its driven line has only {self.steps:.2g} converter steps of {self.step:.4g}{unit} in its amplitude"
-            )
-        share = f"{self.count} of {samples} samples"
+            size = f"{self.steps:.2g} converter steps of {self.step:.4g}{unit}"
+            return f"its driven line has an amplitude of only {size}"
+        share = f"{self.count} of {len(time_s)} samples"
         if self.kind == "clipped":
             low, high = self.levels
             limits = [f"{level:.5g}{unit}" for level in (low, high) if np.isfinite(level)]
             return f"is clipped at {' and '.join(limits)}: {share}"
-        ends = start_s + self.spans / sample_rate_hz
-        told = ", ".join(f"{a:.6g} s to {b:.6g} s" for a, b in ends[:_NAMED].tolist())
-        more = f" and {len(ends) - _NAMED} more" if len(ends) > _NAMED else ""
+        ends = [(float(time_s[first]), float(time_s[last - 1])) for first, last in self.spans[:_NAMED].tolist()]
+        told = ", ".join(f"{first:.6g} s to {last:.6g} s" for first, last in ends)
+        more = f" and {len(self.spans) - _NAMED} more" if len(self.spans) > _NAMED else ""
         return f"has no signal (constant or no numbers) from {told}{more}: {share}"
 
 
@@ -103,8 +102,9 @@ def examine_samples(
     the level at which most samples lie.
 
     >>> import numpy as np
-    >>> sine = 50.0 * np.cos(2 * np.pi * 106.25 * np.arange(20_000) / 2000.0)
-    >>> [defect.text(20_000, 2000.0, "m/s²") for defect in examine_samples(np.clip(sine, -60.0, 40.0), 2000.0)]
+    >>> time_s = np.arange(20_000) / 2000.0
+    >>> clipped = np.minimum(50.0 * np.cos(2 * np.pi * 106.25 * time_s), 40.0)
+    >>> [defect.text(time_s, "m/s²") for defect in examine_samples(clipped, 2000.0)]
     ['is clipped at 40 m/s²: 4063 of 20000 samples']
     """
     check_shape("samples", samples, (None,))

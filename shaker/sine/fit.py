@@ -216,9 +216,8 @@ class Stationarity:
     """Phasors of K lines in C channels over B blocks of a record, and what they say of a drift.
 
     `time_s` (B,) middles of the blocks, of `block_s` each; `periods`, how many of the first line's periods a block
-    holds (below twice its frequency, those of its alias), `whole` whether that is a whole number. Blocks with less
-    than half of the samples of others are left out. `value` (B, K, C), referred to time zero as those of the whole
-    record, with `u` (B, K, C), standard uncertainty of either part.
+    holds (below twice its frequency, those of its alias), `whole` whether that is a whole number. `value` (B, K, C),
+    referred to time zero as those of the whole record, with `u` (B, K, C), standard uncertainty of either part.
     `amplitude_per_s` and `phase_rad_per_s` (K, C): slope of a straight line through the blocks, with their `u_`.
     `p_value` (K, C): how often noise alone moves the blocks that far from their mean; `dof` (K,): of that noise.
     """

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -95,13 +95,14 @@ def find_edges(
     bounces = len(every) - len(after)
     step = 1.0 / sample_rate_hz
     upper = np.asarray(step * after, dtype=np.float64)
+    length_s = step * len(samples)
+    edges = Edges(upper - step, upper, upper - step / 2.0, "sampled", 0.0, length_s, sign * level, bounces)
     rest, pulse = np.median(signal[signal < level]), np.median(signal[signal >= level])
     off = np.maximum(signal[after - 1] - rest, pulse - signal[after]) / (pulse - rest)
     if len(after) and np.median(off) > _ON_RISE:  # samples on the rise: it is resolved, and band-limited
         crossing, noise = _reconstructed(signal, after, level)
-        found = "resolved", step * noise, step * len(samples), sign * level, bounces
-        return Edges(upper - step, upper, step * crossing, *found)
-    return Edges(upper - step, upper, upper - step / 2.0, "sampled", 0.0, step * len(samples), sign * level, bounces)
+        return replace(edges, estimate_s=step * crossing, kind="resolved", u_reading_s=step * noise)
+    return edges
 
 
 def _crossings(signal: FloatArray, level: float, hysteresis: float) -> IntArray:

@@ -336,7 +336,7 @@ def _condition(manifest: Manifest, channel: Located) -> Iterator[Notice]:
     slowest_hz = (excitation.band or (0.0,))[0] or channel.rate_hz / SLOWEST if lasting else None
     size = DITHERED * float(np.std(raw.samples)) if lasting else float(np.ptp(raw.samples)) / 2.0
     for defect in examine_samples(raw.samples, raw.sample_rate_hz, size, slowest_hz):
-        text = defect.text(len(raw.samples), raw.sample_rate_hz, raw.unit)
+        text = defect.text(channel.record.time_s(entry.name), raw.unit)
         if defect.kind == "clipped" and excitation.kind == "step":
             continue  # a reading of the release says whether its own peaks are cut
         if defect.kind != "steps":
