@@ -37,7 +37,7 @@ def check_usable(record: DaqRecord, channel: ChannelEntry) -> None:
 
 def _unusable(record: DaqRecord, channel: ChannelEntry, defects: Sequence[Defect]) -> InputError:
     found = " and ".join(_described(record, channel, defect) for defect in defects)
-    expected = f"at least {100 * LEAST_USABLE:g} % of the samples within the range of the recorder"
+    expected = f"at least {100 * LEAST_USABLE:g} % of the samples, at all phases, within the range of the recorder"
     return InputError(record.entry.file, channel.stored_name, found=f"one that {found}", expected=expected)
 
 
@@ -71,7 +71,10 @@ def fit_usable(
         if np.count_nonzero(inside & np.isfinite(column[:, 0])) < LEAST_USABLE * len(values):
             raise _unusable(record, channel, [clipped])
         used = Stacked.of(np.where(inside[:, None], column, np.nan))
-        fit = fitted(used)
+        try:
+            fit = fitted(used)
+        except ValueError as error:  # samples that are synchronous with a line show it at too few phases
+            raise _unusable(record, channel, [clipped]) from error
         values = values if more else used
     change = fit.phasors.value[:, 0] / before.phasors.value[:, 0] - 1.0
     return before, values, np.asarray(np.abs(change) * (1.0 + 1.0j))

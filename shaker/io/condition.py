@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -18,6 +19,7 @@ _LEVELS = 0.25  # of an excerpt: with more distinct values than that the steps a
 _ROUNDING = 5e-7  # of the largest value: single precision of equal values
 _LONGER = 3  # times the longest constant run that is typical of a record: a longer one is a stretch without signal
 _SHORTEST = 8  # samples of a stretch that counts as lost
+_QUIET, _USUAL = 0.02, 0.9  # of the range that nine in ten periods do not exceed: less is no signal
 _BLOCKS = 32  # parts of a record in which the longest constant run is typical
 _FEWEST = 8  # samples at a limit
 _BEYOND = (
@@ -45,11 +47,11 @@ _NAMED = 3  # stretches named
 class Defect:
     """What is wrong with some samples of a channel.
 
-    `kind`: "lost" (constant or not a number for longer than the signal can be), "clipped" (held at a limit) or "steps"
-    (few steps of the converter in the driven line). `spans` (N, 2): first sample and the one after the last of each
-    stretch, none for steps. `levels`: the values at which samples were held; the limits of clipped ones, lower first,
-    -inf or inf where that side is not clipped. `step`: of the converter, 0 where none shows. `steps`: how many the
-    amplitude of the driven line has, infinite if that is not known.
+    `kind`: "lost" (constant, quiet or not a number for longer than the signal can be), "clipped" (held at a limit) or
+    "steps" (few steps of the converter in the driven line). `spans` (N, 2): first sample and the one after the last of
+    each stretch, none for steps. `levels`: the values at which samples were held; the limits of clipped ones, lower
+    first, -inf or inf where that side is not clipped. `step`: of the converter, 0 where none shows. `steps`: how many
+    the amplitude of the driven line has, infinite if that is not known.
     """
 
     kind: DefectKind
@@ -89,7 +91,7 @@ class Defect:
         ends = [(float(time_s[first]), float(time_s[last - 1])) for first, last in self.spans[:_NAMED].tolist()]
         told = ", ".join(f"{first:.6g} s to {last:.6g} s" for first, last in ends)
         more = f" and {len(self.spans) - _NAMED} more" if len(self.spans) > _NAMED else ""
-        return f"has no signal (constant or no numbers) from {told}{more}: {share}"
+        return f"has no signal (constant, quiet or no numbers) from {told}{more}: {share}"
 
 
 def examine_samples(
@@ -160,10 +162,12 @@ def converter_step(samples: FloatArray) -> float:
 
 
 def find_lost(samples: FloatArray, step: float, period: float) -> Defect | None:
-    """Find stretches of samples (S,) that are constant for longer than a signal of this `period` (samples) can be.
+    """Find stretches of samples (S,) without a signal of this `period` (samples): constant, quiet or no numbers.
 
-    What is typical are the longest constant runs of the parts of the record; the crest of a sine between two steps of a
-    converter, or at a limit, is one of these. NaN and infinite samples count as constant.
+    Constant for longer than the signal can be: what is typical are the longest constant runs of the parts of the
+    record; the crest of a sine between two steps of a converter, or at a limit, is one of these. Quiet: whole periods
+    in which next to nothing moves. Both begin or end with the usual signal: a beat, or a motion that dies away, comes
+    to rest instead.
     """
     bad = ~np.isfinite(samples)
     values = np.where(bad, np.inf, samples) if bad.any() else samples
@@ -174,34 +178,36 @@ def find_lost(samples: FloatArray, step: float, period: float) -> Defect | None:
     cuts = np.unique(np.minimum(cuts, len(length) - 1))
     least = max(_SHORTEST, _LONGER * float(np.median(np.maximum.reduceat(length, cuts))))
     long = length >= least
-    if step > 0.0 and long.any():
-        long &= _interrupts(samples, edges, long, period)
-    long |= ~np.isfinite(values[edges[:-1]])
-    if not long.any():
-        return None
-    spans = np.stack([edges[:-1][long], edges[1:][long]], axis=1)
-    levels = tuple(float(v) for v in np.unique(values[spans[:, 0]])[:_NAMED])
-    return Defect("lost", spans, levels, step)
-
-
-def _interrupts(samples: FloatArray, edges: IntArray, long: BoolArray, period: float) -> BoolArray:
-    """Return which `long` runs between `edges` (R + 1,) have the usual signal right before or after them.
-
-    A beat, or a motion that dies away, rests between two steps of a converter as well, but comes to rest.
-    """
+    constant = np.stack([edges[:-1][long], edges[1:][long]], axis=1)
     reach = max(int(np.ceil(period)), _SHORTEST)
+    swing = _swings(samples[: len(samples) // reach * reach].reshape(-1, reach))
+    usual = float(np.nanquantile(swing, _USUAL)) if np.isfinite(swing).any() else 0.0
+    quiet = _spans(swing < _QUIET * usual)
+    quiet = reach * quiet[quiet[:, 1] - quiet[:, 0] > 1]
+    lost = bad.copy()
+    for first, last in _interruptions(samples, constant, reach, 0.5 * usual if step > 0.0 else -1.0):
+        lost[first:last] = True
+    for first, last in _interruptions(samples, quiet, 2 * reach, 0.5 * usual):
+        lost[first:last] = True
+    if not lost.any():
+        return None
+    spans = _spans(lost)
+    return Defect("lost", spans, tuple(float(v) for v in np.unique(values[spans[:, 0]])[:_NAMED]), step)
 
-    def swing(first: int, last: int) -> float:
-        part = samples[max(first, 0) : last]
-        part = part[np.isfinite(part)]
-        return float(np.ptp(part)) if len(part) else 0.0
 
-    usual = float(np.median([swing(first, first + reach) for first in range(0, len(samples), reach)]))
-    kept = np.zeros_like(long)
-    for run in np.flatnonzero(long):
-        first, last = int(edges[run]), int(edges[run + 1])
-        kept[run] = max(swing(first - reach, first), swing(last, last + reach)) > 0.5 * usual
-    return kept
+def _swings(blocks: FloatArray) -> FloatArray:
+    """Return the range of the finite values of each block (B, L), NaN where it has none."""
+    high = np.max(np.where(np.isfinite(blocks), blocks, -np.inf), axis=1)
+    low = np.min(np.where(np.isfinite(blocks), blocks, np.inf), axis=1)
+    return np.where(high >= low, high - low, np.nan)
+
+
+def _interruptions(samples: FloatArray, spans: IntArray, reach: int, least: float) -> Iterator[tuple[int, int]]:
+    """Yield the spans (N, 2) within `reach` of which samples swing by more than `least`, before or after."""
+    for first, last in spans.tolist():
+        beside = [part for part in (samples[max(first - reach, 0) : first], samples[last : last + reach]) if len(part)]
+        if least < 0.0 or any(float(_swings(part[None])[0]) > least for part in beside):
+            yield first, last
 
 
 # Limits at which samples are held.
