@@ -274,7 +274,7 @@ def _driven_lines(
     excitation = manifest.excitation
     chosen = [c for c, name in enumerate(names) if name in excitation.reference] or list(range(len(names)))
     rate_hz = (len(time_s) - 1) / float(time_s[-1] - time_s[0])
-    lines = survey_lines(values.select(chosen), rate_hz)
+    lines = survey_lines(gaps_filled(values.select(chosen)), rate_hz)
     low, high = excitation.band or (0.0, rate_hz / 2.0)
     in_band = lines.select((lines.frequency_hz >= low) & (lines.frequency_hz <= high))
     kept = in_band.select(relative_strength(in_band.amplitude) >= DRIVEN) if len(in_band.frequency_hz) else in_band
@@ -436,8 +436,8 @@ def _result(
     place = fit.phasors.channels.index(channel.name)
     first = slice(0, min(len(values), int(EXCERPT_PERIODS * rate_hz / fit.phasors.frequency_hz[0]) + 2))
     none = Spectrum(np.empty(0), np.empty((0, 1)))
-    uniform, whole = record.raw[channel.name].stamp_s is None, _filled(values, time_s, fit, place)
-    spectrum = amplitude_spectrum(whole, rate_hz, MOST_BINS) if shown and uniform else none
+    uniform = record.raw[channel.name].stamp_s is None
+    spectrum = amplitude_spectrum(gaps_filled(values), rate_hz, MOST_BINS) if shown and uniform else none
     result = ChannelResult(
         name=channel.name,
         daq=block,
@@ -458,12 +458,12 @@ def _result(
     return result, Reading(channel, phasors, chain)
 
 
-def _filled(values: Stacked, time_s: FloatArray, fit: SineFit, place: int) -> FloatArray | Stacked:
-    """Return the values of a channel, those that are no numbers as the fit has them."""
-    present = rows_present(values)
-    if present is None:
+def gaps_filled(values: Stacked) -> FloatArray | Stacked:
+    """Return values (S, C), those that are no numbers as the mean of their channel: enough for a spectrum."""
+    if rows_present(values) is None:
         return values
-    return np.where(present[:, None], values[:], fit.model(time_s, slice(place, place + 1)))
+    every = values[:]
+    return np.where(np.isfinite(every), every, np.nanmean(every, axis=0))
 
 
 def folding(frequency_hz: Sequence[float], rate_hz: float, samples: int, most: int = HARMONICS[-1]) -> list[Fold]:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from fusion.base import K2, AnyNotice, InputError, rounded
-from fusion.phasors.channels import MOST_BINS, line_record, lines_in
+from fusion.phasors.channels import MOST_BINS, gaps_filled, line_record, lines_in
 from fusion.phasors.timing import tie_daqs
 from fusion.recording.files import read_set_ups, told_in
 from fusion.recording.load import Manifest
@@ -126,7 +126,7 @@ def lines_of_recording(manifest: Manifest, *, drawn: bool = False) -> LineList:
             for entry in sorted(entries, key=lambda entry: entry.frequency_hz)
         ),
         cameras,
-        amplitude_spectrum(chosen.values, rate_hz, MOST_BINS) if drawn else None,
+        amplitude_spectrum(gaps_filled(chosen.values), rate_hz, MOST_BINS) if drawn else None,
         lines.others,
         lines.notices,
     )
