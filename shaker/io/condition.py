@@ -15,7 +15,6 @@ DefectKind = Literal["lost", "clipped", "steps"]
 FEWEST_STEPS = 30.0
 """Converter steps in an amplitude below which quantisation without dither may cost more than 1e-3 of it: 0.2·n^-1.5."""
 _EXCERPT = 1 << 16  # samples that show the steps of a converter
-_LEVELS = 0.25  # of an excerpt: with more distinct values than that the steps are too fine to matter
 _ROUNDING = 5e-7  # of the largest value: single precision of equal values
 _LONGER = 3  # times the longest constant run that is typical of a record: a longer one is a stretch without signal
 _SHORTEST = 8  # samples of a stretch that counts as lost
@@ -140,14 +139,14 @@ def _spans(chosen: BoolArray) -> IntArray:
 
 
 def converter_step(samples: FloatArray) -> float:
-    """Return the step between neighbouring values of samples (S,); 0 where they are too fine to show any.
+    """Return the step between neighbouring values of samples (S,); 0 where they show none.
 
     The smallest difference between distinct values, of which all other differences are multiples.
     """
     excerpt = samples[:_EXCERPT]
     excerpt = excerpt[np.isfinite(excerpt)]
     levels = np.unique(excerpt)
-    if len(levels) < 2 or len(levels) > max(_LEVELS * len(excerpt), 2):
+    if len(levels) < 2:
         return 0.0
     apart = np.diff(levels)
     apart = apart[apart > _ROUNDING * float(np.max(np.abs(levels)))]

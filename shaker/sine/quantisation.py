@@ -12,6 +12,7 @@ _LONGEST = 1 << 15  # samples that are rounded
 _OFFSETS, _SIZES = 4, np.arange(-16, 17) / 32.0  # places between two steps; changes of the amplitude, in steps
 _SHIFTS, _GOLDEN = 6, (5.0**0.5 - 1.0) / 2.0  # places of the sampling times between two samples, and how they follow
 _UNDITHERED = 0.1  # of a step: noise below which rounding is that of the sine alone
+_DITHERED = 0.8  # of a step: with more noise less than 1e-5 of a step is left
 _TERMS = 30.0  # exponent at which terms of the series end
 
 
@@ -32,6 +33,8 @@ def quantisation_error(fit: SineFit, place: int, time_s: FloatArray, step: float
     time, size = time_s[:count], float(np.max(np.abs(value)))
     near = 0.5 * len(time_s) * float(np.min(phasors.u_re[:, place] ** 2 + phasors.u_im[:, place] ** 2)) / 2.0
     noise = np.sqrt(max(min(near, float(fit.residual_rms[place]) ** 2) - step**2 / 12.0, 0.0)) / step
+    if noise > _DITHERED:
+        return np.zeros(len(value), dtype=np.complex128)
     kept = np.where(np.abs(value) > min(0.5 * step, 0.5 * size), value, 0.0)
     sizes = _SIZES if size > step else np.zeros(_SHIFTS)
     interval = float(time[-1] - time[0]) / (count - 1)
