@@ -230,6 +230,13 @@ def natural_key(name: str) -> tuple[tuple[tuple[int, int | str], ...], str]:
     return tuple((0, int(part)) if part.isdigit() else (1, part) for part in parts if part), name
 
 
+def check_names(files: Iterable[Path]) -> None:
+    """Raise `InputError` for a file whose path is no text, so that no result could name it."""
+    for path in files:
+        if any("\ud800" <= sign <= "\udfff" for sign in str(path)):  # in which Python holds bytes that are no UTF-8
+            raise InputError(path, "", found="other bytes", expected="a path whose names are text in UTF-8")
+
+
 def check_new_file(path: Path, *, force: bool) -> None:
     """Refuse a place for a file that is taken (by a file: unless `force`) or that is in no folder."""
     if path.exists() and not (force and path.is_file()):

@@ -64,6 +64,11 @@ def _act(options: argparse.Namespace) -> int:
     try:
         status: int = options.act(options) or EXIT_DONE
         sys.stdout.flush()
+        if "photogram.kernels" in sys.modules:
+            from photogram.kernels import why_not_kept
+
+            if reason := why_not_kept(elsewhere=getattr(options, "workers", 1) != 1):
+                log.info("compiled functions are not kept (%s): every run compiles them anew", reason)
         return status
     except (Exception, KeyboardInterrupt) as error:
         if is_interruption(error) or not isinstance(error, Exception):

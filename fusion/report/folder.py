@@ -33,6 +33,7 @@ from fusion.base import (
     Identity,
     InputError,
     __version__,
+    check_names,
     usable_cores,
     warnings_first,
 )
@@ -145,8 +146,10 @@ def hashing(files: Iterable[Path], root: Path, read: Mapping[Path, Identity] | N
 
     Where one was changed so shortly before that a further change may not show, all are hashed before this returns.
     """
+    files = set(files)
+    check_names(files)
     known, before, base = read or {}, list[tuple[Path, Path, Identity | None]](), root.resolve()
-    for path in set(files):
+    for path in files:
         resolved = path.resolve()
         before.append((path, resolved, known.get(resolved) or Identity.of(path)))
 

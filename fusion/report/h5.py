@@ -6,7 +6,6 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
-from itertools import count
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -118,7 +117,10 @@ def write_value(group: Group, name: str, value: Any) -> None:
     elif isinstance(value, Mapping):
         inner = group.create_group(name, track_order=True)
         for key, entry in value.items():
-            write_value(inner, str(key), entry)
+            free = inner.free_name(str(key))
+            write_value(inner, free, entry)
+            if free in inner and free != key:
+                inner[free].attrs.setdefault("label", str(key))
     elif isinstance(value, np.ndarray):
         group[name] = value
     elif isinstance(value, tuple | list):
@@ -136,7 +138,7 @@ def _write_sequence(group: Group, name: str, items: Sequence[Any]) -> None:
     elif any(is_dataclass(item) for item in items):
         inner = group.create_group(name, track_order=True)
         for number, item in enumerate(items):
-            write_value(inner, _free_name(inner, _label(item, number)), item)
+            write_value(inner, inner.free_name(_label(item, number)), item)
     elif any(isinstance(item, tuple | list) and any(isinstance(inner, str) for inner in item) for item in items):
         inner = group.create_group(name, track_order=True)
         for number, item in enumerate(items):
@@ -172,7 +174,7 @@ def write_uncertainty(group: Group, uncertainty: Uncertainty) -> None:
     """
     random = group.create_group("random", track_order=True)
     for part in uncertainty.random:
-        own = random.create_group(_free_name(random, part.label))
+        own = random.create_group(random.free_name(part.label))
         own.attrs["label"] = part.label
         own.attrs["type"] = part.type
         own["covariance"] = part.covariance
@@ -187,13 +189,6 @@ def write_uncertainty(group: Group, uncertainty: Uncertainty) -> None:
     effects = [influence.effect for influence in uncertainty.influences]
     group["effect"] = np.stack(effects) if effects else np.zeros(shape)
     group["covariance"] = uncertainty.covariance
-
-
-def _free_name(group: Group, label: str) -> str:
-    """Name of a group that no other has: the label without the separator of paths, numbered where it is taken."""
-    name = label.replace("/", "_")
-    candidates = (name if number == 1 else f"{name} ({number})" for number in count(1))
-    return next(candidate for candidate in candidates if candidate not in group)
 
 
 def read_uncertainty(group: h5py.Group) -> Uncertainty:
