@@ -168,6 +168,14 @@ def find_recordings(path: str | Path) -> list[Path]:
     return found
 
 
+def only_recording(path: str | Path) -> Path:
+    """Return the one recording.toml at a path, as `find_recordings` finds it."""
+    found = find_recordings(path)
+    if len(found) > 1:
+        raise InputError(Path(path), "", found=f"a campaign of {len(found)}", expected="one recording")
+    return found[0]
+
+
 def for_kinds(recordings: Sequence[Path], kinds: Collection[str]) -> list[Path]:
     """Return the recordings of a campaign that have one of some kinds of excitation, or that cannot be read.
 
