@@ -185,10 +185,18 @@ def is_interruption(error: BaseException) -> bool:
     return isinstance(error, KeyboardInterrupt) or isinstance(cause, KeyboardInterrupt)
 
 
+SHORT_OF_MEMORY = re.compile(
+    "can't start new thread|failed to map segment|[Ii]nsufficient memory|annot allocate memory"
+)
+"""What threads, shared libraries, OpenCV and the system say where they get no memory."""
+
+
 def told(error: Exception) -> InputError | ComputeError:
     """Return a failure as one that the user can be told; what the program does not expect becomes a `ComputeError`."""
     if isinstance(error, InputError | ComputeError):
         return error
+    if isinstance(error, MemoryError) or SHORT_OF_MEMORY.search(str(error)):
+        return ComputeError(f"the memory does not suffice ({' '.join(str(error).split()) or type(error).__name__})")
     if isinstance(error, OSError):
         return ComputeError(f"the system refused to read or write ({error})")
     return ComputeError(f"internal error ({type(error).__name__}: {error}); please report it, -v shows where")

@@ -209,13 +209,17 @@ def _curve(group: h5py.Group) -> LabelledPhasors:
     channels, unit, kind = _texts(group, "channels"), _output_unit(group), str(group.attrs["kind"])
     pairs = [(channels[c], LOAD_COMPONENTS[j]) for c, j in read_numbers(group["elements"], "iu").tolist()]
     labels = [(channel, component, sensitivity_unit(unit, component)) for channel, component in pairs]
-    return _labelled(f"curve ({kind})", group, read_numbers(group["value"], "c"), labels, [kind] * len(group["frequency_hz"]))
+    return _labelled(
+        f"curve ({kind})", group, read_numbers(group["value"], "c"), labels, [kind] * len(group["frequency_hz"])
+    )
 
 
 def _motion(name: str, group: h5py.Group) -> LabelledPhasors:
     inner, body = group["phasors"], str(group.attrs["body"])
     labels = [(body, *pair) for pair in zip(_texts(inner, "channels"), _texts(inner, "unit"), strict=True)]
-    return _labelled(f"acceleration {name}", group, read_numbers(inner["value"], "c"), labels, ["phasor"] * len(inner["value"]))
+    return _labelled(
+        f"acceleration {name}", group, read_numbers(inner["value"], "c"), labels, ["phasor"] * len(inner["value"])
+    )
 
 
 def _load(group: h5py.Group) -> LabelledPhasors:

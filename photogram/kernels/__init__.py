@@ -26,6 +26,8 @@ from typing import Any
 
 UNUSED_S = 30 * 86400.0
 DIGEST_BYTES = 32
+COMPILER_BYTES = 600_000_000
+"""Of addresses: the kernels of a run that tracks subsets took 500 MB."""
 LEAN_VERSIONS = ((0, 68),)
 """Of numba, in which a kept kernel was seen to need nothing but the memory of arrays; with others it loads as usual."""
 
@@ -85,9 +87,9 @@ def _dispatcher(function: Callable[..., Any], options: dict[str, Any]) -> Any:
         To look that up takes as long as to import numba, which offers no public way without it.
         """
 
-        def __init__(self, folder: Path) -> None:
+        def __init__(self, folder: Path | None) -> None:
             self._name, self._py_func, self._cache_path = repr(function), function, str(folder)
-            self._impl, self._cache_file = Entries(), File(folder / f"{function.__module__}.{function.__qualname__}")
+            self._impl, self._cache_file = Entries(), File(folder, f"{function.__module__}.{function.__qualname__}")
             self.enable()
 
         def load_overload(self, sig: Any, target_context: Any) -> Any:
@@ -95,32 +97,51 @@ def _dispatcher(function: Callable[..., Any], options: dict[str, Any]) -> Any:
                 rtsys.initialize(target_context)  # the memory of arrays
             else:
                 target_context.refresh()
-            return self._load_overload(sig, target_context)
+            found = self._load_overload(sig, target_context)
+            if found is None:
+                check_memory()
+            return found
 
         def save_overload(self, sig: Any, data: Any) -> None:
             if not data.lifted and not data.library.has_dynamic_globals:  # which hold for this process alone
                 self._cache_file.save(self._index_key(sig, data.codegen), self._impl.reduce(data))
 
     dispatcher, (folder, _) = numba.njit(**options)(function), _cache_folder()
-    if folder is not None and not numba.config.DISABLE_JIT:
+    if not numba.config.DISABLE_JIT:
         dispatcher._cache = Cache(folder)
     return dispatcher
 
 
-class File:
-    """Compiled functions in one file each, `STEM-….nbc`, behind a digest: one that is damaged counts as none.
+@cache
+def check_memory() -> None:
+    """Raise `MemoryError` where the system limits the address space to less than the compiler takes for all kernels.
 
-    A full or read-only disk stays as it is: the kernel is compiled again next time.
+    The compiler itself ends the process then, or never returns. Once it has begun, nothing is raised.
+    """
+    if sys.platform == "linux":
+        import resource
+
+        limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+        taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+        if limit != resource.RLIM_INFINITY and limit - taken < COMPILER_BYTES:
+            told = f"{limit / 1e6:.0f} MB of addresses (ulimit -v), of which {taken / 1e6:.0f} MB are taken"
+            raise MemoryError(f"expected {COMPILER_BYTES / 1e6:.0f} MB to compile functions, found {told}")
+
+
+class File:
+    """Compiled functions in one file each, `NAME-….nbc`, behind a digest: one that is damaged counts as none.
+
+    A full or read-only disk stays as it is, and without a `folder` nothing is kept: the next process compiles anew.
     """
 
-    def __init__(self, stem: Path) -> None:
-        self._stem = stem
+    def __init__(self, folder: Path | None, name: str) -> None:
+        self._folder, self._stem = folder, name.replace("<", "").replace(">", "")
 
     def load(self, key: Any) -> Any:
         """Return what is kept for a key, None where nothing is."""
-        name = self._name(key)
+        place = self._place(key)
         with contextlib.suppress(OSError):
-            whole = name.read_bytes()
+            whole = place.read_bytes() if place is not None else b""
             if hashlib.sha256(whole[DIGEST_BYTES:]).digest() == whole[:DIGEST_BYTES]:
                 return pickle.loads(whole[DIGEST_BYTES:])
         return None
@@ -129,7 +150,10 @@ class File:
         """Keep something for a key, whole or not at all."""
         from numba.core.serialize import dumps
 
-        place, written = self._name(key), dumps(content)
+        place = self._place(key)
+        if place is None:
+            return
+        written = dumps(content)
         part = place.with_name(f"{place.name}-{os.urandom(6).hex()}.part")
         with contextlib.suppress(OSError):
             try:
@@ -138,12 +162,12 @@ class File:
             finally:
                 part.unlink(missing_ok=True)
 
-    def _name(self, key: Any) -> Path:
-        """Name of a file for a function's types, the processor, its code, and the versions of Python and numba."""
+    def _place(self, key: Any) -> Path | None:
+        """Path of a file for a function's types, the processor, its code, and the versions of Python and numba."""
         import numba
 
         digest = hashlib.sha256(repr((sys.version, numba.__version__, key)).encode()).hexdigest()
-        return self._stem.with_name(f"{self._stem.name.replace('<', '').replace('>', '')}-{digest[:32]}.nbc")
+        return None if self._folder is None else self._folder / f"{self._stem}-{digest[:32]}.nbc"
 
 
 @cache

@@ -213,9 +213,8 @@ def test_results_of_the_same_input_are_replaced_and_others_refused(recording, re
     (recording / "amplifier.toml").write_text("[[element]]\nfilter = 'bessel'\norder = 2\ncorner = 3e4\n")
     assert main(run) == 0
     assert table.read_bytes() != first
-    os.replace(recording / "accelerometers.h5", recording / "other.h5")
-    edited = (recording / "recording.toml").read_text(encoding="utf-8").replace("accelerometers.h5", "other.h5")
-    (recording / "recording.toml").write_text(edited, encoding="utf-8")
+    (recording / "accelerometers.h5").rename(recording / "other.h5")
+    edit(recording / "recording.toml", "accelerometers.h5", "other.h5")
     assert "results of other input files" in refused(*run)
     assert main([*run, "--force"]) == 0
 
