@@ -220,7 +220,8 @@ def origin_key(hashes: Mapping[str, str], settings: Mapping[str, Setting], versi
 def check_folder(folder: Path, hashes: Mapping[str, str], *, force: bool, marker: str = RESULT_FILE) -> None:
     """Refuse a place for results that is no folder, or that holds something else than results of the same data.
 
-    Results of manifests that were edited since are replaced. `marker`: the file of the results that carries their provenance.
+    Results of manifests that were edited since are replaced. `marker`: the file of the results that carries their
+    provenance.
     """
     if folder.exists() and not folder.is_dir():
         raise InputError(folder, "", found="a file", expected="a folder for the results")
