@@ -50,9 +50,7 @@ def evaluate_recording(
     >>> evaluation = evaluate_recording("sample_images/demo/Fz-0080")  # doctest: +SKIP
     >>> evaluation.sensitivity.value[:, 2, 2]  # Fz output per Fz load, line by line  # doctest: +SKIP
     """
-    started, settings = time.monotonic(), settings or Settings()
-    manifest = recording if isinstance(recording, Manifest) else load_manifest(only_recording(recording))
-    manifest.check_command("run")
+    started, settings, manifest = time.monotonic(), settings or Settings(), _checked(recording)
     set_ups = measure_set_ups(open_set_ups(manifest), settings, progress, executor, kept)
     joined = join_set_ups(set_ups)
     sensor, surroundings, body = manifest.rig.sensor, manifest.rig.surroundings, load_body(manifest.rig, manifest.part)
@@ -102,3 +100,10 @@ def evaluate_recording(
         element=analysis.element,
         supports=supports,
     )
+
+
+def _checked(recording: Manifest | str | Path) -> Manifest:
+    """Return the manifest of a recording that `run` evaluates."""
+    manifest = recording if isinstance(recording, Manifest) else load_manifest(only_recording(recording))
+    manifest.check_command("run")
+    return manifest
