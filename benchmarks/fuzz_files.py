@@ -5,9 +5,10 @@ Usage: python benchmarks/fuzz_files.py [--inputs 500] [--seed 1] [--only tdms pn
 Small valid files of every kind are written, or taken from the folder of real data where no library writes them. Every
 input is one of them with one to four changes: bits flipped, bytes replaced, taken out, put in or doubled, the end cut
 off, whole numbers of 1 to 8 bytes and numbers in text set to extreme values. A process of its own reads them, so that
-a crash or a hang costs one input. Counted: files read as data, files refused by `OSError` or `ValueError` with one
-sentence that begins with the path, anything else (other errors, sentences without the path, crashes of the process),
-inputs that took more than ten seconds of the processor or gave no answer within a minute, and the largest memory.
+a crash or a hang costs one input. Counted: files read as data, files refused by `OSError`, `ValueError` or
+`InputError` with one sentence that begins with the path, anything else (other errors, sentences without the path,
+crashes of the process), inputs that took more than ten seconds of the processor or gave no answer within a minute, and
+the largest memory.
 """
 
 from __future__ import annotations
@@ -33,6 +34,8 @@ import numpy as np
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 
 import fuzz_seeds
+
+from fusion import InputError
 
 LONGEST_S = 10.0  # of the processor
 NO_ANSWER_S = 60.0
@@ -174,7 +177,7 @@ def outcome(reads: Sequence[Callable[[Path], Any]], path: Path) -> tuple[bool, s
         try:
             read(path)
             data = True
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, InputError) as error:
             text = str(error)
             if not text.startswith(str(path.parent)) or "\n" in text or isinstance(error, UnicodeError):
                 wrong = f"{type(error).__name__}: {text[:300]!r}"

@@ -57,7 +57,8 @@ PAGES = (
     "fusion.report.folder.Command.page",
 )
 STRANGE: tuple[Any, ...] = (
-    True, "", " ", "\0", "a\0b", "\x1b[31mred", "=1+1", "CON", "a:b", "x" * 100_000, "\N{SNOWMAN}", float("nan"),
+    True, "", " ", "\0", "a\0b", "\x1b[31mred", "=1+1", "CON", "a:b", "a/b", "/", ".", "..", "uncertainty",
+    "x" * 100_000, "\N{SNOWMAN}", float("nan"),
     float("inf"), 1e300, -1e300, 1e-300, 5e-324, 10**9, 10**18, 10**400, -1, 0, [], {}, [[]], [[], [1.0]], [{}],
     date(1, 1, 1), date(9999, 12, 31), time(1), [1e300] * 3, [0.0] * 3, [1.0] * 100_000,
 )  # fmt: skip
@@ -156,7 +157,7 @@ def valued(annotation: Any) -> st.SearchStrategy[Any]:  # noqa: PLR0911
         bool: st.booleans(),
         int: st.sampled_from([0, 1, 2, 3, 8, 100, 10**6]),
         float: st.sampled_from([0.0, 1e-9, 1e-4, 1e-3, 0.05, 0.5, 1.0, 3.0, 50.0, 1e3, 1e6]),
-        str: st.sampled_from(["a", "Fz", "top", "Fx", "auto"]) | st.text(max_size=8),
+        str: st.sampled_from(["a", "Fz", "top", "Fx", "auto", "a/b", ".", "value"]) | st.text(max_size=8),
         date: st.dates(),
         Path: st.sampled_from(PATHS),
     }

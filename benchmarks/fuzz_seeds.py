@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
 import cine_factory
@@ -15,6 +16,8 @@ import scipy.io
 import tdms_factory as tdms
 import universal_factory as uff
 
+from fusion import Settings, read_results, run_path, simulate_preset
+from fusion.campaign.joint_report import join_campaign
 from photogram.images.files import open_sequence, read_picture
 from photogram.images.sequence import reading
 from photogram.point_tables import read_matrix, read_point_tables
@@ -247,6 +250,25 @@ def _matrix(path: Path) -> None:
         read_matrix(path)
 
 
+# Results of a run.
+
+
+def _results(folder: Path, data: Path) -> None:
+    with TemporaryDirectory() as place:
+        simulate_preset(f"{place}/matrix", "matrix", 1)
+        run_path(f"{place}/matrix/1-z", f"{place}/results/1-z", Settings())
+        join_campaign(Path(place, "results"), "matrix", [Path(place, "results/1-z")], {})
+        for name in ("1-z/result.h5", "campaign.h5"):
+            shutil.copyfile(Path(place, "results", name), folder / Path(name).name)
+
+
+def _labelled(path: Path) -> None:
+    found = read_results(path)
+    for part in (found.sensitivity, found.element, found.load, *found.acceleration.values(), *found.curve):
+        if part is not None:
+            part.to_dataframe()
+
+
 SEEDS: dict[str, Seed] = {
     "tdms": Seed(_tdms, (_channels,), (".tdms",)),
     "hdf5": Seed(_hdf5, (_channels,), (".h5",)),
@@ -268,4 +290,5 @@ SEEDS: dict[str, Seed] = {
     "film": Seed(_films, (_frames,), (".avi", ".mp4", ".mkv")),
     "points": Seed(_points, (_named_points, _known_points), (".csv", ".mat")),
     "matrix": Seed(_points, (_matrix,), (".txt",)),
+    "results": Seed(_results, (_labelled,), (".h5",)),
 }

@@ -185,10 +185,18 @@ def is_interruption(error: BaseException) -> bool:
     return isinstance(error, KeyboardInterrupt) or isinstance(cause, KeyboardInterrupt)
 
 
+SHORT_OF_MEMORY = re.compile(
+    "can't start new thread|failed to map segment|[Ii]nsufficient memory|annot allocate memory"
+)
+"""What threads, shared libraries, OpenCV and the system say where they get no memory."""
+
+
 def told(error: Exception) -> InputError | ComputeError:
     """Return a failure as one that the user can be told; what the program does not expect becomes a `ComputeError`."""
     if isinstance(error, InputError | ComputeError):
         return error
+    if isinstance(error, MemoryError) or SHORT_OF_MEMORY.search(str(error)):
+        return ComputeError(f"the memory does not suffice ({' '.join(str(error).split()) or type(error).__name__})")
     if isinstance(error, OSError):
         return ComputeError(f"the system refused to read or write ({error})")
     return ComputeError(f"internal error ({type(error).__name__}: {error}); please report it, -v shows where")
@@ -228,6 +236,13 @@ def natural_key(name: str) -> tuple[tuple[tuple[int, int | str], ...], str]:
     """Sort key that orders runs of digits by value: `a2` before `a10`; ties by the text itself."""
     parts = re.split(r"([0-9]+)", name)
     return tuple((0, int(part)) if part.isdigit() else (1, part) for part in parts if part), name
+
+
+def check_names(files: Iterable[Path]) -> None:
+    """Raise `InputError` for a file whose path is no text, so that no result could name it."""
+    for path in files:
+        if any("\ud800" <= sign <= "\udfff" for sign in str(path)):  # in which Python holds bytes that are no UTF-8
+            raise InputError(path, "", found="other bytes", expected="a path whose names are text in UTF-8")
 
 
 def check_new_file(path: Path, *, force: bool) -> None:

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from fusion.commands.options import Command, Parser
 
 ENDING = ("SIGINT", "SIGTERM", "SIGHUP")
+LEAST_ADDRESSES = 1_000_000_000
+"""Bytes: a run without images takes 870 MB of addresses before it has read anything."""
 GARBAGE = 20_000
 """New objects after which Python looks for cycles among them; at its own 700 that is a tenth of what starting takes."""
 
@@ -62,8 +64,14 @@ def _act(options: argparse.Namespace) -> int:
     log = logging.getLogger("shakercal")
     AS_JSON.set(getattr(options, "json", False))
     try:
+        _check_memory()
         status: int = options.act(options) or EXIT_DONE
         sys.stdout.flush()
+        if "photogram.kernels" in sys.modules:
+            from photogram.kernels import why_not_kept
+
+            if reason := why_not_kept(elsewhere=getattr(options, "workers", 1) != 1):
+                log.info("compiled functions are not kept (%s): every run compiles them anew", reason)
         return status
     except (Exception, KeyboardInterrupt) as error:
         if is_interruption(error) or not isinstance(error, Exception):
@@ -80,6 +88,21 @@ def _act(options: argparse.Namespace) -> int:
         if not isinstance(error, InputError | ComputeError):
             log.debug("traceback", exc_info=True)
         return EXIT_INPUT if isinstance(failure, InputError) else EXIT_FAILED
+
+
+def _check_memory() -> None:
+    """Refuse a limit of the address space that libraries alone come near: some of them end the process, or hang."""
+    if sys.platform != "win32":
+        import resource
+
+        from fusion.base import ComputeError
+
+        limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+        if limit != resource.RLIM_INFINITY and limit < LEAST_ADDRESSES:
+            found = f"found {limit / 1e6:.0f} MB (ulimit -v)"
+            raise ComputeError(
+                f"the memory does not suffice: expected {LEAST_ADDRESSES / 1e6:.0f} MB of addresses, {found}"
+            )
 
 
 def _unwritten() -> OSError | None:

@@ -11,7 +11,10 @@ import pytest
 
 @pytest.mark.parametrize(
     "kind",
-    [pytest.param(kind, marks=pytest.mark.slow) if kind in ("dewesoft", "mdf") else kind for kind in fuzz_seeds.SEEDS],
+    [
+        pytest.param(kind, marks=pytest.mark.slow) if kind in ("dewesoft", "mdf", "results") else kind
+        for kind in fuzz_seeds.SEEDS
+    ],
 )
 def test_sound_files_are_read(tmp_path: Path, data_dir: Path, kind: str):
     """What the changes start from is data for its reader, otherwise nothing behind its first check would be tried."""

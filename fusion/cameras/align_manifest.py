@@ -60,16 +60,14 @@ from shaker.arrays import FloatArray
 
 def _size(value: Any) -> tuple[int, int]:
     """Check columns and rows of a target."""
-    whole = isinstance(value, list | tuple) and len(value) == 2 and all(type(item) is int for item in value)
-    if not whole or min(value) < 2 or max(value) > MOST_OF_TARGET:
-        raise refusal(f"2 whole numbers of 2 to {MOST_OF_TARGET}, columns and rows", f"{value}"[:60])
+    if not (isinstance(value, list | tuple) and len(value) == 2 and all(type(item) is int for item in value)):
+        raise refusal("2 whole numbers, columns and rows", f"{value}"[:60])
     return value[0], value[1]
 
 
 PIXEL_COLUMNS = ("left_x", "left_y", "right_x", "right_y")
 FEWEST_FACE_POINTS = 3
 LARGEST_TABLE = 50_000_000  # bytes
-MOST_OF_TARGET = 1000  # rows or columns
 Pixel = Annotated[tuple[float, float], BeforeValidator(vector(2))]
 Blocks = BeforeValidator(array_of_tables)
 
@@ -106,9 +104,13 @@ class TargetBlock(Block):
     dictionary: Text | None = None
 
     @model_validator(mode="after")
-    def _size_where_needed(self) -> Self:
-        if self.size is None and self.kind != "dots":
-            raise refusal(f"columns and rows of the {self.kind} target", "nothing", key="size")
+    def _can_be_looked_for(self) -> Self:
+        try:
+            Target(self.kind, self.spacing, self.size, self.dictionary)
+        except ValueError as error:
+            key, _, told = str(error).partition(": expected ")
+            expected, _, found = told.rpartition(", found ")
+            raise refusal(expected, found, key=key.removesuffix("_m")) from error
         return self
 
 

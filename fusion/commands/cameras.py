@@ -51,7 +51,8 @@ def cameras(options: argparse.Namespace) -> None:
     try:
         target = Target(options.target, options.spacing.m, options.size, options.dictionary)
     except ValueError as error:
-        raise InputError("shakercal cameras", "--" + str(error).partition(":")[0], str(error), "") from error
+        key, _, sentence = str(error).partition(": ")
+        raise InputError("shakercal cameras", f"--{key}", sentence, "") from error
     if not options.spacing.unit and not target.is_likely:
         spacing = f"{options.spacing.m:g}"
         found = f"{spacing} m, of a target {target.length_m:.3g} m long"

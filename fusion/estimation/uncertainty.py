@@ -108,6 +108,8 @@ class Uncertainty:
         lines, size = self.random[0].covariance.shape[:2]
         for part in self.random:
             check_shape(f"covariance of {part.label}", part.covariance, (lines, size, size))
+            if part.dof is not None:
+                check_shape(f"dof of {part.label}", part.dof, (lines,))
         for influence in self.influences:
             if influence.effect.shape != (lines, size):
                 check_shape(f"effect of {influence.name}", influence.effect, (lines, size))

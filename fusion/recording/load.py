@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from fusion.base import Identity, InputError, natural_key
+from fusion.base import Identity, InputError, check_names, natural_key
 from fusion.instruments.transducer import CLOSE_TO_AXIS_RAD, HEAD, ROOM, carrier, unit_direction, wrong_aim
 from fusion.recording.certified import CertifiedInputs, certified_inputs
 from fusion.recording.excitation import KINDS, ONE_SET_UP, Excitation, kinds_of, listed
@@ -168,6 +168,14 @@ def find_recordings(path: str | Path) -> list[Path]:
     return found
 
 
+def only_recording(path: str | Path) -> Path:
+    """Return the one recording.toml at a path, as `find_recordings` finds it."""
+    found = find_recordings(path)
+    if len(found) > 1:
+        raise InputError(Path(path), "", found=f"a campaign of {len(found)}", expected="one recording")
+    return found[0]
+
+
 def for_kinds(recordings: Sequence[Path], kinds: Collection[str]) -> list[Path]:
     """Return the recordings of a campaign that have one of some kinds of excitation, or that cannot be read.
 
@@ -238,6 +246,7 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
     )
     rig = rig.model_copy(update={"environment": record.environment or rig.environment})
     files = tuple(dict.fromkeys((*_input_files(path, rig_path, rig, record), *certificates)))
+    check_names(files)
     seen = {file: Identity.of(file) for file in files} | certificates | at_first
     return Manifest(
         path=path,

@@ -46,7 +46,7 @@ def write_file(path: Path, content: str | bytes | Iterable[str]) -> None:
     """
     with path.open("wb") as stream:
         for part in (content,) if isinstance(content, str | bytes) else content:
-            stream.write(part if isinstance(part, bytes) else part.encode("utf-8"))
+            stream.write(part if isinstance(part, bytes) else part.encode("utf-8", "replace"))
 
 
 def write_files(folder: Path, contents: Mapping[str, str | bytes | Iterable[str]]) -> list[str]:
@@ -73,8 +73,10 @@ def writing(place: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        file = f" ({Path(str(error.filename2 or error.filename)).name})" if error.filename is not None else ""
+        reason, refused = (error.strerror or str(error)).lower(), Path(str(error.filename2 or error.filename))
+        file = "" if error.filename is None or is_own(refused.name) else f" ({refused.name})"
+        if isinstance(error, FileNotFoundError) and is_own(refused.name) and refused.parent.is_dir():
+            reason = f"{refused.parent} takes no files"  # as below /proc
         advice = ", or is it open in another program?" if isinstance(error, PermissionError) else ""
         if isinstance(error, FileNotFoundError) and len(str(error.filename)) > LONG_PATH:
             advice = f"; its path of {len(str(error.filename))} characters may be longer than the system takes"

@@ -33,6 +33,7 @@ from fusion.base import (
     Identity,
     InputError,
     __version__,
+    check_names,
     usable_cores,
     warnings_first,
 )
@@ -145,8 +146,10 @@ def hashing(files: Iterable[Path], root: Path, read: Mapping[Path, Identity] | N
 
     Where one was changed so shortly before that a further change may not show, all are hashed before this returns.
     """
+    files = set(files)
+    check_names(files)
     known, before, base = read or {}, list[tuple[Path, Path, Identity | None]](), root.resolve()
-    for path in set(files):
+    for path in files:
         resolved = path.resolve()
         before.append((path, resolved, known.get(resolved) or Identity.of(path)))
 
@@ -215,9 +218,10 @@ def origin_key(hashes: Mapping[str, str], settings: Mapping[str, Setting], versi
 
 
 def check_folder(folder: Path, hashes: Mapping[str, str], *, force: bool, marker: str = RESULT_FILE) -> None:
-    """Refuse a place for results that is no folder, or that holds something else than results of the same inputs.
+    """Refuse a place for results that is no folder, or that holds something else than results of the same data.
 
-    `marker`: the file of the results that carries their provenance.
+    Results of manifests that were edited since are replaced. `marker`: the file of the results that carries their
+    provenance.
     """
     if folder.exists() and not folder.is_dir():
         raise InputError(folder, "", found="a file", expected="a folder for the results")
@@ -228,10 +232,27 @@ def check_folder(folder: Path, hashes: Mapping[str, str], *, force: bool, marker
     if force or not folder.exists() or all(is_own(entry.name) for entry in folder.iterdir()):
         return
     found = read_provenance(folder, marker)
-    if found is None or found.input_hashes != dict(hashes):
-        what = "other files" if found is None else "results of other input files"
+    if found is None or not _of_same_data(found.input_hashes, hashes):
+        damaged = f"a {marker} that cannot be read" if (folder / marker).is_file() else "other files"
+        what = damaged if found is None else "results of other input files"
         expected = "an empty folder for the results (--force writes into this one and replaces only result files)"
         raise InputError(folder, "", found=what, expected=expected)
+
+
+def _of_same_data(before: Mapping[str, str], now: Mapping[str, str]) -> bool:
+    """Whether results are of the same inputs, or of the same recordings whose manifests were edited since.
+
+    What recordings share, such as certificates and tables of the rig, may be other files too. Their own files may not,
+    but for those that only one of the manifests names.
+    """
+    from fusion.recording.load import RECORDING_NAME
+
+    if before == now:
+        return True
+    then, named = ({Path(name) for name in names if Path(name).name == RECORDING_NAME} for names in (before, now))
+    common = [name for name in before if name in now and Path(name).suffix != ".toml"]
+    own = [name for name in common if not named or any(path.parent in Path(name).parents for path in named)]
+    return then == named and bool(own) and all(before[name] == now[name] for name in own)
 
 
 def read_provenance(folder: Path, marker: str = RESULT_FILE, *, alone: bool = False) -> Provenance | None:

@@ -6,7 +6,6 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
-from itertools import count
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -67,6 +66,8 @@ def opened_results(path: Path, *only: str) -> Iterator[h5py.File]:
     except (OSError, ValueError, KeyError, RuntimeError) as error:
         told = " ".join(str(error).split()).removeprefix(f"{path}: ")
         raise InputError(path, "", expected="results of an earlier run", found=f"damaged ones ({told})") from error
+    except MemoryError as error:
+        raise InputError(path, "", expected="results of an earlier run", found="more than the memory takes") from error
     except (AttributeError, TypeError, IndexError) as error:  # a group where numbers should be, or the other way round
         found = "a file whose groups and numbers are not those that a run writes"
         raise InputError(path, "", expected="results of an earlier run", found=found) from error
@@ -118,7 +119,10 @@ def write_value(group: Group, name: str, value: Any) -> None:
     elif isinstance(value, Mapping):
         inner = group.create_group(name, track_order=True)
         for key, entry in value.items():
-            write_value(inner, str(key), entry)
+            free = inner.free_name(str(key))
+            write_value(inner, free, entry)
+            if free in inner and free != key:
+                inner[free].attrs.setdefault("label", str(key))
     elif isinstance(value, np.ndarray):
         group[name] = value
     elif isinstance(value, tuple | list):
@@ -136,7 +140,7 @@ def _write_sequence(group: Group, name: str, items: Sequence[Any]) -> None:
     elif any(is_dataclass(item) for item in items):
         inner = group.create_group(name, track_order=True)
         for number, item in enumerate(items):
-            write_value(inner, _free_name(inner, _label(item, number)), item)
+            write_value(inner, inner.free_name(_label(item, number)), item)
     elif any(isinstance(item, tuple | list) and any(isinstance(inner, str) for inner in item) for item in items):
         inner = group.create_group(name, track_order=True)
         for number, item in enumerate(items):
@@ -172,7 +176,7 @@ def write_uncertainty(group: Group, uncertainty: Uncertainty) -> None:
     """
     random = group.create_group("random", track_order=True)
     for part in uncertainty.random:
-        own = random.create_group(_free_name(random, part.label))
+        own = random.create_group(random.free_name(part.label))
         own.attrs["label"] = part.label
         own.attrs["type"] = part.type
         own["covariance"] = part.covariance
@@ -189,30 +193,33 @@ def write_uncertainty(group: Group, uncertainty: Uncertainty) -> None:
     group["covariance"] = uncertainty.covariance
 
 
-def _free_name(group: Group, label: str) -> str:
-    """Name of a group that no other has: the label without the separator of paths, numbered where it is taken."""
-    name = label.replace("/", "_")
-    candidates = (name if number == 1 else f"{name} ({number})" for number in count(1))
-    return next(candidate for candidate in candidates if candidate not in group)
-
-
 def read_uncertainty(group: h5py.Group) -> Uncertainty:
     """Return the `Uncertainty` that `fusion.report.h5.write_uncertainty` put into a group, to the last bit."""
     random = []
     for part in group["random"].values():
-        dof = part["dof"][()] if "dof" in part else None
+        dof = read_numbers(part["dof"]) if "dof" in part else None
         kind = _known("type", part.attrs["type"], Kind)
-        random.append(Contribution(str(part.attrs["label"]), kind, part["covariance"][()], dof))
+        random.append(Contribution(str(part.attrs["label"]), kind, read_numbers(part["covariance"]), dof))
     # Thousands of recordings have the same names.
     *columns, shapes = [list(map(sys.intern, group[field].asstr()[()].tolist())) for field in INFLUENCE_TEXTS]
-    numbers = group["u"][()], group["dof"][()] if "dof" in group else np.full(len(group["u"]), np.inf)
+    u = read_numbers(group["u"])
+    numbers = u, read_numbers(group["dof"]) if "dof" in group else np.full(len(u), np.inf)
+    if np.isnan(numbers[1]).any():
+        raise ValueError(f"{group.name}/dof: expected numbers, found nan")
     influences = []
-    rows = zip(*columns, *numbers, group["effect"][()], shapes, strict=True)
+    rows = zip(*columns, *numbers, read_numbers(group["effect"]), shapes, strict=True)
     for name, label, unit, scope, kind, u, dof, effect, shape in rows:
         known = _known("scope", scope, Scope), _known("type", kind, Kind)
         own = *known, float(dof), _known("distribution", shape, Distribution)
         influences.append(Influence(name, label, float(u), unit, effect, *own))
     return Uncertainty(tuple(random), tuple(influences))
+
+
+def read_numbers(stored: h5py.Dataset, kinds: str = "fiu") -> Any:
+    """Return a data set whose numbers are of one of some of numpy's kinds; `ValueError` of any other."""
+    if stored.dtype.kind not in kinds:
+        raise ValueError(f"{stored.name}: expected numbers of kind {kinds}, found {stored.dtype}")
+    return stored[()]
 
 
 def read_notices(file: h5py.File) -> tuple[Notice, ...]:

@@ -14,7 +14,7 @@ import numpy as np
 from fusion.base import InputError
 from fusion.estimation.uncertainty import Uncertainty, polar_elements
 from fusion.report.folder import RESULT_FILE, RESULT_FORMAT
-from fusion.report.h5 import opened_results, read_uncertainty
+from fusion.report.h5 import opened_results, read_numbers, read_uncertainty
 from fusion.report.table import sensitivity_unit
 from shaker.arrays import ComplexArray, FloatArray, check_shape
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS
@@ -43,7 +43,12 @@ class LabelledPhasors:
     kind: tuple[str, ...]
 
     def __post_init__(self) -> None:
-        check_shape("value", self.value, (len(self.frequency_hz), len(self.unit)))
+        lines, size = len(self.frequency_hz), len(self.unit)
+        check_shape("frequency_hz", self.frequency_hz, (lines,))
+        check_shape("value", self.value, (lines, size))
+        check_shape("covariance", self.uncertainty.random[0].covariance, (lines, 2 * size, 2 * size))
+        if len(self.kind) != lines:
+            raise ValueError(f"kind: expected one of each of {lines} lines, found {len(self.kind)}")
 
     def __repr__(self) -> str:
         lines, units = self.frequency_hz, ", ".join(dict.fromkeys(self.unit))
@@ -186,35 +191,39 @@ def _labelled(
     """Values of a group with their uncertainty; `labels`: channel, component and unit of each."""
     channel, component, unit = zip(*labels, strict=True) if labels else ((), (), ())
     places: list[Any] = [group.get("frequency_hz"), group.get("phasors/frequency_hz")]
-    found = next((place[()] for place in places if place is not None), None)
+    found = next((read_numbers(place) for place in places if place is not None), None)
     frequency = np.array([group.attrs["frequency_hz"]]) if found is None else found
     uncertainty = read_uncertainty(group["uncertainty"])
     return LabelledPhasors(name, frequency, value, channel, component, unit, uncertainty, tuple(kind))
 
 
 def _sensitivity(group: h5py.Group) -> LabelledPhasors:
-    channels, elements = _texts(group, "channels"), group["elements"][()].tolist()
+    channels, elements = _texts(group, "channels"), read_numbers(group["elements"], "iu").tolist()
     unit = str(group.attrs["unit"])
     labels = [(channels[c], LOAD_COMPONENTS[j], sensitivity_unit(unit, LOAD_COMPONENTS[j])) for c, j in elements]
-    value = group["value"][()][:, [c for c, _ in elements], [j for _, j in elements]]
+    value = read_numbers(group["value"], "c")[:, [c for c, _ in elements], [j for _, j in elements]]
     return _labelled(group.name.strip("/"), group, value, labels, _texts(group, "kind"))
 
 
 def _curve(group: h5py.Group) -> LabelledPhasors:
     channels, unit, kind = _texts(group, "channels"), _output_unit(group), str(group.attrs["kind"])
-    pairs = [(channels[c], LOAD_COMPONENTS[j]) for c, j in group["elements"][()].tolist()]
+    pairs = [(channels[c], LOAD_COMPONENTS[j]) for c, j in read_numbers(group["elements"], "iu").tolist()]
     labels = [(channel, component, sensitivity_unit(unit, component)) for channel, component in pairs]
-    return _labelled(f"curve ({kind})", group, group["value"][()], labels, [kind] * len(group["frequency_hz"]))
+    return _labelled(
+        f"curve ({kind})", group, read_numbers(group["value"], "c"), labels, [kind] * len(group["frequency_hz"])
+    )
 
 
 def _motion(name: str, group: h5py.Group) -> LabelledPhasors:
     inner, body = group["phasors"], str(group.attrs["body"])
     labels = [(body, *pair) for pair in zip(_texts(inner, "channels"), _texts(inner, "unit"), strict=True)]
-    return _labelled(f"acceleration {name}", group, inner["value"][()], labels, ["phasor"] * len(inner["value"]))
+    return _labelled(
+        f"acceleration {name}", group, read_numbers(inner["value"], "c"), labels, ["phasor"] * len(inner["value"])
+    )
 
 
 def _load(group: h5py.Group) -> LabelledPhasors:
-    value = np.where(group["observed"][()], group["value"][()], complex(np.nan, np.nan))
+    value = np.where(group["observed"][()], read_numbers(group["value"], "c"), complex(np.nan, np.nan))
     labels = [("load", *pair) for pair in zip(LOAD_COMPONENTS, LOAD_UNITS, strict=True)]
     return _labelled("load", group, value, labels, ["phasor"] * len(value))
 
@@ -223,7 +232,7 @@ def _matrix(group: h5py.Group) -> LabelledPhasors:
     unit = _output_unit(group)
     pairs = [(channel, component) for channel in _texts(group, "channels") for component in LOAD_COMPONENTS]
     labels = [(*pair, sensitivity_unit(unit, pair[1])) for pair in pairs]
-    return _labelled("matrix", group, group["value"][()].reshape(1, -1), labels, ["matrix"])
+    return _labelled("matrix", group, read_numbers(group["value"], "c").reshape(1, -1), labels, ["matrix"])
 
 
 def _output_unit(group: h5py.Group) -> str:

@@ -291,6 +291,9 @@ def check_campaign_folder(top: Path, recordings: Sequence[str], *, force: bool) 
     none of the program's business.
     """
     check_folder(top, {}, force=True)
+    taken = next((name for name in recordings if name in CAMPAIGN_FILES), None)
+    if taken is not None:
+        raise InputError(top / taken, "", found="a recording of that name", expected="this file of the whole campaign")
     names = {entry.name for entry in top.iterdir()} if top.exists() and not force else set()
     known = set(recordings)
     ours = {name for name in names if name in known or read_provenance(top / name) is not None}

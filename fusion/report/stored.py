@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import cache, lru_cache
+from itertools import count
 from typing import Any
 
 import h5py
@@ -102,6 +103,13 @@ class Group:
             inner = self.put(name, Group(self, f"{self.name.rstrip('/')}/{name}", track_order=order))
         made: Group = inner.create_group(below, track_order=track_order) if below else inner
         return made
+
+    def free_name(self, text: str) -> str:
+        """Return a free name in this group for any text that a user gave: nothing that HDF5 reads as a path."""
+        name = text.replace("/", "_")
+        name = name if name.strip(".") else "_" * max(1, len(name))
+        candidates = (name if number == 1 else f"{name} ({number})" for number in count(1))
+        return next(candidate for candidate in candidates if candidate not in self.inside)
 
     def require_group(self, path: str) -> Group:
         """Return the group at a path, made where it is not there yet."""

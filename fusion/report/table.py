@@ -20,7 +20,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from markupsafe import Markup
 
-from fusion.base import DASH, rounded
+from fusion.base import DASH, InputError, rounded
 from fusion.estimation.coverage import Polar, Quantity, Region
 from shaker.arrays import ComplexArray
 from shaker.labels import typeset
@@ -184,9 +184,12 @@ def text_lines(shown: Table) -> Iterator[str]:
 
 def read_rows(path: Path, most: int | None = None) -> list[dict[str, str]]:
     """Return the rows of a result table as dictionaries of texts, the first so many where `most` says so."""
-    with path.open(encoding="utf-8", newline="") as stream:
-        rows = islice(csv.DictReader(stream), most)
-        return [{name: text[1:] if text and QUOTED.match(text) else text for name, text in row.items()} for row in rows]
+    try:
+        with path.open(encoding="utf-8", newline="") as stream:
+            rows = list(islice(csv.DictReader(stream), most))
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise InputError(path, "", found=str(error), expected="a table of results") from error
+    return [{name: text[1:] if text and QUOTED.match(text) else text for name, text in row.items()} for row in rows]
 
 
 # Numbers as pages print them: rounded to their expanded uncertainty, with powers of ten and units, as HTML.

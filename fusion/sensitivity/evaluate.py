@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from fusion.instruments.vibrometer import beam_notices, point_spreads
 from fusion.phasors.setup import measure_set_ups, open_set_ups
 from fusion.phasors.setups import join_set_ups
 from fusion.phasors.stereo_phasors import unseen_fundamentals
-from fusion.recording.load import Manifest
+from fusion.recording.load import Manifest, load_manifest, only_recording
 from fusion.recording.plausible import doubts
 from fusion.sensitivity.analyse import Evaluation, Inputs, analyse, elastic_rows, missing_result
 from fusion.sensitivity.body import load_body
@@ -30,7 +31,7 @@ from fusion.sensitivity.supports import carried_by, without_supports
 
 
 def evaluate_recording(
-    manifest: Manifest,
+    recording: Manifest | str | Path,
     settings: Settings | None = None,
     input_hashes: Mapping[str, str] | None = None,
     progress: ProgressCallback = no_progress,
@@ -39,18 +40,17 @@ def evaluate_recording(
 ) -> Evaluation:
     """Evaluate one sinusoidal recording: files → phasors → acceleration of load and base → load → sensitivity.
 
-    What was recorded in sequential set-ups is referred to the first before the instruments are fused. An `executor`
-    follows the images, to the same digits; `kept`: where blocks of frames that were followed are found again when this
-    did not end. `settings`: by default `Settings()`. `input_hashes` (file → SHA-256) are
-    carried into the result. Raises `InputError` for what the user can mend in the files, `ComputeError` for what these
-    files do not allow.
+    `recording`: its manifest or its folder. What was recorded in sequential set-ups is referred to the first before the
+    instruments are fused. An `executor` follows the images, to the same digits; `kept`: where blocks of frames that
+    were followed are found again when this did not end. `settings`: by default `Settings()`. `input_hashes` (file →
+    SHA-256) are carried into the result. Raises `InputError` for what the user can mend in the files, `ComputeError`
+    for what these files do not allow.
 
-    >>> from fusion import evaluate_recording, load_manifest
-    >>> evaluation = evaluate_recording(load_manifest("sample_images/demo/Fz-0080"))  # doctest: +SKIP
+    >>> from fusion import evaluate_recording
+    >>> evaluation = evaluate_recording("sample_images/demo/Fz-0080")  # doctest: +SKIP
     >>> evaluation.sensitivity.value[:, 2, 2]  # Fz output per Fz load, line by line  # doctest: +SKIP
     """
-    started, settings = time.monotonic(), settings or Settings()
-    manifest.check_command("run")
+    started, settings, manifest = time.monotonic(), settings or Settings(), _checked(recording)
     set_ups = measure_set_ups(open_set_ups(manifest), settings, progress, executor, kept)
     joined = join_set_ups(set_ups)
     sensor, surroundings, body = manifest.rig.sensor, manifest.rig.surroundings, load_body(manifest.rig, manifest.part)
@@ -100,3 +100,10 @@ def evaluate_recording(
         element=analysis.element,
         supports=supports,
     )
+
+
+def _checked(recording: Manifest | str | Path) -> Manifest:
+    """Return the manifest of a recording that `run` evaluates."""
+    manifest = recording if isinstance(recording, Manifest) else load_manifest(only_recording(recording))
+    manifest.check_command("run")
+    return manifest

@@ -15,6 +15,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import pickle
 import shutil
 import sys
 from collections.abc import Callable
@@ -24,6 +25,9 @@ from types import FunctionType
 from typing import Any
 
 UNUSED_S = 30 * 86400.0
+DIGEST_BYTES = 32
+COMPILER_BYTES = 600_000_000
+"""Of addresses: the kernels of a run that tracks subsets took 500 MB."""
 LEAN_VERSIONS = ((0, 68),)
 """Of numba, in which a kept kernel was seen to need nothing but the memory of arrays; with others it loads as usual."""
 
@@ -68,15 +72,14 @@ class Kernel:
 def _dispatcher(function: Callable[..., Any], options: dict[str, Any]) -> Any:
     """Return what numba makes of a function, its cache being the user's."""
     import numba
-    from numba.core.caching import FunctionCache, IndexDataCacheFile
+    from numba.core.caching import CompileResultCacheImpl, FunctionCache
     from numba.core.runtime import rtsys
 
-    class File(IndexDataCacheFile):  # type: ignore[misc]
-        """A cache that a full or read-only disk leaves as it is: the kernel is compiled again next time."""
+    class Entries(CompileResultCacheImpl):  # type: ignore[misc]
+        """What of a compiled function is kept; numba's own class looks for a place, and raises where it finds none."""
 
-        def save(self, key: Any, data: Any) -> None:
-            with contextlib.suppress(OSError):
-                super().save(key, data)
+        def __init__(self) -> None:
+            pass
 
     class Cache(FunctionCache):  # type: ignore[misc]
         """A cache that is read without all that numba knows of types and functions, which only a compiler needs.
@@ -84,22 +87,87 @@ def _dispatcher(function: Callable[..., Any], options: dict[str, Any]) -> Any:
         To look that up takes as long as to import numba, which offers no public way without it.
         """
 
-        def load_overload(self, sig: Any, target_context: Any) -> Any:
-            if numba.version_info.short not in LEAN_VERSIONS:
-                return super().load_overload(sig, target_context)
-            rtsys.initialize(target_context)  # the memory of arrays
-            with self._guard_against_spurious_io_errors():
-                return self._load_overload(sig, target_context)
+        def __init__(self, folder: Path | None) -> None:
+            self._name, self._py_func, self._cache_path = repr(function), function, str(folder)
+            self._impl, self._cache_file = Entries(), File(folder, f"{function.__module__}.{function.__qualname__}")
+            self.enable()
 
-    dispatcher = numba.njit(**options)(function)
-    if numba.config.DISABLE_JIT:
-        return dispatcher
-    cache, folder = Cache(function), _cache_folder()  # numba offers no public way to say where, until when and how
-    if folder is not None:
-        cache._cache_path = str(folder)
-        cache._cache_file = File(str(folder), cache._impl.filename_base, _sources_digest())
-    dispatcher._cache = cache
+        def load_overload(self, sig: Any, target_context: Any) -> Any:
+            if numba.version_info.short in LEAN_VERSIONS:
+                rtsys.initialize(target_context)  # the memory of arrays
+            else:
+                target_context.refresh()
+            found = self._load_overload(sig, target_context)
+            if found is None:
+                check_memory()
+            return found
+
+        def save_overload(self, sig: Any, data: Any) -> None:
+            if not data.lifted and not data.library.has_dynamic_globals:  # which hold for this process alone
+                self._cache_file.save(self._index_key(sig, data.codegen), self._impl.reduce(data))
+
+    dispatcher, (folder, _) = numba.njit(**options)(function), _cache_folder()
+    if not numba.config.DISABLE_JIT:
+        dispatcher._cache = Cache(folder)
     return dispatcher
+
+
+@cache
+def check_memory() -> None:
+    """Raise `MemoryError` where the system limits the address space to less than the compiler takes for all kernels.
+
+    The compiler itself ends the process then, or never returns. Once it has begun, nothing is raised.
+    """
+    if sys.platform == "linux":
+        import resource
+
+        limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+        taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+        if limit != resource.RLIM_INFINITY and limit - taken < COMPILER_BYTES:
+            told = f"{limit / 1e6:.0f} MB of addresses (ulimit -v), of which {taken / 1e6:.0f} MB are taken"
+            raise MemoryError(f"expected {COMPILER_BYTES / 1e6:.0f} MB to compile functions, found {told}")
+
+
+class File:
+    """Compiled functions in one file each, `NAME-….nbc`, behind a digest: one that is damaged counts as none.
+
+    A full or read-only disk stays as it is, and without a `folder` nothing is kept: the next process compiles anew.
+    """
+
+    def __init__(self, folder: Path | None, name: str) -> None:
+        self._folder, self._stem = folder, name.replace("<", "").replace(">", "")
+
+    def load(self, key: Any) -> Any:
+        """Return what is kept for a key, None where nothing is."""
+        place = self._place(key)
+        with contextlib.suppress(OSError):
+            whole = place.read_bytes() if place is not None else b""
+            if hashlib.sha256(whole[DIGEST_BYTES:]).digest() == whole[:DIGEST_BYTES]:
+                return pickle.loads(whole[DIGEST_BYTES:])
+        return None
+
+    def save(self, key: Any, content: Any) -> None:
+        """Keep something for a key, whole or not at all."""
+        from numba.core.serialize import dumps
+
+        place = self._place(key)
+        if place is None:
+            return
+        written = dumps(content)
+        part = place.with_name(f"{place.name}-{os.urandom(6).hex()}.part")
+        with contextlib.suppress(OSError):
+            try:
+                part.write_bytes(hashlib.sha256(written).digest() + written)
+                os.replace(part, place)
+            finally:
+                part.unlink(missing_ok=True)
+
+    def _place(self, key: Any) -> Path | None:
+        """Path of a file for a function's types, the processor, its code, and the versions of Python and numba."""
+        import numba
+
+        digest = hashlib.sha256(repr((sys.version, numba.__version__, key)).encode()).hexdigest()
+        return None if self._folder is None else self._folder / f"{self._stem}-{digest[:32]}.nbc"
 
 
 @cache
@@ -118,20 +186,30 @@ def user_cache(room: str) -> Path:
 
 
 @cache
-def _cache_folder() -> Path | None:
-    """The user's folder of kernels compiled from these sources, shared by all checkouts; None where it cannot be.
+def _cache_folder() -> tuple[Path | None, str]:
+    """The user's folder of kernels compiled from these sources, shared by all checkouts; None and why it cannot be.
 
     Kernels of other versions that nobody has used for a month are removed.
     """
-    kernels = Path(os.environ.get("NUMBA_CACHE_DIR") or user_cache("kernels"))
-    folder = kernels / _sources_digest()[:16]
     try:
+        kernels = Path(os.environ.get("NUMBA_CACHE_DIR") or user_cache("kernels"))
+        folder = kernels / _sources_digest()[:16]
         folder.mkdir(parents=True, exist_ok=True)
         os.utime(folder)
-    except OSError:
-        return None
-    for other in kernels.iterdir():
-        with contextlib.suppress(OSError):
-            if other.stat().st_mtime < folder.stat().st_mtime - UNUSED_S:
-                shutil.rmtree(other, ignore_errors=True)
-    return folder
+        if not os.access(folder, os.W_OK | os.X_OK):
+            return None, f"{folder}: no permission to write"
+        for other in kernels.iterdir():
+            with contextlib.suppress(OSError):
+                if other.stat().st_mtime < folder.stat().st_mtime - UNUSED_S:
+                    shutil.rmtree(other, ignore_errors=True)
+    except (OSError, RuntimeError) as error:  # the latter of a user without a home
+        return None, str(error) if isinstance(error, RuntimeError) else f"{error.filename}: {error.strerror}"
+    return folder, ""
+
+
+def why_not_kept(*, elsewhere: bool = False) -> str:
+    """Return why compiled kernels are not kept for the next process of the user; empty where they are.
+
+    Also empty where this process has compiled none, unless processes `elsewhere` did for it.
+    """
+    return _cache_folder()[1] if elsewhere or _cache_folder.cache_info().currsize else ""

@@ -16,6 +16,10 @@ SHORTEST_M, LONGEST_M = 1e-4, 2.0  # of targets
 TargetKind = Literal["chessboard", "charuco", "dots", "asymmetric-dots"]
 
 
+MOST_POINTS, LONGEST_SIDE = 20_000, 1000
+"""Of a target: fine ones have some thousand points, and the memory of an adjustment grows with their number."""
+
+
 @dataclass(frozen=True)
 class Target:
     """A flat target whose points lie on a square lattice.
@@ -40,8 +44,13 @@ class Target:
             raise ValueError(f"spacing_m: expected a length above 0, found {self.spacing_m}")
         if self.size is None and self.kind != "dots":
             raise ValueError(f"size: expected columns and rows of the {self.kind} target, found none")
-        if self.size is not None and min(self.size) < 2:
-            raise ValueError(f"size: expected at least 2 columns and rows, found {self.size[0]} x {self.size[1]}")
+        fewest = 3 if self.kind == "chessboard" else 2
+        if self.size is not None and min(self.size) < fewest:
+            least = f"at least {fewest} columns and rows of a {self.kind} target"
+            raise ValueError(f"size: expected {least}, found {self.size[0]} x {self.size[1]}")
+        if self.size is not None and (max(self.size) > LONGEST_SIDE or self.size[0] * self.size[1] > MOST_POINTS):
+            most = f"at most {LONGEST_SIDE} columns, {LONGEST_SIDE} rows and {MOST_POINTS} points"
+            raise ValueError(f"size: expected {most}, found {self.size[0]} x {self.size[1]}")
 
     @property
     def length_m(self) -> float:

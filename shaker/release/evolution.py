@@ -6,10 +6,12 @@ Importing this module brings numba, which compiles what follows members sample b
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any
 
 import numba
 import numpy as np
+from numba.core.caching import FunctionCache
 
 from shaker.arrays import FloatArray
 
@@ -54,11 +56,23 @@ def evolved(
 
 def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile a function, once for all runs of a user who has a folder for caches."""
-    try:
-        kernel: Callable[..., Any] = numba.njit(cache=True, nogil=True)(function)
-    except RuntimeError:
-        kernel = numba.njit(nogil=True)(function)
-    return kernel
+
+    class Cache(FunctionCache):  # type: ignore[misc]
+        """A cache without which a run goes on: where it is damaged, or its disk takes nothing."""
+
+        def load_overload(self, *key: Any) -> Any:
+            with suppress(Exception):  # a damaged pickle may raise anything
+                return super().load_overload(*key)
+
+        def save_overload(self, *entry: Any) -> None:
+            with suppress(Exception):
+                super().save_overload(*entry)
+
+    kernel = numba.njit(nogil=True)(function)
+    with suppress(RuntimeError, OSError):  # no folder for it
+        kernel._cache = Cache(function)
+    compiled: Callable[..., Any] = kernel
+    return compiled
 
 
 @_compiled

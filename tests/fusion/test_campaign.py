@@ -181,6 +181,21 @@ def test_an_interrupted_campaign_goes_on_where_it_stopped(campaign, evaluated, m
     assert names_in(campaign / "results") == {*NAMES, *JOINT}
 
 
+def test_results_of_edited_manifests_are_replaced_of_a_campaign_as_of_a_recording(campaign, evaluated):
+    alone = campaign / NAMES[0]
+    for path, done in ((campaign, NAMES), (alone, NAMES[:1])):
+        assert main(["run", str(path), "-q"]) == EXIT_DONE
+        assert evaluated == done
+        for edited in (campaign / "rig.toml", alone / "recording.toml"):
+            evaluated.clear()
+            with edited.open("a", encoding="utf-8") as stream:
+                stream.write("# edited\n")
+            assert main(["run", str(path), "-q"]) == EXIT_DONE
+            assert evaluated == (done if edited.name == "rig.toml" else NAMES[:1])
+        evaluated.clear()
+    assert main(["run", str(campaign / NAMES[1]), "-o", str(alone / "results"), "-q"]) == EXIT_INPUT
+
+
 def test_results_of_changed_input_are_refused_and_force_replaces_them(campaign, evaluated, capsys):
     assert main(["run", str(campaign)]) == EXIT_DONE
     with h5py.File(campaign / NAMES[1] / "vibrometer.h5", "w") as file:

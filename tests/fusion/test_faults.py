@@ -415,6 +415,38 @@ def test_every_file_that_a_run_opens_is_among_the_hashed(tmp_path):
     assert read <= hashed
 
 
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="no folder that takes no files")
+def test_an_output_is_named_where_the_system_takes_no_file(capsys):
+    assert main(["simulate", "/proc/results", "--preset", "elastomer", "-q"]) == EXIT_FAILED
+    told = capsys.readouterr().err
+    assert told.startswith("shakercal: /proc/results: could not be written: ")
+    assert files.LOCK not in told
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits of Linux")
+def test_a_limited_address_space_ends_in_a_sentence(tmp_path):
+    program = (
+        "import resource, sys; resource.setrlimit(resource.RLIMIT_AS, (900_000_000,) * 2)\n"
+        "from fusion.cli import main; sys.exit(main(sys.argv[1:]))"
+    )
+    command = [sys.executable, "-c", program, "simulate", str(tmp_path / "out"), "--preset", "elastomer"]
+    run = subprocess.run(command, env=environment(), capture_output=True, text=True, check=False)
+    assert run.returncode == EXIT_FAILED
+    assert re.fullmatch(r"shakercal: [^\n]*900 MB[^\n]*\n", run.stderr)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(sys.platform in ("win32", "darwin"), reason="names there are text")
+def test_a_folder_whose_name_is_no_text_is_refused(make_campaign, evaluated, capsys):
+    folder = make_campaign()
+    folder.rename(os.fsdecode(os.fsencode(folder) + b"\xff"))
+    for command in ("check", "run"):
+        assert main([command, str(folder.parent), "-q"]) == EXIT_INPUT
+        told = capsys.readouterr()
+        assert "names are text in UTF-8" in told.err + told.out
+    assert not evaluated
+
+
 # One run at a time, and what is left of one that was killed.
 
 HOLD = """

@@ -16,7 +16,7 @@ from recordings import once
 
 from fusion import InputError, read_results
 from fusion.campaign.joint_report import write_campaign
-from fusion.report.h5 import h5_content
+from fusion.report.h5 import h5_content, write_value
 from fusion.report.recording import result_tables, write_h5
 from fusion.sensitivity.analyse import Evaluation
 
@@ -126,6 +126,34 @@ def test_files_of_other_commands_say_units_and_axes_as_far_as_names_tell():
         assert "units" not in file["turned/loads"].attrs
         assert "units" not in file["fit/value"].attrs  # nothing says of which
         assert file["fit/fitted"].dims[0][0].name == "/fit/time_s"
+
+
+AWKWARD = ("a/b", "a_b", "/", ".", "..", "a/", "uncertainty", "CON", "x" * 300)
+
+
+def test_any_name_of_a_user_is_a_name_in_the_file():
+    def fill(file):
+        write_value(file, "by name", {name: {"value": np.arange(3.0)} for name in AWKWARD})
+        for name in AWKWARD:
+            file.create_group(file.free_name(name)).attrs["name"] = name
+
+    with h5py.File(io.BytesIO(h5_content(fill))) as file:
+        assert [group.attrs.get("label", name) for name, group in file["by name"].items()] == list(AWKWARD)
+        assert all(group["value"][()].tolist() == [0.0, 1.0, 2.0] for group in file["by name"].values())
+        assert [group.attrs["name"] for group in file.values() if "name" in group.attrs] == list(AWKWARD)
+
+
+@pytest.mark.parametrize("part", ["covariance", "dof"])
+@pytest.mark.parametrize("other", [h5py.Empty("f"), np.zeros(2, dtype=[("a", "f8")]), [b"x"], "nan"])
+def test_numbers_of_another_kind_or_shape_are_refused_before_they_are_used(folder, tmp_path, part, other):
+    path = tmp_path / "result.h5"
+    shutil.copyfile(folder / "result.h5", path)
+    with h5py.File(path, "a") as file:
+        random = file["load/uncertainty/random"]
+        group = next(group for group in random.values() if part in group)
+        del group[part]
+        group[part] = other
+    refused(f"{path}: ", read_results, path, error=InputError)
 
 
 @pytest.mark.parametrize("other", ["a text", 3, np.zeros((2, 0, 5)), None])

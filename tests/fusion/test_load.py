@@ -156,6 +156,11 @@ def test_second_resonances_and_uncertainties_of_a_table(table):
         ("mass,frequency_hz\n1,2\n", "load_mass_kg: expected this column"),
         ("load_mass_kg,frequency_hz,colour\n1,2,3\n", "colour: expected columns of"),
         ("load_mass_kg,frequency_hz\n0.1,\n", "frequency_hz, row 1: expected a number, found nothing"),
+        (
+            "load_mass_kg,frequency_hz\n" + "0.1,80\n" * 101,
+            "expected at most 100 loads",
+        ),
+        ("load_mass_kg,frequency_hz\n" + "1" * 200_000 + ",5\n", "expected a table in text, found field larger"),
         ("load_mass_kg,frequency_hz\n0.1,x\n", "frequency_hz, row 1: expected a frequency above 0, found x"),
         ("load_mass_kg,frequency_hz\n-1,4\n", "load_mass_kg, row 1: expected a number of at least 0, found -1"),
         ("", "load_mass_kg: expected this column"),

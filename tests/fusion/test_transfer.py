@@ -211,9 +211,12 @@ def test_results_of_the_same_input_are_replaced_and_others_refused(recording, re
     assert main(run) == 0
     assert table.read_bytes() == first
     (recording / "amplifier.toml").write_text("[[element]]\nfilter = 'bessel'\norder = 2\ncorner = 3e4\n")
+    assert main(run) == 0
+    assert table.read_bytes() != first
+    (recording / "accelerometers.h5").rename(recording / "other.h5")
+    edit(recording / "recording.toml", "accelerometers.h5", "other.h5")
     assert "results of other input files" in refused(*run)
     assert main([*run, "--force"]) == 0
-    assert table.read_bytes() != first
 
 
 @pytest.mark.usefixtures("no_pages")

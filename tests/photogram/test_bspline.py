@@ -310,7 +310,7 @@ def test_a_disk_that_takes_no_cache_ends_nothing(monkeypatch):
         tried.append(None)
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(numba.core.caching.IndexDataCacheFile, "save", refuse)
+    monkeypatch.setattr(Path, "write_bytes", refuse)
 
     @njit()
     def twice(x):
@@ -318,6 +318,33 @@ def test_a_disk_that_takes_no_cache_ends_nothing(monkeypatch):
 
     assert twice(1.5) == 3.0
     assert len(tried) == 1
+
+
+def test_a_folder_that_cannot_be_and_damaged_files_cost_no_more_than_time(tmp_path):
+    """A file stands where the folder would, in which even an administrator makes nothing."""
+    checkout(tmp_path / "one")
+    told = "from small._kernel import why_not_kept; print(why_not_kept().count(':'))"
+    kernels = tmp_path / "kernels"
+    kernels.write_text("")
+    assert in_another_process(tmp_path / "one", f"{RUN}; {told}") == ["20", "0", "1"]
+    kernels.unlink()
+    assert in_another_process(tmp_path / "one", f"{RUN}; {told}") == ["20", "0", "0"]
+    for change in (lambda content: content[:-1], lambda content: content[:200] + b"?" + content[201:], lambda _: b""):
+        for file in kernels.rglob("*.nbc"):
+            file.write_bytes(change(file.read_bytes()))
+        assert in_another_process(tmp_path / "one") == ["20", "0"]
+    assert in_another_process(tmp_path / "one") == ["20", "1"]
+    assert {path.suffix for path in kernels.rglob("*") if path.is_file()} == {".nbc"}
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the limit is asked of Linux")
+def test_too_few_addresses_for_the_compiler_end_in_a_sentence(tmp_path):
+    checkout(tmp_path / "one")
+    limited = (
+        "import resource; resource.setrlimit(resource.RLIMIT_AS, (700_000_000,) * 2)\nfrom small.calls import kernel\n"
+        "try: kernel(1)\nexcept MemoryError as error: print(error)"
+    )
+    assert {"600", "700"} <= set(in_another_process(tmp_path / "one", limited))
 
 
 FIRST_CALLS = """

@@ -631,3 +631,16 @@ def test_what_is_no_dot_gives_nan():
     assert np.isnan(found.covariance_px2).all()
     starts = np.zeros((2, 2)), np.ones((2, 2, 2)), np.ones(3), np.zeros(2, dtype=bool)
     refused("reach_px: expected an array of shape", fit_ellipses, np.zeros((9, 9)), *starts)
+
+
+@pytest.mark.parametrize(
+    ("kind", "size", "wrong"),
+    [
+        ("chessboard", (100_000, 100_000), "20000 points, found 100000 x 100000"),
+        ("dots", (1001, 2), "1000 columns, 1000 rows"),
+        ("charuco", (150, 150), "20000 points, found 150 x 150"),
+        ("chessboard", (2, 9), "at least 3 columns and rows of a chessboard target, found 2 x 9"),
+    ],
+)
+def test_sizes_that_no_target_has_are_refused(kind, size, wrong):
+    refused(wrong, Target, kind, 0.005, size)

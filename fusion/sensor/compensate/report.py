@@ -438,8 +438,9 @@ def _fill(file: h5py.File, evaluation: CompensateEvaluation) -> None:
             one.channel: {name: getattr(one, name) for name in ("unit", "u_noise", "value", "u", "k")}
             for one in applied.channels
         }
-        origin = {"sample_rate_hz": applied.sample_rate_hz, "start_s": applied.start_s}
-        write_value(file, "compensated", {"recording": applied.name, **origin, **channels})
+        origin = {"recording": applied.name, "sample_rate_hz": applied.sample_rate_hz, "start_s": applied.start_s}
+        write_value(file, "compensated", channels)
+        file["compensated"].attrs.update(origin)
 
 
 def _stored(made: LoadFilter) -> dict[str, Any]:

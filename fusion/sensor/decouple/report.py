@@ -395,7 +395,7 @@ def _fill(file: h5py.File, evaluation: DecoupleEvaluation) -> None:
         write_value(own, name, getattr(fit, name))
     releases = file.create_group("releases", track_order=True)
     for release in fit.releases:
-        write_fields(releases.create_group(release.record, track_order=True), release)
+        write_fields(releases.create_group(releases.free_name(release.record), track_order=True), release)
     write_fields(file.create_group("filter", track_order=True), evaluation.decoupler)
     for name in ("noise", "noise_gain", "deviation"):
         write_value(file["filter"], f"{name}_of_loads" if name == "noise" else name, getattr(evaluation, name))

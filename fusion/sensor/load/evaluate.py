@@ -236,7 +236,8 @@ def _masses(moving: Moving, loads: Sequence[tuple[float, dict[str, float]]]) -> 
 
 LOAD, FIRST, U_FIRST, SECOND, U_LOAD = "load_mass_kg", "frequency_hz", "u_frequency_hz", "second_hz", "u_load_mass_kg"
 COLUMNS = (LOAD, FIRST, U_FIRST, SECOND, U_LOAD)
-LARGEST_TABLE = 1_000_000  # bytes
+LARGEST_TABLE, MOST_LOADS = 1_000_000, 100
+"""Bytes and rows: published series have some ten loads, and each takes a tenth of a second of fits."""
 
 
 def read_table(path: Path, moving_mass: float, u_moving_mass: float) -> LoadSeries:
@@ -260,7 +261,12 @@ def _columns(path: Path) -> dict[str, FloatArray]:
     text = read_text(path, LARGEST_TABLE, "a table of loads")
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
     read = csv.DictReader(lines, delimiter=";" if lines and ";" in lines[0] else ",", skipinitialspace=True)
-    rows = [{name.strip(): (cell or "").strip() for name, cell in row.items() if name is not None} for row in read]
+    try:
+        rows = [{name.strip(): (cell or "").strip() for name, cell in row.items() if name is not None} for row in read]
+    except csv.Error as error:
+        raise InputError(path, "", found=str(error), expected="a table in text") from error
+    if len(rows) > MOST_LOADS:
+        raise InputError(path, "", found=f"{len(rows)} rows", expected=f"at most {MOST_LOADS} loads, one in each row")
     head = list(rows[0] if rows else {})
     missing = next((name for name in (LOAD, FIRST) if name not in head), None)
     if missing is not None:

@@ -260,7 +260,7 @@ def fill(file: h5py.File, evaluation: LoadEvaluation) -> None:
             write_value(own, "u_bands_hz", solution.u_bands)
         decays = group.create_group("decays", track_order=True)
         for decay in series.decays:
-            write_fields(decays.create_group(decay.name), decay)
+            write_fields(decays.create_group(decays.free_name(decay.name)), decay)
 
 
 # Page and terminal

@@ -418,7 +418,7 @@ def _fill(file: h5py.File, evaluation: RotationEvaluation) -> None:
             write_value(group, name, getattr(known, name))
     group = file.create_group("recordings", track_order=True)
     for recording in evaluation.recordings:
-        own = group.create_group(recording.name, track_order=True)
+        own = group.create_group(group.free_name(recording.name), track_order=True)
         own.attrs["with_load"] = recording.with_load
         write_value(own, "unit", recording.unit)
         write_value(own, "load", recording.load)
@@ -428,14 +428,15 @@ def _fill(file: h5py.File, evaluation: RotationEvaluation) -> None:
         write_value(group, name, getattr(weights, name))
     sources = group.create_group("sources", track_order=True)
     for source in weights.sources:
-        own = sources.create_group(source.name)
+        own = sources.create_group(sources.free_name(source.name))
         own.attrs["type"], own.attrs["dof"] = source.kind, source.dof
         own["effect"] = source.effect
     for again in evaluation.repeats:
         write_fields(file.require_group("repeats").create_group(again.state), again)
     group = file.create_group("quantities", track_order=True)
     for quantity in evaluation.quantities:
-        own = group.create_group(" ".join(filter(None, (quantity.name, quantity.component, quantity.recording))))
+        name = " ".join(filter(None, (quantity.name, quantity.component, quantity.recording)))
+        own = group.create_group(group.free_name(name))
         for name in ("value", "u", "dof", "unit"):
             own.attrs[name] = getattr(quantity, name)
         own.create_group("budget").attrs.update(quantity.budget)

@@ -254,18 +254,20 @@ def fill(file: h5py.File, evaluation: StepEvaluation) -> None:
             write_value(group, name, getattr(component, name))
         releases = group.create_group("releases", track_order=True)
         for release in component.releases:
-            own = releases.create_group(release.name, track_order=True)
+            own = releases.create_group(releases.free_name(release.name), track_order=True)
             for name in ("component", "amplitude", "sample_rate_hz", "start_s", "release"):
                 write_value(own, name, getattr(release.record, name))
             readings = own.create_group("readings", track_order=True)
             for reading in release.readings:
-                write_fields(readings.create_group(reading.channel, track_order=True), reading)
+                name = readings.free_name(reading.channel)
+                write_fields(readings.create_group(name, track_order=True), reading)
             if release.fit is not None:
                 _write_fit(own.create_group("fit", track_order=True), release.fit)
         if component.methods:
             methods = group.create_group("methods", track_order=True)
             for row in component.methods:
-                _write_fit(methods.create_group(f"{row.recording} {row.fit.method}", track_order=True), row.fit)
+                name = methods.free_name(f"{row.recording} {row.fit.method}")
+                _write_fit(methods.create_group(name, track_order=True), row.fit)
 
 
 def _write_fit(group: h5py.Group, fit: StepFit) -> None:
