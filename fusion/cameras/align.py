@@ -37,6 +37,7 @@ from fusion.cameras.align_manifest import (
     read_pair,
     still_evidence,
 )
+from fusion.cameras.calibrate import PICTURE_SUFFIXES
 from fusion.instruments.stereo import CALIBRATION
 from fusion.phasors.again import looked_again
 from fusion.phasors.channels import find_channel_lines
@@ -67,6 +68,7 @@ from photogram.alignment.solve import Alignment, align
 from photogram.arrays import Notice
 from photogram.camera import StereoRig, triangulate
 from photogram.geometry import RigidTransform
+from photogram.images.orientation import orientation_notices, orientations
 from photogram.motion import RigidMotion, fit_motion
 from shaker.arrays import FloatArray
 
@@ -105,7 +107,8 @@ def align_file(
     file = read_alignment(path, allow_outside)
     blocks: list[Motion | AxisBlock] = [*file.motion, *file.axis]
     recorded = [load_manifest(name, allow_outside).files for block in blocks for name in block.recordings]
-    named = [path, *_paths(file.model_dump()), *(name for files in recorded for name in files)]
+    stated_files = list(_paths(file.model_dump()))
+    named = [path, *stated_files, *(name for files in recorded for name in files)]
     inputs = hash_files(named, path.parent, read)
     pair = None if file.calibration is None else read_pair(path, file.calibration, file.scale_uncertainty)
     evidence = [] if pair is None else still_evidence(path, file, pair)
@@ -119,7 +122,8 @@ def align_file(
         alignment = align(evidence, None if shown else stated)
     except ValueError as error:
         raise ComputeError(f"{path}: {error}".replace("start: ", "").replace("evidence: ", "")) from error
-    for notice in (*notices, *alignment.notices):
+    turned = orientation_notices(orientations(p for p in stated_files if p.suffix.lower() in PICTURE_SUFFIXES))
+    for notice in (*turned, *notices, *alignment.notices):
         log.log(logging.WARNING if notice.severity == "warning" else logging.INFO, "%s", notice.text)
     text = pose_text(file, alignment, pair)
     inputs.check()

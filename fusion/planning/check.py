@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from fusion.base import ComputeError, InputError, rounded
+from fusion.base import AnyNotice, ComputeError, InputError, rounded
 from fusion.instruments.channel import errors_are_stated, scale_is_stated
 from fusion.instruments.stereo import GEOMETRY, carrier_of
 from fusion.instruments.transducer import ROOM, TRANSDUCERS, Beams, carrier, chain_name, main_direction, placed_at
@@ -126,7 +126,7 @@ def check(manifest: Manifest) -> CheckReport:
     ]
     if kind.tabled and excitation.file is not None:
         contents, problems = _table(manifest, excitation.file)
-        problems += _refused(manifest, AlreadyRead()) if not problems else []
+        problems += _refused(manifest, AlreadyRead())[0] if not problems else []
         return CheckReport(manifest.name, manifest.path, tuple(contents), (), tuple(remarks), tuple(problems))
     already = AlreadyRead()
     takes = [take for _, block in manifest.set_ups for take in _takes(block)]
@@ -149,30 +149,36 @@ def check(manifest: Manifest) -> CheckReport:
         outputs = tuple(entry.channel for entry in entries if entry.quantity == "output")
         forces = tuple(entry.name for entry in entries if entry.quantity == "force")
         remarks += kind.remarks(excitation, Recorded(outputs, forces, len(takes)))
-    problems += _refused(manifest, already) if not problems else []
+    refused, warned = _refused(manifest, already) if not problems else ([], [])
+    problems, remarks = [*problems, *refused], [*remarks, *warned]
     return CheckReport(manifest.name, manifest.path, tuple(contents), tuple(observed), tuple(remarks), tuple(problems))
 
 
-def _refused(manifest: Manifest, already: AlreadyRead) -> list[str]:
-    """What the command that evaluates a recording refuses of its files; an image beyond the first is not looked at."""
+def _refused(manifest: Manifest, already: AlreadyRead) -> tuple[list[str], list[str]]:
+    """What the command that evaluates a recording refuses of its files, and what it warns of in its images.
+
+    An image beyond the first is not looked at.
+    """
     command = KINDS[manifest.excitation.kind].commands[0]
     try:
         manifest.check_command(command)
-        _read_as(command, manifest, already)
+        notices = _read_as(command, manifest, already)
     except InputError as error:
-        return [str(error)]
+        return [str(error)], []
     except ComputeError:  # the files are as they should be
-        return []
-    return []
+        return [], []
+    return [], [f"{notice.where}: {notice.text}" for notice in notices if notice.severity == "warning"]
 
 
-def _read_as(command: str, manifest: Manifest, already: AlreadyRead) -> None:
-    """Read what a command reads; its modules are imported for it alone."""
+def _read_as(command: str, manifest: Manifest, already: AlreadyRead) -> list[AnyNotice]:
+    """Read what a command reads, and return the notices of its images; its modules are imported for it alone."""
+    notices = list[AnyNotice]()
     if command == "run":
         from fusion.phasors.setup import open_set_ups, with_channels
 
         for opened in open_set_ups(manifest, already):
             with_channels(opened, shown=False)
+            notices += [notice for images in opened.images for notice in images.notices]
     elif command == "transfer":
         from fusion.sensor.transfer.evaluate import estimated
         from fusion.sensor.transfer.records import TransferSettings, read_together
@@ -187,6 +193,7 @@ def _read_as(command: str, manifest: Manifest, already: AlreadyRead) -> None:
         from fusion.sensor.rotate.readings import read_rotation
 
         read_rotation(manifest)
+    return notices
 
 
 def check_together(manifests: Sequence[Manifest]) -> list[str]:

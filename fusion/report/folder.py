@@ -333,7 +333,7 @@ def render_page(template: str, context: Mapping[str, Any]) -> str:
 
 def packed(data: bytes, *, quickly: bool = True) -> Markup:
     """Compress what a page unpacks itself, in characters that HTML leaves alone; not `quickly`: to the last byte."""
-    from photogram.images.files import deflate
+    from photogram.images.tiff import deflate
 
     content = deflate.compress(data, 3, wbits=GZIP) if quickly else gzip.compress(data, 9, mtime=0)
     return Markup(base64.b64encode(content).decode("ascii"))

@@ -183,7 +183,7 @@ def _write_data(place: Any, name: str, data: Data) -> Any:
 
 def _deflated(values: NDArray[Any]) -> tuple[int, list[bytes]]:
     """Return an array in pieces of so many rows, bytes of equal weight together and deflated; none if not worth it."""
-    from photogram.images.files import deflate  # which has the faster of two programs for it
+    from photogram.images.tiff import deflate  # which has the faster of two programs for it
 
     def deflated(part: NDArray[Any]) -> bytes:
         shuffled = np.ascontiguousarray(part.reshape(-1).view(np.uint8).reshape(-1, values.itemsize).T)

@@ -56,6 +56,23 @@ def check_pixels(path: Path, size_px: tuple[int, int]) -> None:
 
 
 @dataclass(frozen=True)
+class ImageHeader:
+    """What a file says about its images without decoding them: size, bits of a grey value, how many, how compressed.
+
+    `orientation`: TIFF or EXIF tag 274. `inverted`: 0 is white. `stack_at`: where the images of a stack with one
+    directory begin, in bytes.
+    """
+
+    size_px: tuple[int, int]
+    bits: int
+    pages: int = 1
+    lossy: bool = False
+    orientation: int = 1
+    inverted: bool = False
+    stack_at: int | None = None
+
+
+@dataclass(frozen=True)
 class ImageSequence:
     """Grey images of one size that are read one at a time: names (F), size_px (width, height), full_scale grey value.
 

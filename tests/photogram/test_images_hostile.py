@@ -57,7 +57,7 @@ def test_pictures_larger_than_any_camera_are_refused(tmp_path):
     (tmp_path / "a.bmp").write_bytes(b"BM" + head + palette)
     for path in (*pictures, tmp_path / "a.bmp"):
         refused(f"{path.name}: expected at most 268435456 pixels, found {WIDE} x {WIDE}", open_sequence, [path])
-        refused(f"{path.name}: not a readable", read_picture, path)
+        refused(f"{path.name}: (not a readable|expected at most 268435456 pixels)", read_picture, path)
     cine = bytearray(cine_factory.cine_bytes(np.zeros((2, 16, 24), np.uint16)))
     struct.pack_into("<ii", cine, 48, WIDE, WIDE)
     (tmp_path / "a.cine").write_bytes(cine)

@@ -46,7 +46,8 @@ def look_at_camera(where: str, images: ImageSequence) -> tuple[list[Finding], Ca
     chosen = sorted({round(i * (len(images) - 1) / (FRAMES - 1)) for i in range(FRAMES)})
     first = images.read(chosen[0])
     others = {i: images.read(i)[::EVERY, ::EVERY] for i in chosen[1:]}
-    found = list(_brightness(where, first, others, images.full_scale))
+    found = [Finding("look", where, notice.text) for notice in images.notices if notice.severity == "warning"]
+    found += _brightness(where, first, others, images.full_scale)
     area = textured_area(first)
     if any(finding.level == "wrong" and "dark" in finding.text for finding in found):
         return found, None

@@ -1,0 +1,127 @@
+"""Orientation tags of image files: pixels are used as the sensor stored them, a tag that rotates them is reported."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from os import SEEK_CUR
+from pathlib import Path
+from typing import BinaryIO
+
+from photogram.arrays import Notice
+from photogram.images.sequence import reading
+
+ORIENTATION = 274  # tag of TIFF and EXIF
+TURNED = {3: "rotated by 180°", 6: "rotated by 90°", 8: "rotated by 270°"}
+MIRRORED = {
+    2: "mirrored left to right",
+    4: "mirrored top to bottom",
+    5: "mirrored and rotated",
+    7: "mirrored and rotated",
+}
+LONGEST_EXIF = 1 << 16  # bytes
+MOST_CHUNKS = 1 << 16  # of a PNG file, segments of a JPEG file
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+
+
+def orientation_notices(tags: Mapping[Path, int]) -> tuple[Notice, ...]:
+    """Warn of image files whose orientation tags rotate them, of all files with their tags: they are used as stored."""
+    turned = {path: tag for path, tag in tags.items() if tag in TURNED}
+    if not turned:
+        return ()
+    path, tag = next(iter(turned.items()))
+    share = f"{len(turned)} of {len(tags)} image files"
+    text = (
+        f"orientation tag {tag} ({TURNED[tag]}) of {share} is not applied: the pixels are used as the sensor stored "
+        "them. A calibration by a program that applies such tags does not fit; calibrate by "
+        "shakercal cameras, or with images without the tag"
+    )
+    return (Notice("warning", text, str(path)),)
+
+
+def orientations(paths: Iterable[Path]) -> dict[Path, int]:
+    """Orientation tags of image files, without those that cannot be read or are mirrored."""
+    tags = {}
+    for path in paths:
+        with suppress(OSError, ValueError):
+            tags[path] = stored_orientation(path)
+    return tags
+
+
+def stored_orientation(path: str | Path) -> int:
+    """Orientation tag 274 of a TIFF, PNG or JPEG file, 1 without one: how its pixels are to be rotated for display.
+
+    Raises `ValueError` for one that mirrors.
+    """
+    path = Path(path)
+    with reading(path), path.open("rb") as file:
+        start = file.read(4)
+        if start in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
+            import tifffile
+
+            try:
+                with tifffile.TiffFile(path) as tiff:
+                    tag = int(tiff.pages[0].tags.valueof(ORIENTATION, 1))
+            except (ValueError, TypeError, IndexError, KeyError, struct.error):
+                tag = 1  # whoever decodes the file says what is wrong with it
+        elif start == PNG_SIGNATURE[:4]:
+            file.seek(len(PNG_SIGNATURE))
+            tag = _exif_orientation(_png_exif(file))
+        elif start[:2] == b"\xff\xd8":
+            file.seek(2)
+            tag = _exif_orientation(_jpeg_exif(file))
+        else:
+            tag = 1
+    return checked_orientation(path, tag)
+
+
+def checked_orientation(path: Path, tag: int) -> int:
+    """Return a tag that rotates or 1; `ValueError` for one that mirrors.
+
+    What a camera's program mirrored may be either, the pixels or the tag.
+    """
+    if tag in MIRRORED:
+        found = f"orientation tag {tag} ({MIRRORED[tag]})"
+        raise ValueError(f"{path}: expected pixels as the sensor sees them, found {found}; save them without mirroring")
+    return tag if tag in TURNED else 1
+
+
+def _png_exif(file: BinaryIO) -> bytes:
+    """EXIF block of a PNG file, empty without one."""
+    for _ in range(MOST_CHUNKS):
+        head = file.read(8)
+        if len(head) < 8:
+            return b""
+        (size,) = struct.unpack(">I", head[:4])
+        if head[4:] == b"eXIf":
+            return file.read(min(size, LONGEST_EXIF))
+        file.seek(size + 4, SEEK_CUR)
+    return b""
+
+
+def _jpeg_exif(file: BinaryIO) -> bytes:
+    """EXIF block of a JPEG file, empty without one."""
+    for _ in range(MOST_CHUNKS):
+        head = file.read(4)
+        if len(head) < 4 or head[0] != 0xFF or head[1] == 0xDA:  # the pixels begin
+            return b""
+        size = struct.unpack(">H", head[2:])[0] - 2
+        content = file.read(max(size, 0))
+        if head[1] == 0xE1 and content.startswith(b"Exif\0\0"):
+            return content[6:]
+    return b""
+
+
+def _exif_orientation(exif: bytes) -> int:
+    """Tag 274 of an EXIF block, which is laid out as a TIFF file; 1 without one."""
+    order = {b"II": "<", b"MM": ">"}.get(exif[:2])
+    with suppress(struct.error):
+        if order is not None:
+            (start,) = struct.unpack_from(f"{order}I", exif, 4)
+            (count,) = struct.unpack_from(f"{order}H", exif, start)
+            for entry in range(count):
+                tag, _, _, value = struct.unpack_from(f"{order}HHIH", exif, start + 2 + 12 * entry)
+                if tag == ORIENTATION:
+                    return int(value)
+    return 1

@@ -1,0 +1,210 @@
+"""TIFF files of cameras: one image, a directory for each of several, or a stack of images with one directory."""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+import struct
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, BinaryIO, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photogram.images.orientation import ORIENTATION, checked_orientation
+from photogram.images.sequence import GreyImage, ImageHeader, reading
+
+try:
+    from isal import isal_zlib  # inflates in half the time of zlib
+except ImportError:  # a processor that it is not built for
+    deflate: Any = zlib
+else:
+    deflate = isal_zlib
+
+TIFF_SUFFIXES = (".tif", ".tiff")
+TIFF_CODES = ("NONE", "LZW", "ADOBE_DEFLATE", "DEFLATE", "PACKBITS", "JPEG", "OJPEG", "WEBP")
+READ_AT_ONCE = 1 << 28  # bytes of a file
+GREY = ("MINISBLACK", "MINISWHITE")
+OME_SIZES = re.compile(r'\bSize([CZT])="(\d+)"')
+
+
+def tiff_header(path: Path) -> ImageHeader:
+    """Size, bits and pages of a TIFF file whose pixel data lie within the file."""
+    import tifffile
+
+    try:
+        with tifffile.TiffFile(path) as tiff:
+            pages = [tiff.pages[0], *tiff.pages[1:]]
+            length = tiff.filehandle.size
+            stored = [_stored(page) for page in pages]
+            shape, bits, colour = pages[0].shape, int(pages[0].bitspersample), pages[0].photometric
+            same = all(page.shape == shape and page.bitspersample == bits for page in pages)
+            lossy = any("JPEG" in page.compression.name or page.compression.name == "WEBP" for page in pages)
+            wrong = next((page.compression.name for page in pages if page.compression.name not in TIFF_CODES), None)
+            count, stack_at = _stacked(path, tiff, pages)
+            orientation = checked_orientation(path, int(pages[0].tags.valueof(ORIENTATION, 1)))
+    except (ValueError, TypeError, IndexError, KeyError, struct.error) as error:
+        if str(error).startswith(str(path)):
+            raise
+        raise ValueError(f"{path}: not a readable TIFF file ({error})") from error
+    if len(shape) != 2 or colour.name not in GREY:
+        raise ValueError(f"{path}: expected a grey image, found {colour.name} of shape {shape}")
+    if not same:
+        raise ValueError(f"{path}: expected pages of one size and bit depth, found different ones")
+    if bits not in (8, 12, 16) or pages[0].dtype.kind != "u":
+        raise ValueError(f"{path}: expected 8, 12 or 16 bits per pixel, found {bits} ({pages[0].dtype})")
+    if wrong is not None:
+        raise ValueError(f"{path}: expected no compression, LZW, deflate or JPEG, found {wrong}")
+    needed = max(end for end, _ in stored)
+    if needed > length:
+        raise ValueError(f"{path}: truncated, expected {needed} bytes, found {length}")
+    least = shape[0] * (shape[1] * bits // 8)
+    if pages[0].compression.name == "NONE" and min(size for _, size in stored) < least:
+        found = min(size for _, size in stored)
+        raise ValueError(f"{path}: expected {least} bytes of {shape[1]} x {shape[0]} pixels, found {found}")
+    inverted = colour == tifffile.PHOTOMETRIC.MINISWHITE
+    if stack_at is not None and (bits == 12 or pages[0].compression.name != "NONE" or needed - stack_at != least):
+        raise ValueError(f"{path}: expected a stack with a directory for each of its {count} images, found only one")
+    if stack_at is not None and stack_at + count * least > length:
+        raise ValueError(f"{path}: truncated, expected {count} images by its description, found fewer")
+    return ImageHeader((shape[1], shape[0]), bits, count, lossy, orientation, inverted, stack_at)
+
+
+def _stacked(path: Path, tiff: Any, pages: Sequence[Any]) -> tuple[int, int | None]:
+    """How many images a TIFF file holds, and where they begin if one directory stands for all of them.
+
+    ImageJ (beyond 4 GB), tifffile and MetaMorph write such stacks. Of several images there may be one series alone: no
+    channels, slices and times together.
+    """
+    first, size = pages[0], tiff.filehandle.size
+    axes = {axis: int(n) for axis, n in OME_SIZES.findall(first.description)} if first.is_ome and len(pages) > 1 else {}
+    count, stack_at = len(pages), None
+    if first.is_imagej:
+        stated = tiff.imagej_metadata or {}
+        axes = {axis: int(stated.get(axis, 1)) for axis in ("channels", "slices", "frames")}
+        count = int(stated.get("images", count))
+    elif len(pages) == 1 and not first.is_ome and size >= first.dataoffsets[0] + 2 * first.nbytes:
+        count = sum(math.prod(series.shape) for series in tiff.series) // math.prod(first.shape)
+    several = [f"{n} {axis}" for axis, n in axes.items() if n > 1]
+    if len(several) > 1:
+        raise ValueError(f"{path}: expected one image after the other, found {' of '.join(several)}")
+    if count > 1 and len(pages) == 1:
+        stack_at = int(first.dataoffsets[0])
+    elif count != len(pages):
+        raise ValueError(f"{path}: expected {count} images by its description, found {len(pages)}")
+    return count, stack_at
+
+
+def _stored(page: Any) -> tuple[int, int]:
+    """Return where the pixels of a page of a TIFF file end, and their number of bytes."""
+    ends = np.add(page.dataoffsets, page.databytecounts)
+    return max((int(end) for end in ends), default=1 << 62), sum(int(count) for count in page.databytecounts)
+
+
+def read_tiff(path: Path, header: ImageHeader, page: int | None = None) -> GreyImage:
+    """The only image of a TIFF file, or one of several: grey values that count up from black."""
+    if header.stack_at is None or page is None:
+        image = _read_page(path, header.bits, page)
+    else:
+        image = _read_stacked(path, header, header.stack_at, page)
+    return cast(GreyImage, image.dtype.type(2**header.bits - 1) - image) if header.inverted else image
+
+
+def _read_stacked(path: Path, header: ImageHeader, stack_at: int, page: int) -> GreyImage:
+    """One of the images that follow each other behind one directory."""
+    (width, height), count = header.size_px, math.prod(header.size_px)
+    with reading(path), path.open("rb") as file:
+        kind = np.dtype(f"{'>' if file.read(2) == b'MM' else '<'}u{header.bits // 8}")
+        file.seek(stack_at + page * count * kind.itemsize)
+        stored = np.frombuffer(file.read(count * kind.itemsize), kind)
+        if len(stored) < count:
+            raise ValueError(f"{path}: truncated, image {page} is not complete")
+        return cast(GreyImage, stored.astype(kind.newbyteorder("=")).reshape(height, width))
+
+
+def _read_page(path: Path, bits: int, page: int | None = None) -> GreyImage:
+    """The only picture of a TIFF file, or a page of it; OpenCV takes what tifffile cannot decode (LZW, packed 12 bit).
+
+    The only one is read from the disk at once: a dozen reads in small parts are as many turns with other threads.
+    """
+    import tifffile
+
+    with reading(path):
+        try:
+            at_once = page is None and path.stat().st_size <= READ_AT_ONCE
+            # Closed here: what tifffile keeps of it in circles of references would keep the file's bytes as well.
+            content: BinaryIO = io.BytesIO(path.read_bytes()) if at_once else path.open("rb")
+            with content, tifffile.TiffFile(content) as tiff:
+                own = tiff.pages[page or 0]
+                inflated = _inflated(path, tiff, own) if "DEFLATE" in own.compression.name else None
+                image = inflated if inflated is not None else np.asarray(own.asarray())
+                return cast(GreyImage, image.astype(image.dtype.newbyteorder("="), copy=False))
+        except (NotImplementedError, ImportError):
+            return _read_tiff_opencv(path, bits, page or 0)
+        except (ValueError, zlib.error, deflate.error, IndexError) as error:
+            if "imagecodecs" in str(error):
+                return _read_tiff_opencv(path, bits, page or 0)
+            if str(error).startswith(str(path)):
+                raise
+            raise ValueError(f"{path}: not a readable TIFF file ({error})") from error
+
+
+def _inflated(path: Path, tiff: Any, page: Any) -> GreyImage | None:
+    """Return a page whose strips are deflated as they are, None where tifffile has more to undo than that.
+
+    Parts that are not as long as their pixels need are refused, before they fill the memory.
+    """
+    each, parts = math.prod(page.chunks) * page.dtype.itemsize, []
+    plain = page.predictor == 1 and not page.is_tiled and page.bitspersample in (8, 16) and page.fillorder == 1
+    for start, size in zip(page.dataoffsets, page.databytecounts, strict=True):
+        tiff.filehandle.seek(start)
+        part = deflate.decompressobj().decompress(tiff.filehandle.read(size), each + 1)
+        # The last strip of a page may be shorter than the others, or filled up.
+        if len(part) > each or (len(part) < each and (page.is_tiled or start != page.dataoffsets[-1])):
+            raise ValueError(f"{path}: expected {each} bytes of pixels in every part, found others")
+        if plain:
+            parts.append(part)
+    pixels = math.prod(page.shape)
+    if not plain or sum(map(len, parts)) < pixels * page.dtype.itemsize:
+        return None
+    stored = np.frombuffer(bytearray().join(parts), page.dtype.newbyteorder(tiff.byteorder), pixels)
+    return cast(GreyImage, stored.astype(page.dtype, copy=False).reshape(page.shape))
+
+
+def _read_tiff_opencv(path: Path, bits: int, page: int) -> GreyImage:
+    """One page of a TIFF file by OpenCV, which scales packed 12-bit values up to 16 bit: scaled back here."""
+    import cv2
+    import tifffile
+
+    data = np.fromfile(path, np.uint8)
+    inverted = tiff_as_stored(data, page) == tifffile.PHOTOMETRIC.MINISWHITE
+    _, pages = cv2.imdecodemulti(data, cv2.IMREAD_UNCHANGED, range=(page, page + 1))
+    if len(pages) != 1:
+        raise ValueError(f"{path}: not a readable TIFF file (page {page} cannot be decoded)")
+    image = cast(GreyImage, np.asarray(pages[0]))
+    if inverted and image.dtype == np.uint8:  # which OpenCV inverts of itself
+        image = ~image
+    return image >> np.uint16(4) if bits == 12 else image
+
+
+def tiff_as_stored(data: NDArray[np.uint8], page: int = 0) -> Any:
+    """Set the orientation tag of a page of a TIFF file to 1, since OpenCV obeys it whatever it is asked for.
+
+    Return the page's photometric interpretation, None of other files.
+    """
+    import tifffile
+
+    if data[:2].tobytes() not in (b"II", b"MM"):
+        return None
+    try:
+        with tifffile.TiffFile(io.BytesIO(data.tobytes())) as tiff:
+            own = tiff.pages[page]
+            tag = own.tags.get(ORIENTATION)
+            if tag is not None:
+                data[tag.valueoffset : tag.valueoffset + 2] = np.array([1], f"{tiff.byteorder}u2").view(np.uint8)
+            return own.photometric
+    except (ValueError, TypeError, IndexError, KeyError, struct.error):
+        return None  # whoever decodes the file says what is wrong with it
