@@ -14,6 +14,7 @@ from photogram.images.sequence import reading
 
 ORIENTATION = 274  # tag of TIFF and EXIF
 TURNED = {3: "rotated by 180°", 6: "rotated by 90°", 8: "rotated by 270°"}
+ROTATED = {180: 3, 90: 6, 270: 8}  # degrees, clockwise, of a film
 MIRRORED = {
     2: "mirrored left to right",
     4: "mirrored top to bottom",

@@ -8,12 +8,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from photogram.arrays import FloatArray, Notice
+from photogram.images.orientation import ROTATED, orientation_notices
 from photogram.images.sequence import GreyImage, ImageSequence, check_pixels, full_scale_of, reading
 
 LARGEST_HEADER = 4 << 20  # bytes of a .cih or .cihx, which are some ten thousand
@@ -274,24 +275,27 @@ def _seconds(block: bytes | None, frames: int) -> FloatArray | None:
     return np.asarray((words[:, 1] - words[0, 1]) + (words[:, 0] - words[0, 0]) / 2.0**32)
 
 
-# Compressed video, by OpenCV: 8 bits, and grey values that the codec has changed.
+# Films, by OpenCV: grey values as stored of 8 and 16 bits, of others the luminance that the player makes of them.
 
 LOSSLESS = ("", "DIB", "Y800", "Y8", "GREY", "FFV1", "HFYU", "FFVH", "RAW")
+GREY_8, GREY_16 = b"Y800", b"Y1\0\x10"  # FFmpeg's tags of pixels that OpenCV hands out as they are
+FEWEST_DEEP = 9
 
 
 @dataclass
 class _Film:
-    """Frames of a film, read on from where the last one was."""
+    """Frames of a film, read on from where the last one was; `raw`: grey values as they are stored."""
 
     path: Path
+    raw: bool
     capture: Any = field(default=None, repr=False)
     following: int = 0
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"path": self.path, "capture": None, "following": 0}
+        return {"path": self.path, "raw": self.raw, "capture": None, "following": 0}
 
     def read(self, index: int) -> GreyImage:
-        """Return frame `index` as luminance."""
+        """Return frame `index` as grey values, of a coloured one its luminance."""
         with reading(self.path):
             return self._decoded(index)
 
@@ -299,14 +303,44 @@ class _Film:
         import cv2
 
         if self.capture is None or index < self.following:
-            self.capture, self.following = cv2.VideoCapture(str(self.path)), 0
+            self.capture, self.following = _as_stored(cv2.VideoCapture(str(self.path)), self.raw), 0
         while self.following < index and self.capture.grab():
             self.following += 1
         there, image = self.capture.read()
         self.following += 1
         if not there:
             raise ValueError(f"{self.path}: frame {index} cannot be decoded")
-        return np.asarray(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+        grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+        return cast(GreyImage, np.asarray(grey))
+
+
+def _as_stored(capture: Any, raw: bool) -> Any:
+    """Have a film's frames as the sensor stored them, not rotated for display."""
+    import cv2
+
+    capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
+    if raw:
+        capture.set(cv2.CAP_PROP_CONVERT_RGB, 0)
+    return capture
+
+
+def _pixel_bits(path: Path, tag: bytes) -> int:
+    """Return the bits of a grey value by FFmpeg's tag of the pixels; `ValueError` for those of which OpenCV keeps 8.
+
+    Such a tag has the bits of a pixel or of a colour at its end, with the most significant byte first at its beginning.
+    """
+    stated = max((size for size in (tag[0], tag[3]) if size < ord("0")), default=0)
+    if tag == GREY_16:
+        return 16
+    if tag[:3] in (b"RGB", b"BGR") and stated in (0, 24, 32):
+        return 8
+    if stated >= FEWEST_DEEP:
+        name = "".join(chr(byte) for byte in tag if chr(byte).isalnum() and byte != stated)
+        found = f"{stated} bits ({name}), of which its decoder keeps 8"
+        raise ValueError(
+            f"{path}: expected a film of 8 bits a pixel, or of 16 bits grey, found {found}; save TIFF files"
+        )
+    return 8
 
 
 def open_film(path: Path, bit_depth: int | None) -> ImageSequence:
@@ -314,28 +348,33 @@ def open_film(path: Path, bit_depth: int | None) -> ImageSequence:
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # its library writes to the terminal of its own
     import cv2
 
-    capture = cv2.VideoCapture(str(path))
+    capture = _as_stored(cv2.VideoCapture(str(path)), raw=False)
     if not capture.isOpened():
         raise ValueError(f"{path}: not a readable film, or of a codec that is not supported; save the frames as TIFF")
     size_px = int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
     check_pixels(path, size_px)
-    codec = struct.pack("<I", int(capture.get(cv2.CAP_PROP_FOURCC)) & 0xFFFFFFFF).decode("latin-1")
+    codec, tag = (
+        struct.pack("<I", int(capture.get(key)) & 0xFFFFFFFF)
+        for key in (cv2.CAP_PROP_FOURCC, cv2.CAP_PROP_CODEC_PIXEL_FORMAT)
+    )
+    bits, turned = _pixel_bits(path, tag), int(capture.get(cv2.CAP_PROP_ORIENTATION_META)) % 360
     frames = 0
     while capture.grab():
         frames += 1
     capture.release()
     if not frames:
         raise ValueError(f"{path}: expected frames, found none that can be decoded")
-    name = codec.strip(" \0").upper()
+    name = codec.decode("latin-1").strip(" \0").upper()
     told = (
-        "a film of 8 bits, whose player may have changed grey values; raw frames of the camera are better"
+        f"a film of {bits} bits, whose player may have changed grey values; raw frames of the camera are better"
         if name in LOSSLESS
         else f"compressed video ({name}): its codec moves grey values and edges by what it leaves out, differently "
         "from frame to frame. Such errors are in no uncertainty; record uncompressed frames (TIFF, cine, raw video)"
     )
-    notice = Notice("info" if name in LOSSLESS else "warning", told, str(path))
-    scale = full_scale_of(path, 8, bit_depth)
-    return ImageSequence(_names(path, frames), size_px, scale, _Film(path).read, notices=(notice,))
+    notices = (Notice("info" if name in LOSSLESS else "warning", told, str(path)),)
+    notices += orientation_notices({path: ROTATED.get(turned, 1)})
+    scale, film = full_scale_of(path, bits, bit_depth), _Film(path, tag in (GREY_8, GREY_16))
+    return ImageSequence(_names(path, frames), size_px, scale, film.read, notices=notices)
 
 
 VIDEO_READERS: dict[str, Callable[[Path, int | None], ImageSequence]] = {
