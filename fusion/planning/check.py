@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -133,6 +134,9 @@ def check(manifest: Manifest) -> CheckReport:
     contents, problems = _contents(manifest, takes, already)
     observed = _observed(manifest.rig, takes)
     told_alone = _alone(manifest.rig, takes, observed, already)
+    blank = _blank(takes, already)
+    seen = {item.instrument for item in observed} - {TOGETHER} - {f"stereo {name}" for name, _ in blank}
+    (remarks if seen else problems).extend(text for _, text in blank)
     # Every channel once by its name.
     placed = [entry for take in takes for daq in take.daq for entry in daq.channel]
     entries = list({entry.name: entry for entry in placed}.values())
@@ -374,6 +378,21 @@ def _read_images(images: Images, pair: Stereo, already: AlreadyRead, highest_hz:
     if len(left) < 3:
         wrong.append(f"images {images.stereo}: {len(left)} frames, at least 3 are needed")
     return told, wrong
+
+
+def _blank(takes: Sequence[Manifest], already: AlreadyRead) -> list[tuple[str, str]]:
+    """Stereo pairs whose first image shows no pattern, each with what is said of it; `run` leaves them out."""
+    from photogram.images.exposure import without_pattern
+
+    told = list[tuple[str, str]]()
+    for images in (images for take in takes for images in take.images):
+        for side, paths in images.cameras:
+            sequence = already.images.get((paths, images.bit_depth))
+            with suppress(OSError, ValueError):  # of which the command that reads it says more
+                why = without_pattern(sequence.read(0), sequence.full_scale) if sequence is not None else ""
+                if why:
+                    told.append((images.stereo, f"images {images.stereo}: {side}: no pattern is seen: {why}"))
+    return told
 
 
 def _no_rig(pair: Stereo, sequences: Sequence[ImageSequence]) -> list[str]:

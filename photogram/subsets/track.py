@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, Notice, RunningMean, check_shape
 from photogram.bspline import Spline, spline_of_image
 from photogram.camera import StereoRig, epipolar_residual
+from photogram.images.exposure import without_pattern
 from photogram.images.sequence import GreyImage, ImageSequence
 from photogram.subsets.find import (
     BodyNotFound,
@@ -233,6 +234,8 @@ def lay_stereo_grid(
     if len(left) != len(right):
         raise ValueError(f"right: expected {len(left)} frames as in left, found {len(right)}")
     images, splines = zip(*(frames or [first_frame(side, settings) for side in (left, right)]), strict=True)
+    for side, camera, image in (("left", left, images[0]), ("right", right, images[1])):
+        _refuse_blank(side, camera, image)
     own, points = _laid(left.names[0], images[0], settings)
     areas, chosen = (own, _inner_area(images[1])), _chosen_part(own.shape, settings)
     matched = match_stereo(images[0], images[1], points, settings, rig, depth_m, splines)
@@ -273,6 +276,7 @@ def lay_single_grid(images: ImageSequence, settings: TrackSettings, first: GreyI
 
     Raises `BodyNotFound` when fewer than three subsets are left.
     """
+    _refuse_blank("left", images, first)
     area, points = _laid(images.names[0], first, settings)
     kept = points[~saturated(first, images.full_scale, points, settings.radius_px)]
     if len(kept) < 3:
@@ -280,6 +284,13 @@ def lay_single_grid(images: ImageSequence, settings: TrackSettings, first: GreyI
             f"left: expected a speckled body, found {len(kept)} unsaturated subsets in {images.names[0]}"
         )
     return StereoGrid((kept,), (area,), ())
+
+
+def _refuse_blank(side: str, images: ImageSequence, first: Image) -> None:
+    """Raise `BodyNotFound` where the first image of a camera shows nothing but noise."""
+    why = without_pattern(first, images.full_scale)
+    if why:
+        raise BodyNotFound(f"{side}: expected an image of a speckled body, found none in {images.names[0]}: {why}")
 
 
 def _laid(name: str, image: Image, settings: TrackSettings) -> tuple[BoolArray, FloatArray]:

@@ -541,8 +541,8 @@ class SineSums:
         coefficients += inverse @ (right - gram @ coefficients)
         rest = np.maximum(self._square[good] - (coefficients * right).sum(axis=1), 0.0)
         variance = rest / np.maximum(self.count[good] - parameters, 1)[:, None]
-        spread = np.diagonal(inverse, axis1=1, axis2=2)[:, :-1].reshape(len(inverse), -1, 2).mean(axis=2)
         lines = (parameters - 1) // 2
+        spread = np.diagonal(inverse, axis1=1, axis2=2)[:, :-1].reshape(len(inverse), lines, 2).mean(axis=2)
         value = np.full((lines, *self._origin.shape), np.nan, dtype=np.complex128)
         u = np.full(value.shape, np.nan)
         scale = np.sqrt(2.0 / samples)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fusion.planning.look.signals import Finding, Level
 from photogram.arrays import BoolArray, FloatArray
 from photogram.camera import StereoRig, epipolar_residual, triangulate
+from photogram.images.exposure import without_pattern
 from photogram.images.sequence import GreyImage, ImageSequence
 from photogram.subsets.search import match_features
 from photogram.subsets.texture import default_radius_px, lay_grid, repeat_px, speckle_size, textured_area
@@ -47,6 +48,9 @@ def look_at_camera(where: str, images: ImageSequence) -> tuple[list[Finding], Ca
     first = images.read(chosen[0])
     others = {i: images.read(i)[::EVERY, ::EVERY] for i in chosen[1:]}
     found = [Finding("look", where, notice.text) for notice in images.notices if notice.severity == "warning"]
+    blank = without_pattern(first, images.full_scale)
+    if blank:
+        return [*found, Finding("wrong", where, f"no speckled body is seen: {blank}")], None
     found += _brightness(where, first, others, images.full_scale)
     area = textured_area(first)
     if any(finding.level == "wrong" and "dark" in finding.text for finding in found):

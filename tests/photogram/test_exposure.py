@@ -1,0 +1,67 @@
+"""What grey values show of an exposure, against images whose light and noise are written down here."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from photogram.images.exposure import without_pattern
+
+SHAPE = (300, 420)
+Y, X = np.mgrid[: SHAPE[0], : SHAPE[1]]
+FULL = 1023
+
+
+def seen(light: np.ndarray | float, seed: int = 1, noise: float = 2.0) -> np.ndarray:
+    """What a sensor of 10 bits stores: shot noise of 8 electrons per grey value, noise of the dark sensor."""
+    rng = np.random.default_rng(seed)
+    light = np.broadcast_to(light, SHAPE)
+    grey = (
+        light + np.sqrt(np.maximum(light, 0.0) / 8.0) * rng.standard_normal(SHAPE) + noise * rng.standard_normal(SHAPE)
+    )
+    return np.clip(np.rint(grey), 0, FULL).astype(np.uint16)
+
+
+def speckle(size_px: float, contrast: float, level: float = 300.0) -> np.ndarray:
+    """A pattern whose autocorrelation is as wide (full width at half maximum) as `size_px`."""
+    texture = np.random.default_rng(5).standard_normal(SHAPE)
+    texture = cv2.GaussianBlur(texture, (0, 0), size_px / (2.0 * np.sqrt(2.0 * np.log(2.0)) * np.sqrt(2.0)))
+    return np.asarray(level * (1.0 + contrast * texture / texture.std()))
+
+
+RNG = np.random.default_rng(9)
+BLANK = {
+    "cap on": (seen(10.0), "dark"),
+    "nothing at all": (np.zeros(SHAPE, np.uint16), "dark"),
+    "rows and columns": (seen(10.0 + 4.0 * RNG.standard_normal((1, SHAPE[1])) + 4.0 * RNG.standard_normal((300, 1))), "dark"),
+    "hot pixels": (seen(10.0 + 900.0 * (RNG.random(SHAPE) < 1e-4)), "dark"),
+    "overexposed": (seen(1060.0), "overexposed"),
+    "clipped below full scale": (np.minimum(seen(700.0), 600), "overexposed"),
+    "a sheet of paper": (seen(500.0), "uniform"),
+    "a sheet, bright in the middle": (seen(600.0 * np.exp(-((X - 200.0) ** 2 + (Y - 150.0) ** 2) / 3e4)), "uniform"),
+}  # fmt: skip
+SHOWN = {
+    "fine speckle": speckle(2.0, 0.3),
+    "faint speckle": speckle(4.0, 0.03),
+    "coarse speckle": speckle(15.0, 0.3),
+    "underexposed speckle": speckle(4.0, 0.3, 30.0),
+    "a small body": np.where((np.abs(X - 100) < 30) & (np.abs(Y - 80) < 30), speckle(4.0, 0.3), 10.0),
+}
+
+
+@pytest.mark.parametrize("name", BLANK)
+def test_an_image_of_nothing_is_named_with_its_grey_values(name):
+    image, why = BLANK[name]
+    assert without_pattern(image, FULL).startswith(f"{why}, ")
+    assert str(int(np.quantile(image, 0.99))) in without_pattern(image, FULL)
+
+
+@pytest.mark.parametrize("name", SHOWN)
+def test_a_pattern_is_seen_in_its_noise_and_without(name):
+    assert without_pattern(seen(SHOWN[name]), FULL) == ""
+    assert without_pattern(np.rint(np.clip(SHOWN[name], 0, FULL)).astype(np.uint16), FULL) == ""
+
+
+def test_noise_alone_is_no_pattern_a_hundred_times_in_a_hundred():
+    assert all(without_pattern(seen(level, seed), FULL) for seed in range(50) for level in (5.0, 400.0))
