@@ -55,7 +55,7 @@ def tied_by_motion(
     renewed = []
     for measured in motions:
         sight = measured.sight
-        again = see(manifest, tied, entries[sight.name], len(sight.time_s))
+        again = see(manifest, tied, entries[sight.name], sight.edge - sight.edge[0])
         sight = replace(sight, time_s=again.time_s, model_share=again.model_share)
         renewed.append(replace(measured, sight=sight))
     return tied, tuple(renewed), lines

@@ -30,16 +30,17 @@ from fusion.base import (
 from fusion.instruments.transducer import ROOM
 from fusion.phasors.followed import Followed, follow
 from fusion.phasors.shutter import Turned
-from fusion.phasors.timing import Sight, TimeBase, see
+from fusion.phasors.timing import Sight, TimeBase, frame_places, see
 from fusion.recording.files import AlreadyRead
 from fusion.recording.load import Manifest
-from fusion.recording.manifest import Images, PointFiles
+from fusion.recording.manifest import MINIMUM_FRAMES, Images, PointFiles
 from fusion.recording.rig import Stereo
 from fusion.recording.values import FILE, Surface
 from photogram.calibration.file import read_calibration, read_camera
 from photogram.camera import FaceCamera, Rig, StereoRig
 from photogram.geometry import RigidTransform
 from photogram.images.files import open_sequence
+from photogram.images.numbering import numbers_of_names
 from photogram.images.sequence import GreyImage, ImageSequence
 from shaker.arrays import BoolArray, FloatArray, Notice
 from shaker.lines.frequencies import Lines, find_lines
@@ -175,16 +176,21 @@ def open_images(manifest: Manifest, base: TimeBase, entry: Images, already: Alre
         if len(left) != len(other):
             found, expected = f"{len(other)} images", f"{len(left)} as on the left"
             raise InputError(manifest.path, f"{key}.right", found=found, expected=expected)
+    if len(left) < MINIMUM_FRAMES:
+        found = f"{len(left)} in {entry.left[0].name}"
+        raise InputError(manifest.path, f"{key}.left", found=found, expected=f"at least {MINIMUM_FRAMES} frames")
     if entry.exposure == FILE:
         entry = entry.model_copy(update={"exposure": _stated_exposure(manifest, entry, sequences)})
-    sight = see(manifest, base, entry, len(left), max(images.size_px[1] for images in sequences))
+    numbers = {side: images.numbers for (side, _), images in zip(entry.cameras, sequences, strict=True)}
+    place, remarks = frame_places(manifest, base, entry, numbers, len(left))
+    sight = see(manifest, base, entry, place, max(images.size_px[1] for images in sequences))
     rig = read_rig(sight.pair, sequences)
     first = []
     for (side, _), sequence in zip(entry.cameras, sequences, strict=True):
         with as_input_error(manifest.path, f"{key}.{side}"):
             first.append(sequence.read(0))
     pair = _without_calibration_share(sight.pair, rig)
-    told: list[AnyNotice] = [told for images in sequences for told in images.notices]
+    told: list[AnyNotice] = [*remarks, *(told for images in sequences for told in images.notices)]
     told += [told for images in sequences for told in _contradictions(sight, images)]
     x, y, *_ = entry.region or (0, 0)
     if x >= left.size_px[0] or y >= left.size_px[1]:
@@ -403,7 +409,8 @@ def measure_points(manifest: Manifest, base: TimeBase, entry: PointFiles) -> Ste
     name, key = entry.stereo, f"points.{entry.stereo}.files"
     with as_input_error(manifest.path, key):
         table = read_point_tables(entry.files, entry.columns, entry.valid_status, entry.scale)
-    sight = see(manifest, base, entry, len(table.frames))
+    place, remarks = frame_places(manifest, base, entry, {"files": numbers_of_names(table.frames)}, len(table.frames))
+    sight = see(manifest, base, entry, place)
     with as_input_error(manifest.path, key):
         points = points_with_estimated_noise(table.position_m, table.reference_m)
     placed = sensor_from_camera(sight.pair)
@@ -415,7 +422,7 @@ def measure_points(manifest: Manifest, base: TimeBase, entry: PointFiles) -> Ste
         raise ComputeError(f"stereo pair {name}: no rigid motion can be fitted ({error})") from error
     if not np.isfinite(motion.pose).all(axis=1).any():
         raise ComputeError(f"stereo pair {name}: {NO_MOTION}; look at its points")
-    return StereoMotion(sight, motion, (deformation(points, motion, reference),), float("nan"), None, ())
+    return StereoMotion(sight, motion, (deformation(points, motion, reference),), float("nan"), None, remarks)
 
 
 def read_rig(stereo: Stereo, sequences: Sequence[ImageSequence]) -> Rig:

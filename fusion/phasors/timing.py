@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,7 +18,8 @@ from fusion.instruments.stereo import Exposure
 from fusion.recording.manifest import Frames, Images, PointFiles
 from fusion.recording.rig import Stereo
 from fusion.recording.values import FILE, PULSE
-from shaker.arrays import BoolArray, FloatArray
+from photogram.images.numbering import FrameNumbers
+from shaker.arrays import BoolArray, FloatArray, IntArray, Notice
 from shaker.timebase.tie import ClockTie, edge_instants, tie_clocks
 from shaker.timebase.trigger import PulseWidth, TriggerFit
 
@@ -35,7 +36,7 @@ class Sight:
 
     `pair`: as the rig has it, with what the recording overrides. `time_s` (F,): exposure middles on the first block's
     clock; `model_share`: how far, on average, an error of the trigger's periodic model moves them. `where`: file and
-    key at which mistakes of its frames are told.
+    key at which mistakes of its frames are told. `edge` (F,): which edge exposed each frame.
     """
 
     name: str
@@ -44,6 +45,7 @@ class Sight:
     time_s: FloatArray
     model_share: float
     where: tuple[Path, str]
+    edge: IntArray
 
 
 @dataclass(frozen=True)
@@ -334,10 +336,11 @@ def tie_daqs(manifest: Manifest, records: Sequence[DaqRecord]) -> TimeBase:
     return time_base
 
 
-def see(manifest: Manifest, base: TimeBase, entry: Images | PointFiles, frames: int, rows: int = 1) -> Sight:
+def see(manifest: Manifest, base: TimeBase, entry: Images | PointFiles, frames: int | IntArray, rows: int = 1) -> Sight:
     """Return how long and when each of some frames was exposed: its middle is edge + delay + exposure / 2.
 
-    Of pictures with so many rows the one that a rolling shutter reads first.
+    `frames`: how many, one after the other, or how many edges after the first one's each was exposed (F,). Of pictures
+    with so many `rows` the one that a rolling shutter reads first.
 
     The edge is the periodic model's where the trigger has no jitter, and follows what was seen of it where it has: also
     what other blocks saw of it, where these edges tie them to the trigger's block. The exposure is as stated, or as
@@ -345,20 +348,22 @@ def see(manifest: Manifest, base: TimeBase, entry: Images | PointFiles, frames: 
     """
     daq, trigger = base.first_with(entry.trigger)
     key = f"{'images' if isinstance(entry, Images) else 'points'}.{entry.stereo}"
-    if entry.first_edge is None and trigger.edges > frames:
-        wanted = f"the number of the edge that belongs to the first of {frames} frames"
+    place = np.arange(frames) if isinstance(frames, int) else frames
+    span = int(place[-1]) + 1
+    if entry.first_edge is None and trigger.edges > span:
+        wanted = f"the number of the edge that belongs to the first of {len(place)} frames"
         found = f"none, and {trigger.edges} edges in {entry.trigger}"
         raise InputError(manifest.path, f"{key}.first_edge", found=found, expected=wanted)
     first = entry.first_edge or 0
-    if first + frames > trigger.edges:
-        wanted = f"at least {first + frames} edges in {entry.trigger} for {frames} frames"
+    if first + span > trigger.edges:
+        wanted = f"at least {first + span} edges in {entry.trigger} for {len(place)} frames"
         raise InputError(manifest.path, f"{key}.trigger", found=str(trigger.edges), expected=wanted)
     elsewhere = []
     if daq == base.records[0].entry.name:
         for other, tie in base.ties.items():
             if tie is not None and base.shared_triggers(daq, other)[:1] == [entry.trigger]:
                 elsewhere.append((base.triggers[other, entry.trigger], tie))
-    edges = edge_instants(trigger, first + np.arange(frames), elsewhere)
+    edges = edge_instants(trigger, first + place, elsewhere)
     if entry.exposure == PULSE:
         try:
             pulse = base.record(daq).pulse_width(entry.trigger)
@@ -382,7 +387,70 @@ def see(manifest: Manifest, base: TimeBase, entry: Images | PointFiles, frames: 
     middle_s = base.to_base_s(daq, edges.time_s) + entry.delay + exposure.length_s / 2.0
     pair = manifest.rig.stereo[entry.stereo].model_copy(update={"delay_uncertainty": entry.delay_uncertainty})
     share = float(np.mean(edges.model_share))
-    return Sight(entry.stereo, pair, exposure, np.asarray(middle_s), share, (manifest.path, key))
+    return Sight(entry.stereo, pair, exposure, np.asarray(middle_s), share, (manifest.path, key), first + place)
+
+
+def frame_places(
+    manifest: Manifest,
+    base: TimeBase,
+    entry: Images | PointFiles,
+    cameras: Mapping[str, FrameNumbers | None],
+    frames: int,
+) -> tuple[IntArray, tuple[Notice, ...]]:
+    """Return how many edges after the first frame's each was exposed (F,), by the numbers that the `cameras` give them.
+
+    A number that is missing in all cameras is an edge without a frame, if there is an edge for it. Numbers that differ,
+    and edges that are too few, are refused; so are numbers that count by several where the edges leave open whether
+    those between have edges, unless `edge_step` says it.
+    """
+    key = f"{'images' if isinstance(entry, Images) else 'points'}.{entry.stereo}"
+    known = {side: numbers for side, numbers in cameras.items() if numbers is not None}
+    side, first = next(iter(known.items()), ("", None))
+    told = list[Notice]()
+    if first is None:
+        return np.arange(frames) * (entry.edge_step or 1), ()
+    for other, numbers in [(other, cameras[other]) for other in cameras if other != side]:
+        place, step = (np.arange(frames), first.step) if numbers is None else (numbers.place, numbers.step)
+        if not np.array_equal(place, first.place) or step != first.step:
+            found = " and ".join(f"{name}: {_gap(one)}" for name, one in cameras.items())
+            raise InputError(manifest.path, f"{key}.{other}", found, "the same numbers of frames in both cameras")
+        if numbers is not None and first.exact and numbers.exact and 0 < _later(first, numbers) < frames:
+            text = (
+                f"the numbers of the files begin with {first.first} ({side}) and {numbers.first} ({other}): "
+                "the frames are paired in their order. If equal numbers are frames of one edge, one camera is late"
+            )
+            told.append(Notice("warning", text, entry.stereo))
+    trigger = base.first_with(entry.trigger)[1]
+    edges, span, step = trigger.edges - (entry.first_edge or 0), int(first.place[-1]) + 1, entry.edge_step
+    if step is None and first.step > 1 and first.step * (span - 1) < edges:
+        found = f"none, numbers of files that count by {first.step} and {trigger.edges} edges in {entry.trigger}"
+        expected = f"1, where each frame has the next edge, or {first.step}, where edges between have no frame"
+        raise InputError(manifest.path, f"{key}.edge_step", found, expected)
+    step = step or 1
+    if not first.missing:
+        return first.place * step, tuple(told)
+    gap = f"a gap in the numbering of {frames} files ({first.first} to {first.last}): missing {first.missing}"
+    if step * (span - 1) < edges:
+        text = f"{gap}; the frames after it are dated by their numbers"
+        return first.place * step, (*told, Notice("warning", text, entry.stereo))
+    if first.exact:
+        expected = f"an edge in {entry.trigger} for each number, {step * (span - 1) + 1} from the first frame on"
+        raise InputError(manifest.path, f"{key}.trigger", f"{edges} edges and {gap}", expected)
+    text = f"{gap}; {entry.trigger} has no edges for these, so successive frames are dated by successive edges"
+    return np.arange(frames) * step, (*told, Notice("warning", text, entry.stereo))
+
+
+def _gap(numbers: FrameNumbers | None) -> str:
+    """What numbers of frames lack, in words."""
+    if numbers is None:
+        return "no numbers that show gaps"
+    by = f" by {numbers.step}" if numbers.step > 1 else ""
+    return f"{numbers.first} to {numbers.last}{by}, " + (f"missing {numbers.missing}" if numbers.missing else "no gap")
+
+
+def _later(one: FrameNumbers, other: FrameNumbers) -> int:
+    """How many steps the first numbers of two series are apart."""
+    return abs(int(other.first) - int(one.first)) // one.step
 
 
 def _exposure_key(manifest: Manifest, entry: Frames, stated: float | str) -> tuple[Path, str]:

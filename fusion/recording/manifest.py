@@ -239,11 +239,15 @@ class Daq(Block):
 
 
 class Frames(Block):
-    """What images and points share: the stereo pair, the trigger, and the exposure, by default the pair's own."""
+    """What images and points share: the stereo pair, the trigger, and the exposure, by default the pair's own.
+
+    `edge_step`: edges from one frame to the next, or to the next number of a file.
+    """
 
     stereo: Text
     trigger: Text
     first_edge: Annotated[int, Field(ge=0, le=FARTHEST_EDGE)] | None = None
+    edge_step: Annotated[int, Field(ge=1, le=FARTHEST_EDGE)] | None = None
     exposure: Exposure
     delay: Delay
     delay_uncertainty: Annotated[NotNegative, SECONDS]

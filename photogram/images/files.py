@@ -11,6 +11,7 @@ from typing import cast
 import numpy as np
 
 from photogram.arrays import Notice
+from photogram.images.numbering import numbers_of_names
 from photogram.images.orientation import PNG_SIGNATURE, orientation_notices, stored_orientation
 from photogram.images.sequence import (
     GreyImage,
@@ -78,8 +79,9 @@ def open_sequence(paths: Sequence[str | Path], bit_depth: int | None = None) -> 
         reader = partial(read_tiff, files[0], first)
     else:
         names, reader = tuple(str(path) for path in files), partial(_read_file, files, first)
+    numbers = numbers_of_names([path.name for path in files])
     notices = _header_notices(files, headers)
-    return ImageSequence(names, first.size_px, full_scale, reader, notices=notices)
+    return ImageSequence(names, first.size_px, full_scale, reader, notices=notices, numbers=numbers)
 
 
 def _header_notices(files: Sequence[Path], headers: Sequence[ImageHeader]) -> tuple[Notice, ...]:

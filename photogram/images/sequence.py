@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photogram.arrays import FloatArray, Notice, check_shape
+from photogram.images.numbering import FrameNumbers
 
 GreyImage = NDArray[np.uint8 | np.uint16]
 MOST_PIXELS = 1 << 28  # of a picture
@@ -77,8 +78,9 @@ class ImageSequence:
     """Grey images of one size that are read one at a time: names (F), size_px (width, height), full_scale grey value.
 
     `reader` returns frame i as it stands in its file; `read` is the checked access to it. Where the files state them:
-    `time_s` (F,) of the frames on the camera's own clock, from the first one on, and the `exposure_s`; `notices` tell
-    what the files do to the grey values. With a larger share than `most_saturated` at full scale a frame is refused.
+    `time_s` (F,) of the frames on the camera's own clock, from the first one on, the `exposure_s`, and the `numbers` of
+    the frames, which tell where some are missing. `notices` tell what the files do to the grey values. With a larger
+    share than `most_saturated` at full scale a frame is refused.
 
     >>> images = ImageSequence(("dark", "bright"), (640, 480), 255, lambda k: np.full((480, 640), 100 * k, np.uint8))
     >>> len(images), int(images.read(1).max())
@@ -93,6 +95,7 @@ class ImageSequence:
     exposure_s: float | None = None
     notices: tuple[Notice, ...] = ()
     most_saturated: float = 1.0
+    numbers: FrameNumbers | None = None
 
     def __post_init__(self) -> None:
         if self.time_s is not None:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photogram.arrays import FloatArray, Notice
+from photogram.images.numbering import numbers_of_times
 from photogram.images.orientation import ROTATED, orientation_notices
 from photogram.images.sequence import GreyImage, ImageSequence, check_pixels, full_scale_of, reading
 
@@ -280,6 +281,7 @@ def _seconds(block: bytes | None, frames: int) -> FloatArray | None:
 LOSSLESS = ("", "DIB", "Y800", "Y8", "GREY", "FFV1", "HFYU", "FFVH", "RAW")
 GREY_8, GREY_16 = b"Y800", b"Y1\0\x10"  # FFmpeg's tags of pixels that OpenCV hands out as they are
 FEWEST_DEEP = 9
+STAMP_S = 1e-3  # to which films of some containers round their times
 
 
 @dataclass
@@ -358,11 +360,11 @@ def open_film(path: Path, bit_depth: int | None) -> ImageSequence:
         for key in (cv2.CAP_PROP_FOURCC, cv2.CAP_PROP_CODEC_PIXEL_FORMAT)
     )
     bits, turned = _pixel_bits(path, tag), int(capture.get(cv2.CAP_PROP_ORIENTATION_META)) % 360
-    frames = 0
+    stamps = []
     while capture.grab():
-        frames += 1
+        stamps.append(1e-3 * capture.get(cv2.CAP_PROP_POS_MSEC))
     capture.release()
-    if not frames:
+    if not stamps:
         raise ValueError(f"{path}: expected frames, found none that can be decoded")
     name = codec.decode("latin-1").strip(" \0").upper()
     told = (
@@ -374,7 +376,11 @@ def open_film(path: Path, bit_depth: int | None) -> ImageSequence:
     notices = (Notice("info" if name in LOSSLESS else "warning", told, str(path)),)
     notices += orientation_notices({path: ROTATED.get(turned, 1)})
     scale, film = full_scale_of(path, bits, bit_depth), _Film(path, tag in (GREY_8, GREY_16))
-    return ImageSequence(_names(path, frames), size_px, scale, film.read, notices=notices)
+    time_s = np.array(stamps) - stamps[0]
+    numbers = numbers_of_times(time_s, STAMP_S)
+    stated_s = time_s if numbers is None and np.ptp(np.diff(time_s)) > 2.0 * STAMP_S else None
+    frames = _names(path, len(stamps))
+    return ImageSequence(frames, size_px, scale, film.read, stated_s, notices=notices, numbers=numbers)
 
 
 VIDEO_READERS: dict[str, Callable[[Path, int | None], ImageSequence]] = {

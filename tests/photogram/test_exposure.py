@@ -31,16 +31,17 @@ def speckle(size_px: float, contrast: float, level: float = 300.0) -> np.ndarray
 
 
 RNG = np.random.default_rng(9)
+LINES = 10.0 + 4.0 * RNG.standard_normal((1, SHAPE[1])) + 4.0 * RNG.standard_normal((SHAPE[0], 1))
 BLANK = {
     "cap on": (seen(10.0), "dark"),
     "nothing at all": (np.zeros(SHAPE, np.uint16), "dark"),
-    "rows and columns": (seen(10.0 + 4.0 * RNG.standard_normal((1, SHAPE[1])) + 4.0 * RNG.standard_normal((300, 1))), "dark"),
+    "rows and columns": (seen(LINES), "dark"),
     "hot pixels": (seen(10.0 + 900.0 * (RNG.random(SHAPE) < 1e-4)), "dark"),
     "overexposed": (seen(1060.0), "overexposed"),
     "clipped below full scale": (np.minimum(seen(700.0), 600), "overexposed"),
     "a sheet of paper": (seen(500.0), "uniform"),
     "a sheet, bright in the middle": (seen(600.0 * np.exp(-((X - 200.0) ** 2 + (Y - 150.0) ** 2) / 3e4)), "uniform"),
-}  # fmt: skip
+}
 SHOWN = {
     "fine speckle": speckle(2.0, 0.3),
     "faint speckle": speckle(4.0, 0.03),

@@ -1,0 +1,115 @@
+"""Which frames a series lacks, by the numbers in the names of its files or by the time stamps of a film."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from photogram.arrays import FloatArray, IntArray
+
+MOST_DIGITS = 18  # of a number that 64 bits hold
+NEAR = 0.25  # intervals by which time stamps may be off
+SHOWN = 3  # missing numbers that are named
+SEXAGESIMAL = (40, 4040)  # by which hhmmss grows from one minute, or hour, to the next beyond a second
+
+
+@dataclass(frozen=True)
+class FrameNumbers:
+    """How the frames of a series are counted, from its first one on.
+
+    `place` (F,): 0, then how many frames later each one was, the missing ones counted. `first`, `last`: their numbers
+    as written. `step`: by which the numbers count. `missing`: what is not there, in words, "" where nothing is.
+    `exact`: by a counter; else by times, which may stray.
+    """
+
+    place: IntArray
+    first: str
+    last: str
+    step: int = 1
+    missing: str = ""
+    exact: bool = True
+
+
+def numbers_of_names(names: Sequence[str]) -> FrameNumbers | None:
+    """How file names that differ in numbers alone count their frames; None where none of the numbers does.
+
+    A counter is a number that ascends from file to file, in most cases by one step, in all cases by multiples of it. A
+    number that ascends by nearly one step is a time. Of several counters the one with a gap is returned.
+
+    >>> counted = numbers_of_names(["a0001.tif", "a0002.tif", "a0004.tif"])
+    >>> counted.place.tolist(), counted.missing
+    ([0, 1, 3], '0003')
+    """
+    parts = [re.split(r"(\d+)", Path(name).name) for name in names]
+    if len(names) < 3 or len({tuple(part[::2]) for part in parts}) != 1:
+        return None
+    columns = [column for column in zip(*(part[1::2] for part in parts), strict=True) if len(set(column)) > 1]
+    found = [counted for column in columns if (counted := _counter(column)) is not None]
+    if not found and len(columns) == 1:
+        found = [counted for column in columns if (counted := _stamps(column)) is not None]
+    return max(found, key=lambda counted: bool(counted.missing), default=None)
+
+
+def _steps(texts: Sequence[str]) -> IntArray | None:
+    """Steps (F-1,) from number to number; None unless they ascend."""
+    if max(map(len, texts)) > MOST_DIGITS:
+        return None
+    steps = np.diff(np.array([int(text) for text in texts], dtype=np.int64))
+    return steps if steps.min() > 0 else None
+
+
+def _counter(texts: Sequence[str]) -> FrameNumbers | None:
+    steps = _steps(texts)
+    if steps is None:
+        return None
+    step = math.gcd(*steps.tolist())
+    if 2 * np.count_nonzero(steps == step) < len(steps):
+        return None
+    missing = []
+    for start, size in zip(texts[:-1], steps.tolist(), strict=True):
+        between = range(int(start) + step, int(start) + size, step)
+        if between:
+            ends = dict.fromkeys(f"{number:0{len(start)}d}" for number in (between[0], between[-1]))
+            missing.append(" to ".join(ends))
+    place = np.concatenate([[0], np.cumsum(steps // step)])
+    return FrameNumbers(place, texts[0], texts[-1], step, _listed(missing))
+
+
+def _stamps(texts: Sequence[str]) -> FrameNumbers | None:
+    """Count by a number that is a time, also one written as hhmmss and parts of a second."""
+    steps = _steps(texts)
+    if steps is None:
+        return None
+    interval = float(np.median(steps))
+    for jump in (base * 10**power for base in SEXAGESIMAL for power in range(MOST_DIGITS - 4)):
+        steps = np.where(np.abs(steps - jump - interval) <= NEAR * interval, np.int64(interval), steps)
+    return _counted_by_times(np.concatenate([[0.0], np.cumsum(steps, dtype=np.float64)]), 0.0, texts)
+
+
+def numbers_of_times(time_s: FloatArray, resolution_s: float) -> FrameNumbers | None:
+    """How frames at times (F,), rounded to a resolution, are counted; None where they have no common interval."""
+    if len(time_s) < 3 or np.diff(time_s).min() <= 0.0:
+        return None
+    return _counted_by_times(time_s, resolution_s, [f"{time:.6g} s" for time in time_s.tolist()])
+
+
+def _counted_by_times(time: FloatArray, resolution: float, written: Sequence[str]) -> FrameNumbers | None:
+    steps = np.diff(time)
+    interval = float(np.median(steps))
+    count = np.maximum(np.rint(steps / interval), 1.0)
+    if interval <= resolution or np.any(np.abs(steps - count * interval) > NEAR * interval + resolution):
+        return None
+    missing = [f"{int(count[k]) - 1} between {written[k]} and {written[k + 1]}" for k in np.flatnonzero(count > 1.0)]
+    place = np.concatenate([[0], np.cumsum(count.astype(np.int64))])
+    return FrameNumbers(place, written[0], written[-1], 1, _listed(missing), exact=False)
+
+
+def _listed(missing: Sequence[str]) -> str:
+    """The first of some missing numbers in words."""
+    more = f" and {len(missing) - SHOWN} more" if len(missing) > SHOWN else ""
+    return ", ".join(missing[:SHOWN]) + more

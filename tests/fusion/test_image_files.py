@@ -1,0 +1,154 @@
+"""What image files state, as a recording and its check use it: numbers of frames, orientation, black images."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+from contracts import refused
+
+from fusion.base import InputError
+from fusion.cli import main
+from fusion.phasors.stereo_motion import OpenImages, open_images
+from fusion.phasors.timing import tie_daqs
+from fusion.planning.check import check
+from fusion.recording.files import read_daqs
+from fusion.recording.load import load_manifest
+
+FRAMES = 24
+Named = Callable[[int], str | None]
+BOTH = ("left", "right")
+
+
+@pytest.fixture
+def run(tmp_path: Path, demo_recording: Path) -> Path:
+    """The demo's recording with one stereo pair, at hand to be changed."""
+    shutil.copytree(demo_recording, tmp_path / "demo")
+    folder = tmp_path / "demo" / "Fz-0080"
+    text = (folder / "recording.toml").read_text(encoding="utf-8")
+    (folder / "recording.toml").write_text(
+        re.sub(r'\[\[images\]\]\nstereo = "base".*?(?=\n\[\[|\Z)', "", text, flags=re.S)
+    )
+    return folder
+
+
+def renamed(run: Path, name: Named, sides: tuple[str, ...] = BOTH) -> None:
+    """Give the frames of the pair new names; what has none is lost."""
+    for side in sides:
+        files = sorted((run / f"top-{side}").glob("*.tif"))
+        moved = [file.rename(file.with_name(f"old-{file.name}")) for file in files]
+        for number, file in enumerate(moved):
+            new = name(number)
+            file.unlink() if new is None else file.rename(file.with_name(new))
+
+
+def stated(run: Path, line: str) -> None:
+    """Add a line to the images of the pair."""
+    path = run / "recording.toml"
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace('stereo = "top"\n', f'stereo = "top"\n{line}\n', 1), encoding="utf-8")
+
+
+def opened(run: Path) -> OpenImages:
+    manifest = load_manifest(run)
+    return open_images(manifest, tie_daqs(manifest, read_daqs(manifest)), manifest.images[0])
+
+
+def told(run: Path) -> str:
+    return " | ".join(notice.text for notice in opened(run).notices)
+
+
+@pytest.mark.parametrize(
+    ("name", "edges", "words"),
+    [
+        (lambda k: f"{k}.tif", range(FRAMES), ""),
+        (lambda k: f"f{1000 + k}.tif" if k not in (2, 9) else None, {*range(FRAMES)} - {2, 9}, "missing 1002, 1009"),
+        (lambda k: f"f{5 * k:04d}.tif", range(FRAMES), ""),
+        (lambda k: f"f{5 * k:04d}.tif" if k != 7 else None, {*range(FRAMES)} - {7}, "missing 0035"),
+        (lambda k: f"{10**9 + 26 * k + k % 3}.tif" if k != 7 else None, {*range(FRAMES)} - {7}, "missing 1 between"),
+    ],
+)
+def test_frames_are_exposed_by_the_edge_of_their_number(run, name, edges, words):
+    """The demo has as many edges as frames; the instants are those of the whole series."""
+    whole = opened(run).sight
+    renamed(run, name)
+    images = opened(run)
+    assert images.sight.edge.tolist() == sorted(edges)
+    np.testing.assert_array_equal(images.sight.time_s, whole.time_s[sorted(edges)])
+    assert (words in told(run)) if words else not told(run)
+    assert (words in str(check(load_manifest(run)))) if words else True
+
+
+def test_numbers_that_contradict_the_edges_or_each_other_are_refused(run):
+    renamed(run, lambda k: f"{k if k < 12 else k + 3:04d}.tif")
+    refused(
+        "top.trigger: expected an edge .* 27 .*found 24 edges and a gap .*missing 0012 to 0014",
+        opened,
+        run,
+        error=InputError,
+    )
+    renamed(run, lambda k: f"{k:04d}.tif" if k != 4 else None, ("left",))
+    renamed(run, lambda k: f"{k:04d}.tif" if k != 6 else None, ("right",))
+    refused("top.right: .*left: 0000 to 0023, missing 0004 and right: .*missing 0006", opened, run, error=InputError)
+
+
+def test_a_camera_that_begins_with_another_number_is_named(run):
+    renamed(run, lambda k: f"{k + 1:04d}.tif", ("right",))
+    assert "begin with 0000 (left) and 0001 (right)" in told(run)
+    renamed(run, lambda k: f"{k + 700:04d}.tif", ("right",))
+    assert not told(run)
+
+
+def test_numbers_that_count_by_two_ask_which_edges_have_frames(run):
+    renamed(run, lambda k: f"{k:04d}.tif" if k % 2 == 0 else None)
+    stated(run, "first_edge = 0")
+    refused("top.edge_step: expected 1, .* or 2, .*count by 2 and 24 edges", opened, run, error=InputError)
+    for step in (1, 2):
+        stated(run, f"edge_step = {step}")
+        assert opened(run).sight.edge.tolist() == list(range(0, 12 * step, step))
+        path = run / "recording.toml"
+        path.write_text(path.read_text(encoding="utf-8").replace(f"edge_step = {step}\n", ""), encoding="utf-8")
+
+
+def test_one_image_is_no_series(run):
+    text = (run / "recording.toml").read_text(encoding="utf-8")
+    for side in BOTH:
+        shutil.copy(run / f"top-{side}" / "0000.tif", run / f"{side}.tif")
+        text = text.replace(f'"top-{side}/*.tif"', f'"{side}.tif"')
+    (run / "recording.toml").write_text(text, encoding="utf-8")
+    refused("top.left: expected at least 3 frames, found 1 in left.tif", opened, run, error=InputError)
+
+
+def turned(path: Path, tag: int) -> None:
+    tifffile.imwrite(path, tifffile.imread(path), extratags=[(274, "H", 1, tag, True)], metadata=None)
+
+
+def test_a_tag_that_rotates_is_reported_and_one_that_mirrors_refused(run, capsys):
+    for path in (run / "top-left").glob("*.tif"):
+        turned(path, 3)
+    assert "orientation tag 3 (rotated by 180°) of 24 of 24" in told(run)
+    assert main(["check", str(run)]) == 0
+    assert "orientation tag 3" in capsys.readouterr().out
+    turned(run / "top-left" / "0003.tif", 4)
+    assert main(["check", str(run)]) == 2
+    assert "0003.tif: expected pixels as the sensor sees them, found orientation tag 4" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("sides", [("right",), BOTH])
+def test_black_images_are_named(run, sides, capsys):
+    """Other instruments of the demo see the load: `check` remarks, `run` leaves the pair out."""
+    rng = np.random.default_rng(2)
+    for side in sides:
+        for path in (run / f"top-{side}").glob("*.tif"):
+            tifffile.imwrite(path, rng.poisson(12.0, tifffile.imread(path).shape).astype(np.uint16))
+    report = check(load_manifest(run))
+    for side in sides:
+        assert any(f"images top: {side}: no pattern is seen: dark" in remark for remark in report.remarks)
+    assert report.problems == ()
+    assert main(["look", str(run)]) == 1
+    assert f"top {sides[0]}: no speckled body is seen: dark" in capsys.readouterr().out
