@@ -331,13 +331,15 @@ def _pixel_bits(path: Path, tag: bytes) -> int:
 
     Such a tag has the bits of a pixel or of a colour at its end, with the most significant byte first at its beginning.
     """
-    stated = max((size for size in (tag[0], tag[3]) if size < ord("0")), default=0)
+    coloured = any(name in tag for name in (b"RGB", b"BGR"))
+    sizes = [size for size in (tag[0], tag[3]) if size < ord("0") or size == 64 or (coloured and size == 48)]
+    stated = max(sizes, default=0)
     if tag == GREY_16:
         return 16
-    if tag[:3] in (b"RGB", b"BGR") and stated in (0, 24, 32):
+    if coloured and stated in (24, 32):
         return 8
     if stated >= FEWEST_DEEP:
-        name = "".join(chr(byte) for byte in tag if chr(byte).isalnum() and byte != stated)
+        name = "".join(chr(byte) for byte in tag if byte != stated).strip("\0")
         found = f"{stated} bits ({name}), of which its decoder keeps 8"
         raise ValueError(
             f"{path}: expected a film of 8 bits a pixel, or of 16 bits grey, found {found}; save TIFF files"

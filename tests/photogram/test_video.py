@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import struct
 import warnings
 from pathlib import Path
 
@@ -13,6 +15,7 @@ from contracts import refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from photogram.images import video
 from photogram.images.files import open_sequence
 from photogram.images.video import linear_12_of_10
 
@@ -168,3 +171,69 @@ def test_one_video_file_a_camera(tmp_path):
 def _junk(path: Path) -> Path:
     path.write_bytes(b"junk" * 100)
     return path
+
+
+def film(path: Path, frames: np.ndarray, codec: str = "FFV1", rate_hz: float = 25.0) -> Path:
+    """A grey film by OpenCV, of 16 bits where the frames have them."""
+    deep = frames.dtype == np.uint16
+    stated = [cv2.VIDEOWRITER_PROP_IS_COLOR, 0, cv2.VIDEOWRITER_PROP_DEPTH, cv2.CV_16U if deep else cv2.CV_8U]
+    code = cv2.VideoWriter.fourcc(*codec)
+    writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, code, rate_hz, frames.shape[:0:-1], stated)
+    if not writer.isOpened():
+        pytest.skip(f"OpenCV cannot write {codec} here")
+    for image in frames:
+        writer.write(image)
+    writer.release()
+    return path
+
+
+@pytest.mark.parametrize("suffix", ["mkv", "avi"])
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
+def test_films_keep_every_bit_that_is_stored(tmp_path, suffix, kind):
+    frames = RNG.integers(0, np.iinfo(kind).max, (5, 48, 64), dtype=kind)
+    sequence = open_sequence([film(tmp_path / f"a.{suffix}", frames)])
+    assert sequence.full_scale == np.iinfo(kind).max
+    for number in (3, 0, 4):
+        np.testing.assert_array_equal(sequence.read(number), frames[number])
+
+
+@pytest.mark.parametrize(
+    ("tag", "bits"), [(b"Y1\0\x0c", 12), (b"Y3\x0b\x0a", 10), (b"\x10\x001Y", 16), (b"RGB\x30", 48), (b"RGB\x0f", 15)]
+)
+def test_depths_that_the_decoder_would_cut_to_8_bits_are_refused(tag, bits):
+    """FFmpeg's tags of grey 12, YUV 4:2:0 10, grey 16 big-endian, RGB 48, and RGB 555."""
+    refused(f"a.mkv: expected .*found {bits} bits .*TIFF", video._pixel_bits, Path("a.mkv"), tag)
+    assert [video._pixel_bits(Path("a.mkv"), tag) for tag in (b"Y800", b"I420", b"BGR\0", b"RGB\x18", b"Y1\0\x10")] == [
+        8, 8, 8, 8, 16,
+    ]  # fmt: skip
+
+
+def test_frames_that_a_film_lacks_are_told_by_its_time_stamps(tmp_path):
+    """Matroska: a block's time is 2 bytes in ms after its track, here 40 ms later from frame 3."""
+    path = film(tmp_path / "a.mkv", RNG.integers(0, 255, (6, 48, 64), dtype=np.uint8))
+    assert open_sequence([path]).numbers.missing == ""
+    data = path.read_bytes()
+    for number in range(5, 2, -1):
+        old, new = (b"\x81" + struct.pack(">h", 40 * n) for n in (number, number + 1))
+        places = [found.start() for found in re.finditer(re.escape(old), data)]
+        assert len(places) == 1
+        data = data.replace(old, new)
+    path.write_bytes(data)
+    counted = open_sequence([path]).numbers
+    assert (counted.place.tolist(), counted.missing) == ([0, 1, 2, 4, 5, 6], "1 between 0.08 s and 0.16 s")
+
+
+@pytest.mark.parametrize(("matrix", "tag"), [((0, 1, -1, 0), 6), ((-1, 0, 0, -1), 3), ((0, -1, 1, 0), 8)])
+def test_a_film_is_not_rotated_for_display(tmp_path, matrix, tag):
+    """ISO 14496-12: the matrix a b u c d v x y w of the track's header, of 16.16 numbers, rotates what is shown."""
+    smooth = cv2.GaussianBlur(RNG.uniform(0, 255, (48, 64)), (0, 0), 4).astype(np.uint8)
+    path = film(tmp_path / "a.mp4", np.stack([smooth] * 3), "mp4v")
+    before = open_sequence([path])
+    plain = struct.pack(">9i", 1 << 16, 0, 0, 0, 1 << 16, 0, 0, 0, 1 << 30)
+    head, _, tail = path.read_bytes().rpartition(plain)
+    a, b, c, d = (value << 16 for value in matrix)
+    path.write_bytes(head + struct.pack(">9i", a, b, 0, c, d, 0, 0, 0, 1 << 30) + tail)
+    sequence = open_sequence([path])
+    assert sequence.size_px == (64, 48)
+    np.testing.assert_array_equal(sequence.read(1), before.read(1))
+    assert any(f"orientation tag {tag}" in notice.text for notice in sequence.notices)
