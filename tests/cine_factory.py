@@ -1,11 +1,13 @@
-"""Phantom cine files written field by field from the maker's description of the format, independent of the reader."""
+"""Phantom cine files, field by field from the maker's description and independent of the reader; films by OpenCV."""
 
 from __future__ import annotations
 
 import struct
 from pathlib import Path
 
+import cv2
 import numpy as np
+import pytest
 
 
 def cine_bytes(
@@ -62,4 +64,18 @@ def cine_bytes(
 def write_cine(path: Path, frames: np.ndarray, **options: object) -> Path:
     """Write a file and return its path."""
     path.write_bytes(cine_bytes(frames, **options))  # type: ignore[arg-type]
+    return path
+
+
+def write_film(path: Path, frames: np.ndarray, codec: str = "FFV1", rate_hz: float = 25.0) -> Path:
+    """A grey film by OpenCV, of 16 bits where the frames have them."""
+    deep = frames.dtype == np.uint16
+    stated = [cv2.VIDEOWRITER_PROP_IS_COLOR, 0, cv2.VIDEOWRITER_PROP_DEPTH, cv2.CV_16U if deep else cv2.CV_8U]
+    code = cv2.VideoWriter.fourcc(*codec)
+    writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, code, rate_hz, frames.shape[:0:-1], stated)
+    if not writer.isOpened():
+        pytest.skip(f"OpenCV cannot write {codec} here")
+    for image in frames:
+        writer.write(image)
+    writer.release()
     return path

@@ -41,7 +41,7 @@ from photogram.camera import FaceCamera, Rig, StereoRig
 from photogram.geometry import RigidTransform
 from photogram.images.files import open_sequence
 from photogram.images.numbering import numbers_of_names
-from photogram.images.sequence import GreyImage, ImageSequence
+from photogram.images.sequence import GreyImage, ImageSequence, copied_frames
 from shaker.arrays import BoolArray, FloatArray, Notice
 from shaker.lines.frequencies import Lines, find_lines
 from shaker.sine.aliasing import usable_lines
@@ -66,6 +66,7 @@ MAX_SATURATED = 0.02  # fraction of pixels at full scale above which a camera is
 SAME_EXPOSURE = 0.02  # relative difference of exposures that are told apart
 SAME_RATE = 0.01  # of frames on the camera's clock and of edges on that of a DAQ
 FEWEST_SOUGHT, SPARED, TIMES_UNKNOWNS = 24, 8, 2  # frames with subsets, at least: so many, a share, and by the lines
+MOST_NAMED = 5  # frames in a notice
 FEWEST_PLACES = 3  # on a body that tell where it is
 ALONE = (
     "one camera before a stated surface: how the body deforms, whether it lies on that surface, and whether the camera "
@@ -80,7 +81,8 @@ class OpenImages:
 
     `notices`: what the files do to the grey values, and what they say against the manifest.
     `depth_m`: nearest and farthest depth in the left camera where its body can be (`known_depth`), None if not known;
-    `modes`: of an elastic load, whose amplitudes they tell. `entry`: as the manifest states them.
+    `modes`: of an elastic load, whose amplitudes they tell. `entry`: as the manifest states them. `copied` (F,): frames
+    in which a camera has an earlier one again.
     """
 
     sight: Sight
@@ -91,6 +93,7 @@ class OpenImages:
     depth_m: tuple[float, float] | None
     modes: ModeShapes | None
     entry: Images
+    copied: BoolArray
 
     @property
     def left(self) -> ImageSequence:
@@ -189,8 +192,9 @@ def open_images(manifest: Manifest, base: TimeBase, entry: Images, already: Alre
     for (side, _), sequence in zip(entry.cameras, sequences, strict=True):
         with as_input_error(manifest.path, f"{key}.{side}"):
             first.append(sequence.read(0))
+    copied, copies = _copies(manifest, entry, sequences)
     pair = _without_calibration_share(sight.pair, rig)
-    told: list[AnyNotice] = [*remarks, *(told for images in sequences for told in images.notices)]
+    told: list[AnyNotice] = [*remarks, *copies, *(told for images in sequences for told in images.notices)]
     told += [told for images in sequences for told in _contradictions(sight, images)]
     x, y, *_ = entry.region or (0, 0)
     if x >= left.size_px[0] or y >= left.size_px[1]:
@@ -201,7 +205,25 @@ def open_images(manifest: Manifest, base: TimeBase, entry: Images, already: Alre
         from fusion.sensitivity.mode_shapes import mode_shapes
 
         modes = mode_shapes(load, sight.name)
-    return OpenImages(replace(sight, pair=pair), tuple(sequences), rig, first[0], tuple(told), known, modes, entry)
+    placed = replace(sight, pair=pair)
+    return OpenImages(placed, tuple(sequences), rig, first[0], tuple(told), known, modes, entry, copied)
+
+
+def _copies(manifest: Manifest, entry: Images, sequences: Sequence[ImageSequence]) -> tuple[BoolArray, list[Notice]]:
+    """Return the frames (F,) in which a camera has an earlier one again, and what is said of them."""
+    found = [copied_frames(images) for images in sequences]
+    copied, told = np.any(found, axis=0), list[Notice]()
+    for (side, _), images, own in zip(entry.cameras, sequences, found, strict=True):
+        if own.any():
+            names = ", ".join(Path(images.names[k]).name for k in np.flatnonzero(own)[:MOST_NAMED])
+            more = f" and {int(own.sum()) - MOST_NAMED} more" if own.sum() > MOST_NAMED else ""
+            text = f"{side}: copies of earlier frames, grey value by grey value: {names}{more}"
+            told.append(Notice("warning", f"{text}; these frames of the pair are left out", entry.stereo))
+    left = int(np.count_nonzero(~copied))
+    if left < MINIMUM_FRAMES:
+        found = f"{left} of {len(copied)}, since the others are copies of earlier frames, grey value by grey value"
+        raise InputError(manifest.path, f"images.{entry.stereo}", found, f"at least {MINIMUM_FRAMES} different frames")
+    return copied, told
 
 
 def _stated_exposure(manifest: Manifest, entry: Images, sequences: Sequence[ImageSequence]) -> float:
@@ -340,7 +362,8 @@ def _prepared(images: OpenImages, settings: Settings, lines: Lines | None) -> Bo
     if lines is not None:
         strongest = np.argsort(lines.multiple, kind="stable")  # mostly
         terms = sine_terms(images.sight.time_s, lines.frequency_hz[strongest])
-    known = KnownBody(images.depth_m, images.modes, any(images.sight.pair.row_time), terms)
+    rolls = any(images.sight.pair.row_time)
+    known = KnownBody(images.depth_m, images.modes, rolls, terms, images.copied if images.copied.any() else None)
     return prepare_body(*inputs, resolve_device(settings.device), known=known)
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import stat
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
@@ -13,11 +14,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import FloatArray, Notice, check_shape
+from photogram.arrays import BoolArray, FloatArray, Notice, check_shape
 from photogram.images.numbering import FrameNumbers
 
 GreyImage = NDArray[np.uint8 | np.uint16]
 MOST_PIXELS = 1 << 28  # of a picture
+GLIMPSE = 4096  # bytes of the pixels of a frame, as they are stored
 AHEAD = 2  # pictures that are read before they are asked for
 
 
@@ -61,7 +63,7 @@ class ImageHeader:
     """What a file says about its images without decoding them: size, bits of a grey value, how many, how compressed.
 
     `orientation`: TIFF or EXIF tag 274. `inverted`: 0 is white. `stack_at`: where the images of a stack with one
-    directory begin, in bytes.
+    directory begin, in bytes; `pixels_at`: where in the file some pixels of each image are, from its end if negative.
     """
 
     size_px: tuple[int, int]
@@ -71,6 +73,7 @@ class ImageHeader:
     orientation: int = 1
     inverted: bool = False
     stack_at: int | None = None
+    pixels_at: tuple[int, ...] = (-GLIMPSE,)
 
 
 @dataclass(frozen=True)
@@ -80,7 +83,7 @@ class ImageSequence:
     `reader` returns frame i as it stands in its file; `read` is the checked access to it. Where the files state them:
     `time_s` (F,) of the frames on the camera's own clock, from the first one on, the `exposure_s`, and the `numbers` of
     the frames, which tell where some are missing. `notices` tell what the files do to the grey values. With a larger
-    share than `most_saturated` at full scale a frame is refused.
+    share than `most_saturated` at full scale a frame is refused. `glimpse` returns some bytes of a frame as stored.
 
     >>> images = ImageSequence(("dark", "bright"), (640, 480), 255, lambda k: np.full((480, 640), 100 * k, np.uint8))
     >>> len(images), int(images.read(1).max())
@@ -96,6 +99,7 @@ class ImageSequence:
     notices: tuple[Notice, ...] = ()
     most_saturated: float = 1.0
     numbers: FrameNumbers | None = None
+    glimpse: Callable[[int], bytes] | None = None
 
     def __post_init__(self) -> None:
         if self.time_s is not None:
@@ -138,6 +142,32 @@ class ImageSequence:
                     yield waiting.popleft().result()
             finally:
                 reader.shutdown(cancel_futures=True)
+
+
+def copied_frames(images: ImageSequence) -> BoolArray:
+    """Which frames (F,) have every grey value of an earlier one: a grabber repeated it, since noise never does.
+
+    Only frames that look alike at a glimpse are read.
+
+    >>> grey = [np.full((4, 4), level, np.uint8) for level in (1, 2, 2)]
+    >>> copied_frames(ImageSequence(("a", "b", "c"), (4, 4), 255, lambda k: grey[k], glimpse=lambda k: b"")).tolist()
+    [False, False, True]
+    """
+    copied, seen = np.zeros(len(images), dtype=np.bool_), set[bytes]()
+    glimpses = [images.glimpse(number) for number in range(len(images))] if images.glimpse is not None else []
+    often = {glimpse for glimpse, count in Counter(glimpses).items() if count > 1}
+    for number in (number for number, glimpse in enumerate(glimpses) if glimpse in often):
+        content = hashlib.sha256(np.ascontiguousarray(images.read(number))).digest()
+        copied[number] = content in seen
+        seen.add(content)
+    return copied
+
+
+def bytes_at(path: Path, start: int) -> bytes:
+    """Return `GLIMPSE` bytes of a file from a place on, from its end for a negative one."""
+    with reading(path), path.open("rb") as file:
+        file.seek(start if start >= 0 else max(0, path.stat().st_size + start))
+        return file.read(GLIMPSE)
 
 
 def full_scale_of(path: Path, stored_bits: int, bit_depth: int | None) -> int:

@@ -70,7 +70,10 @@ def tiff_header(path: Path) -> ImageHeader:
         raise ValueError(f"{path}: expected a stack with a directory for each of its {count} images, found only one")
     if stack_at is not None and stack_at + count * least > length:
         raise ValueError(f"{path}: truncated, expected {count} images by its description, found fewer")
-    return ImageHeader((shape[1], shape[0]), bits, count, lossy, orientation, inverted, stack_at)
+    pixels_at = tuple(int(page.dataoffsets[len(page.dataoffsets) // 2]) for page in pages)
+    if stack_at is not None:
+        pixels_at = tuple(stack_at + least // 2 + least * page for page in range(count))
+    return ImageHeader((shape[1], shape[0]), bits, count, lossy, orientation, inverted, stack_at, pixels_at)
 
 
 def _stacked(path: Path, tiff: Any, pages: Sequence[Any]) -> tuple[int, int | None]:

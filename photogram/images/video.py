@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from photogram.arrays import FloatArray, Notice
 from photogram.images.numbering import numbers_of_times
 from photogram.images.orientation import ROTATED, orientation_notices
-from photogram.images.sequence import GreyImage, ImageSequence, check_pixels, full_scale_of, reading
+from photogram.images.sequence import GLIMPSE, GreyImage, ImageSequence, bytes_at, check_pixels, full_scale_of, reading
 
 LARGEST_HEADER = 4 << 20  # bytes of a .cih or .cihx, which are some ten thousand
 MOST_FRAMES = 1 << 21
@@ -101,7 +101,13 @@ def open_photron(header: Path, bit_depth: int | None) -> ImageSequence:
         # the XML gives the shutter as 1/s alone, the older header as "1/5000"
         exposure_s if exposure_s is None or exposure_s < 1.0 else 1.0 / exposure_s,
         notices,
+        glimpse=partial(_mraw_glimpse, path, size_px[0] * size_px[1] * stored_bits // 8),
     )
+
+
+def _mraw_glimpse(path: Path, size: int, index: int) -> bytes:
+    """Return some bytes of the pixels of frame `index`."""
+    return bytes_at(path, index * size + size // 2)
 
 
 def _stated(entries: dict[str, str], key: str) -> float | None:
@@ -170,6 +176,10 @@ class _Cine:
         """Of one frame."""
         pixels, bits = self.size_px[0] * self.size_px[1], {PACKED_10: 10, PACKED_12: 12}.get(self.packing)
         return pixels * (self.stored_bits if bits is None else bits) // 8
+
+    def glimpse(self, index: int) -> bytes:
+        """Return some bytes of the pixels of frame `index`."""
+        return bytes_at(self.path, int(self.offsets[index]) + self.bytes // 2)
 
     def read(self, index: int) -> GreyImage:
         """Return frame `index`; codes of 10 bits as the grey values of 12 bits that they stand for."""
@@ -249,7 +259,8 @@ def open_cine(path: Path, bit_depth: int | None) -> ImageSequence:
     if packing == PACKED_10:
         notices.append(Notice("info", "10 bits a pixel, companded: rounded to 0.1 % of full scale", str(path)))
     scale = full_scale_of(path, bits, bit_depth)
-    return ImageSequence(_names(path, frames), cine.size_px, scale, cine.read, time_s, exposure_s, tuple(notices))
+    names, told = _names(path, frames), tuple(notices)
+    return ImageSequence(names, cine.size_px, scale, cine.read, time_s, exposure_s, told, glimpse=cine.glimpse)
 
 
 def _tagged_blocks(file: Any, start: int, end: int) -> dict[int, bytes]:
@@ -362,9 +373,11 @@ def open_film(path: Path, bit_depth: int | None) -> ImageSequence:
         for key in (cv2.CAP_PROP_FOURCC, cv2.CAP_PROP_CODEC_PIXEL_FORMAT)
     )
     bits, turned = _pixel_bits(path, tag), int(capture.get(cv2.CAP_PROP_ORIENTATION_META)) % 360
-    stamps = []
+    stamps, rows = list[float](), list[bytes]()
     while capture.grab():
         stamps.append(1e-3 * capture.get(cv2.CAP_PROP_POS_MSEC))
+        there, image = capture.retrieve()
+        rows.append(np.asarray(image)[size_px[1] // 2].tobytes()[:GLIMPSE] if there else b"")
     capture.release()
     if not stamps:
         raise ValueError(f"{path}: expected frames, found none that can be decoded")
@@ -382,7 +395,9 @@ def open_film(path: Path, bit_depth: int | None) -> ImageSequence:
     numbers = numbers_of_times(time_s, STAMP_S)
     stated_s = time_s if numbers is None and np.ptp(np.diff(time_s)) > 2.0 * STAMP_S else None
     frames = _names(path, len(stamps))
-    return ImageSequence(frames, size_px, scale, film.read, stated_s, notices=notices, numbers=numbers)
+    return ImageSequence(
+        frames, size_px, scale, film.read, stated_s, notices=notices, numbers=numbers, glimpse=rows.__getitem__
+    )
 
 
 VIDEO_READERS: dict[str, Callable[[Path, int | None], ImageSequence]] = {

@@ -171,7 +171,7 @@ def body_motion(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> BodyMotion
     notices = (
         *tracked.told.notices,
         *remarks,
-        *_rigid_notices(sums, _of_frames(motion, tracked.frames), of_points, fits),
+        *_rigid_notices(sums, _of_frames(motion, tracked.frames), of_points, fits.missed(scene.body)),
     )
     return BodyMotion(
         motion=motion,
@@ -278,10 +278,10 @@ class _Fits(Arrays, shapes="pose F 6; covariance F 6 6; amplitude F S; amplitude
     amplitude: FloatArray
     amplitude_covariance: FloatArray
 
-    @property
-    def missed(self) -> int:
-        """How many later frames have none."""
-        return int(np.count_nonzero(~np.isfinite(self.pose[1:, 0])))
+    def missed(self, body: KnownBody) -> tuple[int, int]:
+        """How many of how many later frames have none, those that are absent not counted."""
+        later = [number for number in range(1, len(self.pose)) if not body.lacks(number)]
+        return int(np.count_nonzero(~np.isfinite(self.pose[later, 0]))), len(later)
 
     def merged(self, of_points: RigidMotion, frames: IntArray) -> RigidMotion:
         """The motion of points in some frames, replaced where there is a direct fit."""
@@ -390,7 +390,7 @@ def _joined(parts: Sequence[RigidMotion]) -> RigidMotion:
     return RigidMotion(pose, covariance, residual_m, points, parts[0].origin_m)
 
 
-def _rigid_notices(sums: _Sums, motion: RigidMotion, of_points: RigidMotion, fits: _Fits) -> list[Notice]:
+def _rigid_notices(sums: _Sums, motion: RigidMotion, of_points: RigidMotion, missed: tuple[int, int]) -> list[Notice]:
     """Warnings about points that move unlike a rigid body, frames without a direct fit, and one against the points."""
     texts = []
     known = np.isfinite(of_points.residual_m[1:])
@@ -401,10 +401,9 @@ def _rigid_notices(sums: _Sums, motion: RigidMotion, of_points: RigidMotion, fit
                 f"the points depart from a rigid motion by {1e6 * misfit:.1f} µm rms, {misfit / noise:.0f} times their "
                 "noise: the body bends, or parts of it move on their own"
             )
-    if fits.missed:
+    if missed[0]:
         texts.append(
-            f"in {fits.missed} of {len(fits.pose) - 1} frames the motion could not be fitted to the grey values; "
-            "its points count"
+            f"in {missed[0]} of {missed[1]} frames the motion could not be fitted to the grey values; its points count"
         )
     difference = (motion.pose - of_points.pose)[1:]
     both = np.isfinite(difference).all(axis=1)

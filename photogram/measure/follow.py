@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import chain, groupby
 from statistics import median
 
 import numpy as np
@@ -66,20 +66,26 @@ the direct fit, None for none."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class KnownBody(Arrays, shapes="terms F m"):
+class KnownBody(Arrays, shapes="terms F m; absent F"):
     """What is known of a body before it is seen.
 
     `depth_m`: nearest and farthest depth in the left camera at which it can be, where its pattern may repeat. `shapes`:
     in which it may deform, `PlainShapes` where none are known. `rolls`: rows of its pictures are exposed one after the
     other, so that they show no rigid body before its motion is known: subsets alone are followed. `terms` (F, m): of
     which its motion over the frames is mostly a sum (`sine_terms`), those that matter most first; None if unknown. They
-    foretell where it is, and take no part in what is measured.
+    foretell where it is, and take no part in what is measured. `absent` (F,): frames that show nothing of their own
+    instant, which are not looked at; None for none.
     """
 
     depth_m: DepthRange | None = None
     shapes: Shapes | None = None
     rolls: bool = False
     terms: FloatArray | None = None
+    absent: BoolArray | None = None
+
+    def lacks(self, number: int) -> bool:
+        """Whether a frame is absent."""
+        return self.absent is not None and bool(self.absent[number])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -190,6 +196,16 @@ def in_turn(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> Iterator[Follo
 
 
 def _found(course: Course, frames: range, device: str) -> Iterator[FollowedFrame]:
+    """The body and its subsets in some frames in turn, nothing in those that are absent."""
+    for absent, group in groupby(frames, course.scene.body.lacks):
+        numbers = list(group)
+        if absent:
+            yield from (course.took(None, None) for _ in numbers)
+        else:
+            yield from _found_in(course, range(numbers[0], numbers[-1] + 1), device)
+
+
+def _found_in(course: Course, frames: range, device: str) -> Iterator[FollowedFrame]:
     """The body and its subsets in some frames in turn; on a GPU together as far as they are foretold."""
     if device != "cpu" and not course.scene.body.rolls:
         from photogram.measure.follow_torch import found_together
@@ -341,6 +357,9 @@ def _with_noise(scene: BodyScene, progress: Progress | None) -> BodyScene:
     """The scene with the noise models of the first frame that can be fitted, and what was found up to it."""
     sides = followers(scene)
     for number in range(1, 1 if scene.body.rolls else len(scene.images[0])):
+        if scene.body.lacks(number):
+            scene = replace(scene, lead=(*scene.lead, (None, None)))
+            continue
         images = [one.read(number) for one in scene.images]
         splines = tuple(spline_of_image(image, scene.settings.degree) for image in images)
         seen = zip(sides, images, splines, strict=True)

@@ -12,9 +12,9 @@ import pytest
 import tifffile
 from contracts import refused
 
-from fusion.base import InputError
+from fusion.base import InputError, Settings, no_progress
 from fusion.cli import main
-from fusion.phasors.stereo_motion import OpenImages, open_images
+from fusion.phasors.stereo_motion import OpenImages, measure_images, open_images
 from fusion.phasors.timing import tie_daqs
 from fusion.planning.check import check
 from fusion.recording.files import read_daqs
@@ -152,3 +152,24 @@ def test_black_images_are_named(run, sides, capsys):
     assert report.problems == ()
     assert main(["look", str(run)]) == 1
     assert f"top {sides[0]}: no speckled body is seen: dark" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("sides", "copies"), [(BOTH, {3: 2, 8: 7}), (("right",), {1: 0}), (BOTH, dict.fromkeys(range(6, 24), 5))]
+)
+def test_copies_of_earlier_frames_are_named_and_take_no_part(run, sides, copies):
+    for side in sides:
+        for number, earlier in copies.items():
+            shutil.copy(run / f"top-{side}" / f"{earlier:04d}.tif", run / f"top-{side}" / f"{number:04d}.tif")
+    images = opened(run)
+    assert np.flatnonzero(images.copied).tolist() == sorted(copies)
+    assert [notice.text.partition(":")[0] for notice in images.notices] == list(sides)
+    assert f"{min(copies):04d}.tif" in told(run)
+    pose = measure_images(images, Settings(), no_progress).motion.pose
+    assert np.flatnonzero(~np.isfinite(pose).all(axis=1)).tolist() == sorted(copies)
+
+
+def test_a_frozen_camera_is_refused(run):
+    for number in range(2, FRAMES):
+        shutil.copy(run / "top-left" / "0001.tif", run / "top-left" / f"{number:04d}.tif")
+    refused("images.top: expected at least 3 different frames, found 2 of 24", opened, run, error=InputError)

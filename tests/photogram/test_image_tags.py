@@ -10,10 +10,12 @@ import cv2
 import numpy as np
 import pytest
 import tifffile
+from cine_factory import write_cine, write_film
 from contracts import refused
 
 from photogram.images.files import open_sequence, read_picture
 from photogram.images.orientation import orientation_notices, orientations
+from photogram.images.sequence import copied_frames
 
 RNG = np.random.default_rng(8)
 GREY = RNG.integers(0, 1000, (12, 18), dtype=np.uint16)
@@ -194,3 +196,28 @@ def test_files_in_which_0_is_white_are_read_as_grey_values(tmp_path, kind, optio
     tifffile.imwrite(tmp_path / "black.tif", grey, photometric="minisblack")
     refused("black.tif: expected 0 to be white", open_sequence, [tmp_path / "white.tif", tmp_path / "black.tif"])
     refused("white.tif: .*MINISWHITE", open_sequence, [tmp_path / "white.tif"], 7)
+
+
+@pytest.mark.parametrize(
+    "name", ["files.tif", "files.png", "files.bmp", "pages.tif", "stack.tif", "video.cine", "film.mkv"]
+)
+def test_a_frame_that_is_there_twice_is_found_in_every_container(tmp_path, name):
+    """Frame 3 is frame 2 again, and frame 5 frame 0; the others have the same pixels for the most part."""
+    frames = np.repeat(RNG.integers(0, 250, (1, 48, 64), dtype=np.uint8), 6, axis=0)
+    frames[:, 40:44] = RNG.integers(0, 250, (6, 4, 64), dtype=np.uint8)
+    frames[3], frames[5] = frames[2], frames[0]
+    path = tmp_path / name
+    paths = [path]
+    if name.startswith("files"):
+        paths = [path.with_stem(f"{number}") for number in range(6)]
+        for one, grey in zip(paths, frames, strict=True):
+            cv2.imwrite(str(one), grey)
+    elif name == "pages.tif":
+        tifffile.imwrite(path, frames, photometric="minisblack", compression="zlib")
+    elif name == "stack.tif":
+        one_directory(path, frames, "ImageJ=1.53t\nimages=6\n")
+    elif name == "video.cine":
+        write_cine(path, frames, bits=8)
+    else:
+        write_film(path, frames)
+    assert np.flatnonzero(copied_frames(open_sequence(paths))).tolist() == [3, 5]

@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from cine_factory import cine_bytes, write_cine
+from cine_factory import cine_bytes, write_cine, write_film
 from contracts import refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -173,25 +173,11 @@ def _junk(path: Path) -> Path:
     return path
 
 
-def film(path: Path, frames: np.ndarray, codec: str = "FFV1", rate_hz: float = 25.0) -> Path:
-    """A grey film by OpenCV, of 16 bits where the frames have them."""
-    deep = frames.dtype == np.uint16
-    stated = [cv2.VIDEOWRITER_PROP_IS_COLOR, 0, cv2.VIDEOWRITER_PROP_DEPTH, cv2.CV_16U if deep else cv2.CV_8U]
-    code = cv2.VideoWriter.fourcc(*codec)
-    writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, code, rate_hz, frames.shape[:0:-1], stated)
-    if not writer.isOpened():
-        pytest.skip(f"OpenCV cannot write {codec} here")
-    for image in frames:
-        writer.write(image)
-    writer.release()
-    return path
-
-
 @pytest.mark.parametrize("suffix", ["mkv", "avi"])
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16])
 def test_films_keep_every_bit_that_is_stored(tmp_path, suffix, kind):
     frames = RNG.integers(0, np.iinfo(kind).max, (5, 48, 64), dtype=kind)
-    sequence = open_sequence([film(tmp_path / f"a.{suffix}", frames)])
+    sequence = open_sequence([write_film(tmp_path / f"a.{suffix}", frames)])
     assert sequence.full_scale == np.iinfo(kind).max
     for number in (3, 0, 4):
         np.testing.assert_array_equal(sequence.read(number), frames[number])
@@ -210,7 +196,7 @@ def test_depths_that_the_decoder_would_cut_to_8_bits_are_refused(tag, bits):
 
 def test_frames_that_a_film_lacks_are_told_by_its_time_stamps(tmp_path):
     """Matroska: a block's time is 2 bytes in ms after its track, here 40 ms later from frame 3."""
-    path = film(tmp_path / "a.mkv", RNG.integers(0, 255, (6, 48, 64), dtype=np.uint8))
+    path = write_film(tmp_path / "a.mkv", RNG.integers(0, 255, (6, 48, 64), dtype=np.uint8))
     assert open_sequence([path]).numbers.missing == ""
     data = path.read_bytes()
     for number in range(5, 2, -1):
@@ -227,7 +213,7 @@ def test_frames_that_a_film_lacks_are_told_by_its_time_stamps(tmp_path):
 def test_a_film_is_not_rotated_for_display(tmp_path, matrix, tag):
     """ISO 14496-12: the matrix a b u c d v x y w of the track's header, of 16.16 numbers, rotates what is shown."""
     smooth = cv2.GaussianBlur(RNG.uniform(0, 255, (48, 64)), (0, 0), 4).astype(np.uint8)
-    path = film(tmp_path / "a.mp4", np.stack([smooth] * 3), "mp4v")
+    path = write_film(tmp_path / "a.mp4", np.stack([smooth] * 3), "mp4v")
     before = open_sequence([path])
     plain = struct.pack(">9i", 1 << 16, 0, 0, 0, 1 << 16, 0, 0, 0, 1 << 30)
     head, _, tail = path.read_bytes().rpartition(plain)
