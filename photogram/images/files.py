@@ -77,16 +77,16 @@ def open_sequence(paths: Sequence[str | Path], bit_depth: int | None = None) -> 
         raise ValueError(f"{files[0]}: expected grey values up to {full_scale} that count up from black, found {found}")
     if first.pages > 1:
         names = tuple(f"{files[0]}[{page}]" for page in range(first.pages))
-        reader, places = partial(read_tiff, files[0], first), [(files[0], start) for start in first.pixels_at]
+        reader, places = partial(read_tiff, files[0], first), [(files[0], *place) for place in first.pixels_at]
     else:
         names, reader = tuple(str(path) for path in files), partial(_read_file, files, first)
-        places = [(path, header.pixels_at[0]) for path, header in zip(files, headers, strict=True)]
+        places = [(path, *header.pixels_at[0]) for path, header in zip(files, headers, strict=True)]
     numbers = numbers_of_names([path.name for path in files])
     notices, glimpse = _header_notices(files, headers), partial(_glimpse, places)
     return ImageSequence(names, first.size_px, full_scale, reader, notices=notices, numbers=numbers, glimpse=glimpse)
 
 
-def _glimpse(places: Sequence[tuple[Path, int]], index: int) -> bytes:
+def _glimpse(places: Sequence[tuple[Path, int, int]], index: int) -> bytes:
     """Return some bytes of the pixels of image `index`."""
     return bytes_at(*places[index])
 

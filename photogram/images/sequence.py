@@ -63,7 +63,8 @@ class ImageHeader:
     """What a file says about its images without decoding them: size, bits of a grey value, how many, how compressed.
 
     `orientation`: TIFF or EXIF tag 274. `inverted`: 0 is white. `stack_at`: where the images of a stack with one
-    directory begin, in bytes; `pixels_at`: where in the file some pixels of each image are, from its end if negative.
+    directory begin, in bytes; `pixels_at`: where some pixels of each image are, and their bytes, from the end of the
+    file for a negative place.
     """
 
     size_px: tuple[int, int]
@@ -73,7 +74,7 @@ class ImageHeader:
     orientation: int = 1
     inverted: bool = False
     stack_at: int | None = None
-    pixels_at: tuple[int, ...] = (-GLIMPSE,)
+    pixels_at: tuple[tuple[int, int], ...] = ((-GLIMPSE, GLIMPSE),)
 
 
 @dataclass(frozen=True)
@@ -163,11 +164,11 @@ def copied_frames(images: ImageSequence) -> BoolArray:
     return copied
 
 
-def bytes_at(path: Path, start: int) -> bytes:
-    """Return `GLIMPSE` bytes of a file from a place on, from its end for a negative one."""
+def bytes_at(path: Path, start: int, size: int) -> bytes:
+    """Return at most `GLIMPSE` of some bytes of a file from a place on, from its end for a negative one."""
     with reading(path), path.open("rb") as file:
         file.seek(start if start >= 0 else max(0, path.stat().st_size + start))
-        return file.read(GLIMPSE)
+        return file.read(min(size, GLIMPSE))
 
 
 def full_scale_of(path: Path, stored_bits: int, bit_depth: int | None) -> int:

@@ -70,10 +70,11 @@ def tiff_header(path: Path) -> ImageHeader:
         raise ValueError(f"{path}: expected a stack with a directory for each of its {count} images, found only one")
     if stack_at is not None and stack_at + count * least > length:
         raise ValueError(f"{path}: truncated, expected {count} images by its description, found fewer")
-    pixels_at = tuple(int(page.dataoffsets[len(page.dataoffsets) // 2]) for page in pages)
+    middle = [len(page.dataoffsets) // 2 for page in pages]
+    pixels_at = [(page.dataoffsets[at], page.databytecounts[at]) for page, at in zip(pages, middle, strict=True)]
     if stack_at is not None:
-        pixels_at = tuple(stack_at + least // 2 + least * page for page in range(count))
-    return ImageHeader((shape[1], shape[0]), bits, count, lossy, orientation, inverted, stack_at, pixels_at)
+        pixels_at = [(stack_at + least // 2 + least * page, least // 2) for page in range(count)]
+    return ImageHeader((shape[1], shape[0]), bits, count, lossy, orientation, inverted, stack_at, tuple(pixels_at))
 
 
 def _stacked(path: Path, tiff: Any, pages: Sequence[Any]) -> tuple[int, int | None]:

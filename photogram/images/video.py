@@ -107,7 +107,7 @@ def open_photron(header: Path, bit_depth: int | None) -> ImageSequence:
 
 def _mraw_glimpse(path: Path, size: int, index: int) -> bytes:
     """Return some bytes of the pixels of frame `index`."""
-    return bytes_at(path, index * size + size // 2)
+    return bytes_at(path, index * size + size // 2, size // 2)
 
 
 def _stated(entries: dict[str, str], key: str) -> float | None:
@@ -179,7 +179,7 @@ class _Cine:
 
     def glimpse(self, index: int) -> bytes:
         """Return some bytes of the pixels of frame `index`."""
-        return bytes_at(self.path, int(self.offsets[index]) + self.bytes // 2)
+        return bytes_at(self.path, int(self.offsets[index]) + self.bytes // 2, self.bytes // 2)
 
     def read(self, index: int) -> GreyImage:
         """Return frame `index`; codes of 10 bits as the grey values of 12 bits that they stand for."""
