@@ -39,6 +39,7 @@ from fusion.recording.values import FILE, Surface
 from photogram.calibration.file import read_calibration, read_camera
 from photogram.camera import FaceCamera, Rig, StereoRig
 from photogram.geometry import RigidTransform
+from photogram.images.exposure import clip_level, mosaic_contrast
 from photogram.images.files import open_sequence
 from photogram.images.numbering import numbers_of_names
 from photogram.images.sequence import GreyImage, ImageSequence, copied_frames
@@ -173,7 +174,7 @@ def open_images(manifest: Manifest, base: TimeBase, entry: Images, already: Alre
     for side, paths in entry.cameras:
         with as_input_error(manifest.path, f"{key}.{side}"):
             sequence = opened.get((paths, entry.bit_depth)) or open_sequence(paths, entry.bit_depth)
-            sequences.append(replace(sequence, most_saturated=MAX_SATURATED))
+            sequences.append(sequence)
     left = sequences[0]
     for other in sequences[1:]:
         if len(left) != len(other):
@@ -189,9 +190,10 @@ def open_images(manifest: Manifest, base: TimeBase, entry: Images, already: Alre
     sight = see(manifest, base, entry, place, max(images.size_px[1] for images in sequences))
     rig = read_rig(sight.pair, sequences)
     first = []
-    for (side, _), sequence in zip(entry.cameras, sequences, strict=True):
+    for number, (side, _) in enumerate(entry.cameras):
         with as_input_error(manifest.path, f"{key}.{side}"):
-            first.append(sequence.read(0))
+            first.append(sequences[number].read(0))
+            sequences[number] = _examined(sequences[number], first[number])
     copied, copies = _copies(manifest, entry, sequences)
     pair = _without_calibration_share(sight.pair, rig)
     told: list[AnyNotice] = [*remarks, *copies, *(told for images in sequences for told in images.notices)]
@@ -207,6 +209,27 @@ def open_images(manifest: Manifest, base: TimeBase, entry: Images, already: Alre
         modes = mode_shapes(load, sight.name)
     placed = replace(sight, pair=pair)
     return OpenImages(placed, tuple(sequences), rig, first[0], tuple(told), known, modes, entry, copied)
+
+
+def _examined(images: ImageSequence, first: GreyImage) -> ImageSequence:
+    """Return a camera's images with what the first one shows of it: where it clips, and whether it has colours."""
+    images, level = replace(images, most_saturated=MAX_SATURATED), clip_level(first)
+    if level is not None and level < images.full_scale:
+        share = 100.0 * np.count_nonzero(first == level) / first.size
+        text = (
+            f"the sensor clips at {level}, below full scale {images.full_scale}: {share:.2g} % of the pixels of the "
+            "first image are saturated. These pixels are left out; use less light or a shorter exposure"
+        )
+        images = replace(images, clips_at=level, notices=(*images.notices, Notice("warning", text, images.names[0])))
+    images.check(0, first)
+    colours = mosaic_contrast(first)
+    if colours:
+        text = (
+            f"neighbouring pixels differ by {100.0 * colours:.2g} % in a pattern of 2 x 2, as in the raw mosaic of a "
+            "colour camera. The pattern counts as texture and biases positions. Use a monochrome camera or one colour"
+        )
+        images = replace(images, notices=(*images.notices, Notice("warning", text, images.names[0])))
+    return images
 
 
 def _copies(manifest: Manifest, entry: Images, sequences: Sequence[ImageSequence]) -> tuple[BoolArray, list[Notice]]:

@@ -1,4 +1,4 @@
-"""What the grey values of one image show of its exposure: dark, overexposed, or without any pattern."""
+"""What the grey values of one image show of its exposure: dark, overexposed, clipped, or without any pattern."""
 
 from __future__ import annotations
 
@@ -14,6 +14,9 @@ FEWEST_TILE_PX = 8
 LEAST_CORRELATION = 0.05
 """Of diagonal neighbours: 0.25 for speckle of 2 px, 0 ± 0.005 for the noise of 200 x 200 px."""
 DARK = 0.1  # brightest pixels over full scale
+TAIL, PILE = 3, 1.5  # grey values below the largest one; how many times the most frequent of them it is
+LEAST_MOSAIC = 0.04  # difference of colours; amplifiers of even and odd columns differ by less
+LEAST_CLIPPED = 2e-4  # share of the pixels
 BRIGHT = 0.5  # share of the pixels at the largest grey value
 
 
@@ -51,6 +54,49 @@ def without_pattern(image: NDArray[Any], full_scale: int) -> str:
             f"overexposed, {100.0 * share:.3g} % of its pixels have the largest grey value {brightest}, nothing is seen"
         )
     return f"uniform, 98 % of its grey values are {low} to {high} of {full_scale}, nothing but noise is seen"
+
+
+def clip_level(image: NDArray[Any]) -> int | None:
+    """Return the largest grey value of an image (H,W) if the sensor cuts off what is brighter; None if it does not.
+
+    The grey values of an image thin out towards the largest one. Those that are cut off pile up there.
+
+    >>> rng = np.random.default_rng(1)
+    >>> grey = rng.normal(400.0, 50.0, (240, 320)).astype(np.uint16)
+    >>> clip_level(grey), clip_level(np.minimum(grey, 500))
+    (None, 500)
+    """
+    counts = np.bincount(image.ravel())
+    counts = counts[counts > 0]  # shifted values leave codes out
+    if len(counts) <= TAIL or counts[-1] < LEAST_CLIPPED * image.size:
+        return None
+    return int(image.max()) if counts[-1] > PILE * counts[-1 - TAIL : -1].max() else None
+
+
+def mosaic_contrast(image: NDArray[Any]) -> float:
+    """By how much pixels of a colour mosaic differ, relative to the mean; 0 for an image (H,W) without such a mosaic.
+
+    In every square of 2 x 2 px, two of a diagonal are alike (green), and at least one of the others is not. Amplifiers
+    of single rows or columns make both diagonals differ.
+
+    >>> grey = np.random.default_rng(1).normal(200.0, 5.0, (64, 64))
+    >>> mosaic = grey * np.tile([[1.0, 0.6], [0.5, 1.0]], (32, 32))
+    >>> mosaic_contrast(grey), round(mosaic_contrast(mosaic), 1)
+    (0.0, 0.6)
+    """
+    rows, columns = (length // 2 * 2 for length in image.shape)
+    if min(rows, columns) < 2:
+        return 0.0
+    level = [[float(image[row:rows:2, column:columns:2].mean()) for column in (0, 1)] for row in (0, 1)]
+    mean = float(np.mean(level))
+    if mean <= 0.0:
+        return 0.0
+    diagonals = ((level[0][0], level[1][1]), (level[0][1], level[1][0]))
+    for green, others in (diagonals, diagonals[::-1]):
+        alike, apart = abs(green[0] - green[1]) / mean, max(abs(np.mean(green) - other) for other in others) / mean
+        if apart > LEAST_MOSAIC and alike < 0.2 * apart:
+            return float(apart)
+    return 0.0
 
 
 def _levelled(tiles: FloatArray) -> FloatArray:

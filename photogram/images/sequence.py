@@ -84,7 +84,8 @@ class ImageSequence:
     `reader` returns frame i as it stands in its file; `read` is the checked access to it. Where the files state them:
     `time_s` (F,) of the frames on the camera's own clock, from the first one on, the `exposure_s`, and the `numbers` of
     the frames, which tell where some are missing. `notices` tell what the files do to the grey values. With a larger
-    share than `most_saturated` at full scale a frame is refused. `glimpse` returns some bytes of a frame as stored.
+    share than `most_saturated` of saturated pixels a frame is refused; `clips_at` is where the sensor cuts grey values
+    off below full scale. `glimpse` returns some bytes of a frame as stored.
 
     >>> images = ImageSequence(("dark", "bright"), (640, 480), 255, lambda k: np.full((480, 640), 100 * k, np.uint8))
     >>> len(images), int(images.read(1).max())
@@ -101,6 +102,7 @@ class ImageSequence:
     most_saturated: float = 1.0
     numbers: FrameNumbers | None = None
     glimpse: Callable[[int], bytes] | None = None
+    clips_at: int | None = None
 
     def __post_init__(self) -> None:
         if self.time_s is not None:
@@ -109,9 +111,19 @@ class ImageSequence:
     def __len__(self) -> int:
         return len(self.names)
 
+    @property
+    def saturation(self) -> int:
+        """Grey value from which on pixels are saturated."""
+        return self.full_scale if self.clips_at is None else self.clips_at
+
     def read(self, index: int) -> GreyImage:
         """Frame `index` as (H,W) uint8 or uint16 with every bit that the file has."""
         image = self.reader(index)
+        self.check(index, image)
+        return image
+
+    def check(self, index: int, image: GreyImage) -> None:
+        """Raise `ValueError` for an image that frame `index` cannot be, or that is saturated."""
         name, (width, height) = self.names[index], self.size_px
         if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
             raise ValueError(f"{name}: expected a grey image of 8 or 16 bit, found {image.dtype} {image.shape}")
@@ -123,12 +135,14 @@ class ImageSequence:
             raise ValueError(
                 f"{name}: expected grey values up to {self.full_scale} (bit depth {bits}), found {brightest}"
             )
-        if brightest == self.full_scale and self.most_saturated < 1.0:
-            share = np.count_nonzero(image == brightest) / image.size
+        if brightest >= self.saturation and self.most_saturated < 1.0:
+            share = np.count_nonzero(image >= self.saturation) / image.size
             if share > self.most_saturated:
-                found = f"{100 * share:.1f} % of its pixels at full scale {brightest}"
+                where = f"full scale {brightest}"
+                if self.clips_at is not None:
+                    where = f"{self.clips_at}, where the sensor clips (full scale is {self.full_scale})"
+                found = f"{100 * share:.1f} % of its pixels at {where}"
                 raise ValueError(f"{name}: expected an image that is not saturated, found {found}")
-        return image
 
     def read_ahead(self, frames: Iterable[int]) -> Iterator[GreyImage]:
         """Yield frames in turn; the next ones are read from the disk while the last one is worked on."""

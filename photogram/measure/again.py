@@ -168,7 +168,7 @@ class Again(Arrays):
             if not swing.blurs:
                 targets.append(spline_of_image(image, scene.settings.degree))
             else:
-                model, full = (UNIFORM if scene.noise is None else scene.noise[side]), scene.images[side].full_scale
+                model, full = (UNIFORM if scene.noise is None else scene.noise[side]), scene.images[side].saturation
                 reference = self._blurred(side, scene.first[side], rest, (number, moved))
                 references.append(spline_of_image(reference, scene.settings.degree))
                 targets.append(spline_of_image(self._blurred(side, image, moved, (0, rest)), scene.settings.degree))

@@ -148,7 +148,7 @@ def body_motion(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> BodyMotion
     quality, remarks = None, list[Notice]()
     if noise is not None:
         sides = zip(references, scene.first, noise, scene.images, strict=True)
-        quality = tuple(assess(reference, first, own, side.full_scale) for reference, first, own, side in sides)
+        quality = tuple(assess(reference, first, own, side.saturation) for reference, first, own, side in sides)
         named = zip(("left camera", "right camera"), quality, strict=False)
         remarks = [notice for where, told in named for notice in told.notices(where)]
     shared = None

@@ -348,7 +348,7 @@ def elsewhere(warp: FloatArray, start: FloatArray | None) -> BoolArray:
 def followers(scene: BodyScene) -> tuple[Follower, ...]:
     """Return what finds the subsets of each camera."""
     return tuple(
-        Follower(reference, first, images.full_scale, scene.settings)
+        Follower(reference, first, images.saturation, scene.settings)
         for reference, first, images in zip(scene.references, scene.first, scene.images, strict=True)
     )
 
@@ -409,7 +409,7 @@ def body_views(scene: BodyScene, splines: Splines, most_px: float = np.inf) -> t
     """The body at rest in each camera, all pixels equally trusted, in cells as large as subsets or as they may be."""
     side_px, shapes = int(min(2 * scene.settings.radius_px + 1, max(LEAST_CELL_PX, most_px))), scene.shapes
     return tuple(
-        view_body(one.camera, (spline, area, float(images.full_scale)), one.points_m, side_px, UNIFORM, shapes)
+        view_body(one.camera, (spline, area, float(images.saturation)), one.points_m, side_px, UNIFORM, shapes)
         for one, spline, area, images in zip(scene.seen, splines, scene.grid.areas, scene.images, strict=True)
     )
 

@@ -138,7 +138,7 @@ class _Engine:
         found = grown(reference, registered(starts), registered)
         follower, brightest = self._course.sides[side], batch.raw[side].float().amax(dim=(1, 2)).cpu().numpy()
         for k, here in found.items():
-            if brightest[k] >= scene.images[side].full_scale:
+            if brightest[k] >= scene.images[side].saturation:
                 found[k] = follower.unsaturated(batch.images[k][side], here)
         warps, begun_at = (
             np.stack(arrays) for arrays in zip(*((found[k].warp, starts[k]) for k in found), strict=True)

@@ -174,7 +174,7 @@ def prepare_sequence(
     check_shape("points_px", points_px, (None, 2))
     first, spline = frame or first_frame(sequence, settings)
     reference = prepare_reference(spline, points_px, settings.radius_px, settings.shape_order)
-    return without_saturated(reference, first, sequence.full_scale)
+    return without_saturated(reference, first, sequence.saturation)
 
 
 def follow_sequence(
@@ -190,7 +190,7 @@ def follow_sequence(
     if wanted.start == 0:
         yield FollowedImage(first, spline_of_image(first, settings.degree), identity(reference))
     later = range(max(1, wanted.start), wanted.stop)
-    follower = Follower(reference, first, sequence.full_scale, settings)
+    follower = Follower(reference, first, sequence.saturation, settings)
     history = [identity(reference)] if later.start == 1 else []
     for number, image in zip(later, sequence.read_ahead(later), strict=True):
         target = spline_of_image(image, settings.degree)
@@ -242,7 +242,7 @@ def lay_stereo_grid(
     right_px = matched.position_px[0]
     kept = (matched.status[0] == TrackStatus.OK) & (subset_mean(areas[1], right_px, settings.radius_px) >= OVERLAP)
     for image, camera, centres in ((images[0], left, points), (images[1], right, right_px)):
-        kept &= ~saturated(image, camera.full_scale, centres, settings.radius_px)
+        kept &= ~saturated(image, camera.saturation, centres, settings.radius_px)
     notices: list[Notice] = []
     if rig is not None:
         distance, _, _ = epipolar_residual(rig, points, np.where(kept[:, None], right_px, np.nan))
@@ -278,7 +278,7 @@ def lay_single_grid(images: ImageSequence, settings: TrackSettings, first: GreyI
     """
     _refuse_blank("left", images, first)
     area, points = _laid(images.names[0], first, settings)
-    kept = points[~saturated(first, images.full_scale, points, settings.radius_px)]
+    kept = points[~saturated(first, images.saturation, points, settings.radius_px)]
     if len(kept) < 3:
         raise BodyNotFound(
             f"left: expected a speckled body, found {len(kept)} unsaturated subsets in {images.names[0]}"

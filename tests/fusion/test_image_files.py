@@ -173,3 +173,19 @@ def test_a_frozen_camera_is_refused(run):
     for number in range(2, FRAMES):
         shutil.copy(run / "top-left" / "0001.tif", run / "top-left" / f"{number:04d}.tif")
     refused("images.top: expected at least 3 different frames, found 2 of 24", opened, run, error=InputError)
+
+
+@pytest.mark.parametrize(("share", "outcome"), [(0.3, "not saturated, found 3.* % of its pixels at"), (0.012, "")])
+def test_a_sensor_that_clips_below_full_scale_is_saturated_there(run, share, outcome):
+    limit = int(np.quantile(tifffile.imread(run / "top-left" / "0000.tif"), 1.0 - share))
+    for side in BOTH:
+        for path in (run / f"top-{side}").glob("*.tif"):
+            tifffile.imwrite(path, np.minimum(tifffile.imread(path), np.uint16(limit)), compression="zlib")
+    if outcome:
+        refused(
+            f"0000.tif: .*{outcome} {limit}, where the sensor clips .full scale is 1023", opened, run, error=InputError
+        )
+        return
+    images = opened(run)
+    assert [camera.clips_at for camera in images.cameras] == [limit, limit]
+    assert f"clips at {limit}, below full scale 1023" in told(run)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from photogram.images.exposure import without_pattern
+from photogram.images.exposure import clip_level, mosaic_contrast, without_pattern
 
 SHAPE = (300, 420)
 Y, X = np.mgrid[: SHAPE[0], : SHAPE[1]]
@@ -66,3 +66,29 @@ def test_a_pattern_is_seen_in_its_noise_and_without(name):
 
 def test_noise_alone_is_no_pattern_a_hundred_times_in_a_hundred():
     assert all(without_pattern(seen(level, seed), FULL) for seed in range(50) for level in (5.0, 400.0))
+
+
+@pytest.mark.parametrize("name", SHOWN)
+@pytest.mark.parametrize(("share", "codes"), [(0.4, 1), (0.02, 1), (0.02, 16)])
+def test_grey_values_that_the_sensor_cuts_off_pile_up(name, share, codes):
+    """Wherever below full scale, also where all grey values are multiples of 16 (12 bits in 16)."""
+    grey = seen(SHOWN[name]) * np.uint16(codes)
+    limit = int(np.quantile(grey[grey > grey.max() // 5], 1.0 - share))
+    assert clip_level(grey) is None
+    assert clip_level(np.minimum(grey, limit)) == limit
+
+
+def test_images_with_few_grey_values_are_not_judged():
+    assert clip_level(np.zeros(SHAPE, np.uint8)) is None
+    assert clip_level((seen(SHOWN["faint speckle"]) > 300).astype(np.uint8)) is None
+
+
+@pytest.mark.parametrize("name", SHOWN)
+def test_a_raw_mosaic_of_colours_is_known_by_its_diagonals(name):
+    light = SHOWN[name]
+    assert mosaic_contrast(seen(light)) == 0.0
+    columns = 1.0 + 0.06 * (X % 2)  # two amplifiers, for even and odd columns
+    assert mosaic_contrast(seen(light * columns)) == 0.0
+    for turned in range(4):
+        gains = np.rot90([[0.55, 1.0], [1.0, 0.7]], turned)
+        assert mosaic_contrast(seen(light * np.tile(gains, (150, 210)))) > 0.2

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fusion.planning.look.signals import Finding, Level
 from photogram.arrays import BoolArray, FloatArray
 from photogram.camera import StereoRig, epipolar_residual, triangulate
-from photogram.images.exposure import without_pattern
+from photogram.images.exposure import clip_level, without_pattern
 from photogram.images.sequence import GreyImage, ImageSequence
 from photogram.subsets.search import match_features
 from photogram.subsets.texture import default_radius_px, lay_grid, repeat_px, speckle_size, textured_area
@@ -59,10 +59,14 @@ def look_at_camera(where: str, images: ImageSequence) -> tuple[list[Finding], Ca
     if area.mean() < SMALL_AREA or len(inside) < 1000:
         found.append(Finding("wrong", where, "no speckled body is seen"))
         return found, None
-    full = float(np.mean(inside >= images.full_scale))
+    clipped = clip_level(first)
+    limit = images.full_scale if clipped is None else clipped
+    full, where_cut = float(np.mean(inside >= limit)), "" if clipped is None else f" at {limit} of {images.full_scale}"
     if full > SATURATED:
         level: Level = "wrong" if full > MUCH_SATURATED else "look"
-        found.append(Finding(level, where, f"overexposed: {100 * full:.2g} % of the body's pixels are saturated"))
+        found.append(
+            Finding(level, where, f"overexposed: {100 * full:.2g} % of the body's pixels are saturated{where_cut}")
+        )
     if float(inside.std()) < LOW_CONTRAST * images.full_scale:
         share = 100 * float(inside.std()) / images.full_scale
         found.append(Finding("look", where, f"low contrast: speckle is {share:.2g} % of full scale (rms)"))
