@@ -39,7 +39,7 @@ from fusion.recording.values import FILE, Surface
 from photogram.calibration.file import read_calibration, read_camera
 from photogram.camera import FaceCamera, Rig, StereoRig
 from photogram.geometry import RigidTransform
-from photogram.images.exposure import clip_level, mosaic_contrast
+from photogram.images.exposure import examined
 from photogram.images.files import open_sequence
 from photogram.images.numbering import numbers_of_names
 from photogram.images.sequence import GreyImage, ImageSequence, copied_frames
@@ -193,7 +193,7 @@ def open_images(manifest: Manifest, base: TimeBase, entry: Images, already: Alre
     for number, (side, _) in enumerate(entry.cameras):
         with as_input_error(manifest.path, f"{key}.{side}"):
             first.append(sequences[number].read(0))
-            sequences[number] = _examined(sequences[number], first[number])
+            sequences[number] = examined(replace(sequences[number], most_saturated=MAX_SATURATED), first[number])
     copied, copies = _copies(manifest, entry, sequences)
     pair = _without_calibration_share(sight.pair, rig)
     told: list[AnyNotice] = [*remarks, *copies, *(told for images in sequences for told in images.notices)]
@@ -211,27 +211,6 @@ def open_images(manifest: Manifest, base: TimeBase, entry: Images, already: Alre
     return OpenImages(placed, tuple(sequences), rig, first[0], tuple(told), known, modes, entry, copied)
 
 
-def _examined(images: ImageSequence, first: GreyImage) -> ImageSequence:
-    """Return a camera's images with what the first one shows of it: where it clips, and whether it has colours."""
-    images, level = replace(images, most_saturated=MAX_SATURATED), clip_level(first)
-    if level is not None and level < images.full_scale:
-        share = 100.0 * np.count_nonzero(first == level) / first.size
-        text = (
-            f"the sensor clips at {level}, below full scale {images.full_scale}: {share:.2g} % of the pixels of the "
-            "first image are saturated. These pixels are left out; use less light or a shorter exposure"
-        )
-        images = replace(images, clips_at=level, notices=(*images.notices, Notice("warning", text, images.names[0])))
-    images.check(0, first)
-    colours = mosaic_contrast(first)
-    if colours:
-        text = (
-            f"neighbouring pixels differ by {100.0 * colours:.2g} % in a pattern of 2 x 2, as in the raw mosaic of a "
-            "colour camera. The pattern counts as texture and biases positions. Use a monochrome camera or one colour"
-        )
-        images = replace(images, notices=(*images.notices, Notice("warning", text, images.names[0])))
-    return images
-
-
 def _copies(manifest: Manifest, entry: Images, sequences: Sequence[ImageSequence]) -> tuple[BoolArray, list[Notice]]:
     """Return the frames (F,) in which a camera has an earlier one again, and what is said of them."""
     found = [copied_frames(images) for images in sequences]
@@ -244,8 +223,8 @@ def _copies(manifest: Manifest, entry: Images, sequences: Sequence[ImageSequence
             told.append(Notice("warning", f"{text}; these frames of the pair are left out", entry.stereo))
     left = int(np.count_nonzero(~copied))
     if left < MINIMUM_FRAMES:
-        found = f"{left} of {len(copied)}, since the others are copies of earlier frames, grey value by grey value"
-        raise InputError(manifest.path, f"images.{entry.stereo}", found, f"at least {MINIMUM_FRAMES} different frames")
+        why = f"{left} of {len(copied)}, since the others are copies of earlier frames, grey value by grey value"
+        raise InputError(manifest.path, f"images.{entry.stereo}", why, f"at least {MINIMUM_FRAMES} different frames")
     return copied, told
 
 

@@ -421,23 +421,23 @@ def frame_places(
             )
             told.append(Notice("warning", text, entry.stereo))
     trigger = base.first_with(entry.trigger)[1]
-    edges, span, step = trigger.edges - (entry.first_edge or 0), int(first.place[-1]) + 1, entry.edge_step
-    if step is None and first.step > 1 and first.step * (span - 1) < edges:
+    edges, last = trigger.edges - (entry.first_edge or 0), int(first.place[-1])
+    if entry.edge_step is None and first.step > 1 and first.step * last < edges:
         found = f"none, numbers of files that count by {first.step} and {trigger.edges} edges in {entry.trigger}"
         expected = f"1, where each frame has the next edge, or {first.step}, where edges between have no frame"
         raise InputError(manifest.path, f"{key}.edge_step", found, expected)
-    step = step or 1
+    every = entry.edge_step or 1
     if not first.missing:
-        return first.place * step, tuple(told)
+        return first.place * every, tuple(told)
     gap = f"a gap in the numbering of {frames} files ({first.first} to {first.last}): missing {first.missing}"
-    if step * (span - 1) < edges:
+    if every * last < edges:
         text = f"{gap}; the frames after it are dated by their numbers"
-        return first.place * step, (*told, Notice("warning", text, entry.stereo))
+        return first.place * every, (*told, Notice("warning", text, entry.stereo))
     if first.exact:
-        expected = f"an edge in {entry.trigger} for each number, {step * (span - 1) + 1} from the first frame on"
+        expected = f"an edge in {entry.trigger} for each number, {every * last + 1} from the first frame on"
         raise InputError(manifest.path, f"{key}.trigger", f"{edges} edges and {gap}", expected)
     text = f"{gap}; {entry.trigger} has no edges for these, so successive frames are dated by successive edges"
-    return np.arange(frames) * step, (*told, Notice("warning", text, entry.stereo))
+    return np.arange(frames) * every, (*told, Notice("warning", text, entry.stereo))
 
 
 def _gap(numbers: FrameNumbers | None) -> str:

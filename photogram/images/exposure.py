@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import FloatArray
+from photogram.arrays import FloatArray, Notice
+from photogram.images.sequence import GreyImage, ImageSequence
 
 TILE_PX = 32
 FEWEST_TILE_PX = 8
@@ -97,6 +99,30 @@ def mosaic_contrast(image: NDArray[Any]) -> float:
         if apart > LEAST_MOSAIC and alike < 0.2 * apart:
             return float(apart)
     return 0.0
+
+
+def examined(images: ImageSequence, first: GreyImage) -> ImageSequence:
+    """Return images with what the first one shows of their camera: where it clips, and whether it has colours.
+
+    Raises `ValueError` where more than `most_saturated` of the first image is saturated.
+    """
+    level = clip_level(first)
+    if level is not None and level < images.full_scale:
+        share = 100.0 * np.count_nonzero(first == level) / first.size
+        text = (
+            f"the sensor clips at {level}, below full scale {images.full_scale}: {share:.2g} % of the pixels of the "
+            "first image are saturated. These pixels are left out; use less light or a shorter exposure"
+        )
+        images = replace(images, clips_at=level, notices=(*images.notices, Notice("warning", text, images.names[0])))
+    images.check(0, first)
+    colours = mosaic_contrast(first)
+    if colours:
+        text = (
+            f"neighbouring pixels differ by {100.0 * colours:.2g} % in a pattern of 2 x 2, as in the raw mosaic of a "
+            "colour camera. The pattern counts as texture and biases positions. Use a monochrome camera or one colour"
+        )
+        images = replace(images, notices=(*images.notices, Notice("warning", text, images.names[0])))
+    return images
 
 
 def _levelled(tiles: FloatArray) -> FloatArray:

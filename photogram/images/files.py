@@ -132,10 +132,10 @@ def read_picture(path: str | Path) -> tuple[GreyImage, int]:
             check_pixels(path, header.size_px)
             if header.pages > 1:
                 raise ValueError(f"{path}: expected one image, found a stack of {header.pages}")
-            image = read_tiff(path, header)
+            image: GreyImage | None = read_tiff(path, header)
         else:
             flags = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
-            image = cv2.imdecode(data, flags) if data.size else None
+            image = cast(GreyImage, cv2.imdecode(data, flags)) if data.size else None
     if image is None:
         raise ValueError(f"{path}: not a readable picture")
     if image.dtype not in (np.uint8, np.uint16):

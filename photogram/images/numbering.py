@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -59,7 +60,7 @@ def _steps(texts: Sequence[str]) -> IntArray | None:
     """Steps (F-1,) from number to number; None unless they ascend."""
     if max(map(len, texts)) > MOST_DIGITS:
         return None
-    steps = np.diff(np.array([int(text) for text in texts], dtype=np.int64))
+    steps: IntArray = np.array([int(after) - int(before) for before, after in pairwise(texts)], dtype=np.int64)
     return steps if steps.min() > 0 else None
 
 
@@ -104,7 +105,9 @@ def _counted_by_times(time: FloatArray, resolution: float, written: Sequence[str
     count = np.maximum(np.rint(steps / interval), 1.0)
     if interval <= resolution or np.any(np.abs(steps - count * interval) > NEAR * interval + resolution):
         return None
-    missing = [f"{int(count[k]) - 1} between {written[k]} and {written[k + 1]}" for k in np.flatnonzero(count > 1.0)]
+    missing = [
+        f"{int(count[k]) - 1} between {written[k]} and {written[k + 1]}" for k in np.flatnonzero(count > 1.0).tolist()
+    ]
     place = np.concatenate([[0], np.cumsum(count.astype(np.int64))])
     return FrameNumbers(place, written[0], written[-1], 1, _listed(missing), exact=False)
 

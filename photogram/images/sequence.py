@@ -172,7 +172,7 @@ def copied_frames(images: ImageSequence) -> BoolArray:
     glimpses = [images.glimpse(number) for number in range(len(images))] if images.glimpse is not None else []
     often = {glimpse for glimpse, count in Counter(glimpses).items() if count > 1}
     for number in (number for number, glimpse in enumerate(glimpses) if glimpse in often):
-        content = hashlib.sha256(np.ascontiguousarray(images.read(number))).digest()
+        content = hashlib.sha256(images.read(number).tobytes()).digest()
         copied[number] = content in seen
         seen.add(content)
     return copied

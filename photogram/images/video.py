@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import builtins
 import os
 import struct
 from collections.abc import Callable
@@ -177,7 +178,7 @@ class _Cine:
         pixels, bits = self.size_px[0] * self.size_px[1], {PACKED_10: 10, PACKED_12: 12}.get(self.packing)
         return pixels * (self.stored_bits if bits is None else bits) // 8
 
-    def glimpse(self, index: int) -> bytes:
+    def glimpse(self, index: int) -> builtins.bytes:
         """Return some bytes of the pixels of frame `index`."""
         return bytes_at(self.path, int(self.offsets[index]) + self.bytes // 2, self.bytes // 2)
 
@@ -259,8 +260,8 @@ def open_cine(path: Path, bit_depth: int | None) -> ImageSequence:
     if packing == PACKED_10:
         notices.append(Notice("info", "10 bits a pixel, companded: rounded to 0.1 % of full scale", str(path)))
     scale = full_scale_of(path, bits, bit_depth)
-    names, told = _names(path, frames), tuple(notices)
-    return ImageSequence(names, cine.size_px, scale, cine.read, time_s, exposure_s, told, glimpse=cine.glimpse)
+    names, remarks = _names(path, frames), tuple(notices)
+    return ImageSequence(names, cine.size_px, scale, cine.read, time_s, exposure_s, remarks, glimpse=cine.glimpse)
 
 
 def _tagged_blocks(file: Any, start: int, end: int) -> dict[int, bytes]:
@@ -388,12 +389,13 @@ def open_film(path: Path, bit_depth: int | None) -> ImageSequence:
         else f"compressed video ({name}): its codec moves grey values and edges by what it leaves out, differently "
         "from frame to frame. Such errors are in no uncertainty; record uncompressed frames (TIFF, cine, raw video)"
     )
-    notices = (Notice("info" if name in LOSSLESS else "warning", told, str(path)),)
-    notices += orientation_notices({path: ROTATED.get(turned, 1)})
+    codec_told = Notice("info" if name in LOSSLESS else "warning", told, str(path))
+    notices = (codec_told, *orientation_notices({path: ROTATED.get(turned, 1)}))
     scale, film = full_scale_of(path, bits, bit_depth), _Film(path, tag in (GREY_8, GREY_16))
     time_s = np.array(stamps) - stamps[0]
     numbers = numbers_of_times(time_s, STAMP_S)
-    stated_s = time_s if numbers is None and np.ptp(np.diff(time_s)) > 2.0 * STAMP_S else None
+    irregular = numbers is None and len(time_s) > 2 and np.ptp(np.diff(time_s)) > 2.0 * STAMP_S
+    stated_s = time_s if irregular else None
     frames = _names(path, len(stamps))
     return ImageSequence(
         frames, size_px, scale, film.read, stated_s, notices=notices, numbers=numbers, glimpse=rows.__getitem__

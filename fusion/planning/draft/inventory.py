@@ -16,7 +16,8 @@ import numpy as np
 from fusion.base import natural_key
 from fusion.recording.manifest import SCAN
 from photogram.images.files import SUFFIXES as IMAGE_SUFFIXES
-from photogram.images.files import TIFF_SUFFIXES, open_sequence
+from photogram.images.files import open_sequence
+from photogram.images.tiff import TIFF_SUFFIXES
 from photogram.images.video import VIDEO_READERS
 from shaker.io import SUFFIXES, read_channels
 from shaker.io.text import table_units
