@@ -14,7 +14,7 @@ from fusion import Settings, run_path
 from fusion.report import folder
 from photogram import bspline
 from photogram.direct import fit
-from photogram.images import files
+from photogram.images import files, tiff
 from photogram.subsets import find
 from photogram.subsets.reference import TrackStatus
 
@@ -56,7 +56,7 @@ def costs(tmp_path_factory):
 
     with pytest.MonkeyPatch.context() as patch:
         for module, name in (
-            (files, "_tiff_header"), (files, "_read_tiff"), (files, "_inflated"), (bspline, "_prefilter"),
+            (files, "tiff_header"), (files, "read_tiff"), (tiff, "_inflated"), (bspline, "_prefilter"),
             (folder, "still_svg"),
         ):  # fmt: skip
             counted(patch, module, name)
@@ -69,9 +69,9 @@ def costs(tmp_path_factory):
 
 def test_a_picture_is_read_and_prepared_once_but_for_the_first_of_a_camera(costs):
     calls, _ = costs
-    assert calls["_tiff_header"] == PICTURES
-    assert PICTURES <= calls["_read_tiff"] <= PICTURES + CAMERAS
-    assert calls["_inflated"] == calls["_read_tiff"]
+    assert calls["tiff_header"] == PICTURES
+    assert PICTURES <= calls["read_tiff"] <= PICTURES + CAMERAS
+    assert calls["_inflated"] == calls["read_tiff"]
     assert PICTURES <= calls["_prefilter"] <= PICTURES + 2  # and the two splines whose noise is known
 
 
