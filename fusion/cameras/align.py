@@ -68,7 +68,7 @@ from photogram.alignment.solve import Alignment, align
 from photogram.arrays import Notice
 from photogram.camera import StereoRig, triangulate
 from photogram.geometry import RigidTransform
-from photogram.images.orientation import orientation_notices, orientations
+from photogram.images.orientation import orientations, tag_notices
 from photogram.motion import RigidMotion, fit_motion
 from shaker.arrays import FloatArray
 
@@ -122,7 +122,7 @@ def align_file(
         alignment = align(evidence, None if shown else stated)
     except ValueError as error:
         raise ComputeError(f"{path}: {error}".replace("start: ", "").replace("evidence: ", "")) from error
-    turned = orientation_notices(orientations(p for p in stated_files if p.suffix.lower() in PICTURE_SUFFIXES))
+    turned = tag_notices(orientations(p for p in stated_files if p.suffix.lower() in PICTURE_SUFFIXES))
     for notice in (*turned, *notices, *alignment.notices):
         log.log(logging.WARNING if notice.severity == "warning" else logging.INFO, "%s", notice.text)
     text = pose_text(file, alignment, pair)

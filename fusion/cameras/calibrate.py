@@ -36,7 +36,7 @@ from photogram.calibration.scale import KnownLength, with_length
 from photogram.calibration.session import calibrate_pair
 from photogram.calibration.start import FEWEST_VIEWS, LensKind, Pair
 from photogram.images.files import read_picture
-from photogram.images.orientation import orientation_notices, orientations
+from photogram.images.orientation import orientations, tag_notices
 from photogram.targets.charuco import dictionary_of
 from photogram.targets.view import Target, TargetNotFound, TargetView, find_target
 
@@ -96,7 +96,7 @@ def calibrate_cameras(
         with as_input_error(_folder(pictures), "--known-length"):
             calibration = with_length(calibration, settings.known)
     progress("adjust", 1, 1)
-    notices = (*orientation_notices(orientations(pictures)), *calibration.notices)
+    notices = (*tag_notices(orientations(pictures)), *calibration.notices)
     return replace(calibration, dropped=(*failed, *calibration.dropped), notices=notices)
 
 

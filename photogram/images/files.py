@@ -12,7 +12,7 @@ import numpy as np
 
 from photogram.arrays import Notice
 from photogram.images.numbering import numbers_of_names
-from photogram.images.orientation import PNG_SIGNATURE, orientation_notices, stored_orientation
+from photogram.images.orientation import PNG_SIGNATURE, stored_orientation, tag_notices
 from photogram.images.sequence import (
     GreyImage,
     ImageHeader,
@@ -100,7 +100,7 @@ def _header_notices(files: Sequence[Path], headers: Sequence[ImageHeader]) -> tu
         text = f"{count} pictures with lossy compression, which changes grey values; such errors are in no uncertainty"
         found.append(Notice("warning", text, str(lossy)))
     tags = {path: header.orientation for path, header in zip(files, headers, strict=True)}
-    return (*found, *orientation_notices(tags))
+    return (*found, *tag_notices(tags))
 
 
 def read_picture(path: str | Path) -> tuple[GreyImage, int]:

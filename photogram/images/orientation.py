@@ -26,7 +26,7 @@ MOST_CHUNKS = 1 << 16  # of a PNG file, segments of a JPEG file
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
-def orientation_notices(tags: Mapping[Path, int]) -> tuple[Notice, ...]:
+def tag_notices(tags: Mapping[Path, int]) -> tuple[Notice, ...]:
     """Warn of image files whose orientation tags rotate them, of all files with their tags: they are used as stored."""
     turned = {path: tag for path, tag in tags.items() if tag in TURNED}
     if not turned:

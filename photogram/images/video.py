@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from photogram.arrays import FloatArray, Notice
 from photogram.images.numbering import numbers_of_times
-from photogram.images.orientation import ROTATED, orientation_notices
+from photogram.images.orientation import ROTATED, tag_notices
 from photogram.images.sequence import GLIMPSE, GreyImage, ImageSequence, bytes_at, check_pixels, full_scale_of, reading
 
 LARGEST_HEADER = 4 << 20  # bytes of a .cih or .cihx, which are some ten thousand
@@ -390,7 +390,7 @@ def open_film(path: Path, bit_depth: int | None) -> ImageSequence:
         "from frame to frame. Such errors are in no uncertainty; record uncompressed frames (TIFF, cine, raw video)"
     )
     codec_told = Notice("info" if name in LOSSLESS else "warning", told, str(path))
-    notices = (codec_told, *orientation_notices({path: ROTATED.get(turned, 1)}))
+    notices = (codec_told, *tag_notices({path: ROTATED.get(turned, 1)}))
     scale, film = full_scale_of(path, bits, bit_depth), _Film(path, tag in (GREY_8, GREY_16))
     time_s = np.array(stamps) - stamps[0]
     numbers = numbers_of_times(time_s, STAMP_S)

@@ -14,7 +14,7 @@ from cine_factory import write_cine, write_film
 from contracts import refused
 
 from photogram.images.files import open_sequence, read_picture
-from photogram.images.orientation import orientation_notices, orientations
+from photogram.images.orientation import orientations, tag_notices
 from photogram.images.sequence import copied_frames
 
 RNG = np.random.default_rng(8)
@@ -78,7 +78,7 @@ def test_pixels_are_those_of_the_sensor_whatever_the_tag_says(tmp_path, name, ta
         assert [(notice.severity, f"orientation tag {tag}" in notice.text) for notice in sequence.notices] == [
             ("warning", True)
         ]
-    (notice,) = orientation_notices(orientations([path, tmp_path / "absent.tif"]))
+    (notice,) = tag_notices(orientations([path, tmp_path / "absent.tif"]))
     assert f"orientation tag {tag}" in notice.text
 
 
@@ -103,7 +103,7 @@ def test_mirrored_pixels_are_refused(tmp_path, name, tag):
 def test_a_tag_that_turns_nothing_is_no_news(tmp_path, tag):
     for name in TURNED:
         path = write_turned(tmp_path / name, (GREY >> 4).astype(np.uint8), tag)
-        assert not orientation_notices(orientations([path]))
+        assert not tag_notices(orientations([path]))
         read_picture(path)
 
 
