@@ -14,6 +14,7 @@ from fusion.recording.files import DaqRecord, read_daqs
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry
 from fusion.recording.response import read_response
+from fusion.recording.units import unit_doubts
 from shaker.arrays import ComplexArray, FloatArray, Notice
 from shaker.frf.chain import ChainResponse
 from shaker.frf.result import TransferFunction, TransferRecord
@@ -306,6 +307,7 @@ def align(
         base = tie_daqs(manifest, [record for record in records if record is records[0] or record.entry.name in used])
     channels = tuple(Located(entry, blocks[name], base) for name, entry in wanted)
     coarse = [notice for channel in channels for notice in _condition(manifest, channel)]
+    coarse += [notice for name in used for notice in unit_doubts(manifest, blocks[name].entry, blocks[name].raw)]
     alike = {(c.record.entry.name, c.rate_hz, c.record.lag_s(c.entry.name), c.length) for c in channels}
     recorded = tuple(c.record.values(c.entry) for c in channels)
     if len(alike) == 1:
