@@ -115,6 +115,7 @@ def load_phasors(acceleration: Acceleration, body: Body) -> LoadResult:
     changes = [replace(change, effect=seen * change.effect) for change in body.matrix_changes(frequency)]
     known = np.nan_to_num(acceleration.phasors.value)
     value = np.einsum("kij,kj->ki", matrix, known)
+    value = np.where(_reached(acceleration, matrix, changes), complex(np.nan, np.nan), value)
     hidden = _hidden_contributions(acceleration, matrix, changes)
     spread = np.sum([np.zeros(value.shape), *(total_variance(part.covariance) for part in hidden.values())], axis=0)
     observed = np.isfinite(value) & (np.sqrt(spread) <= UNOBSERVED_LIMIT * np.abs(value))
@@ -135,6 +136,13 @@ def load_phasors(acceleration: Acceleration, body: Body) -> LoadResult:
     return replace(result, notices=(*notices, *_rigidity_notices(body, result)))
 
 
+def _reached(acceleration: Acceleration, matrix: ComplexArray, changes: Sequence[Unknown[ComplexArray]]) -> BoolArray:
+    """Return which components of the load (K, 6) a motion changes that nobody observes and nothing bounds."""
+    unbounded = np.isinf(acceleration.unseen_amplitude)[:, None, :]
+    ways = (matrix, *(change.effect for change in changes))
+    return np.asarray(np.any([np.any((way != 0.0) & unbounded, axis=2) for way in ways], axis=0))
+
+
 def _hidden_contributions(
     acceleration: Acceleration, matrix: ComplexArray, changes: Sequence[Unknown[ComplexArray]]
 ) -> dict[str, Contribution]:
@@ -142,8 +150,8 @@ def _hidden_contributions(
 
     What it adds to the load it takes from, or adds to, what instruments tell of other components, with sign.
     """
-    known = np.nan_to_num(acceleration.phasors.value)
-    u = acceleration.unseen.amplitude(known, acceleration.observed) / np.sqrt(2.0)
+    amplitude = acceleration.unseen_amplitude
+    u = np.where(np.isinf(amplitude), 0.0, amplitude) / np.sqrt(2.0)
     # Through the uncertain parameters an unobserved component acts even where its coefficient is zero.
     ways = np.stack([matrix, *(c.effect for c in changes)])
     leaked = np.zeros((len(u), 12, 12)) if acceleration.leaked is None else real_design(matrix) @ acceleration.leaked

@@ -121,7 +121,8 @@ class _Motion:
         """
         fused, estimate = self.fused, np.asarray(np.nan_to_num(self.fused.phasors.value))
         phase = deviates.angle(f"unobserved motion of the {fused.body}", *estimate.shape)
-        hidden = fused.unseen.amplitude(estimate, fused.observed) * np.exp(1j * phase)
+        amplitude = fused.unseen_amplitude  # what is unbounded reaches no value that is given
+        hidden = np.where(np.isinf(amplitude), 0.0, amplitude) * np.exp(1j * phase)
         readings = [o.draw(estimate, deviates, noise) for o, noise in zip(self.observations, self.noise, strict=True)]
         value = self.estimator.acceleration(readings, estimate, hidden)
         own = {f"{name}: noise" for name in fused.instruments} | {UNOBSERVED, *UNOBSERVED_ITSELF}
