@@ -18,6 +18,7 @@ from fusion.phasors.channels import (
     APART_PERIODS,
     ChannelResult,
     channel_phasors,
+    delay_doubts,
     find_channel_lines,
     folding_told,
     line_clock,
@@ -99,7 +100,7 @@ class SetUp:
         clocks += [(daq, notice) for daq, tie in base.ties.items() if tie is not None for notice in tie.notices]
         told: list[AnyNotice] = [Notice(n.severity, f"{daq}: {n.text}", daq) for daq, n in clocks]
         told += [doubt for r in base.records for doubt in unit_doubts(self.opened.manifest, r.entry, r.raw)]
-        told += [*self.lines.notices, *self.aliased]
+        told += [*delay_doubts(self.opened.readings, self.opened.manifest.path), *self.lines.notices, *self.aliased]
         told += [notice for channel in self.opened.channels for notice in channel.notices]
         told += folding_told(self.opened.channels, self.opened.readings, self.lines)[0]
         told += [found.notice for found in distortions(self.opened.channels, self.lines)]

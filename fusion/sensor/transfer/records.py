@@ -9,6 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from fusion.base import CommandEvaluation, InputError
+from fusion.instruments.channel import DELAY_OF_FILTER, u_of_filter
 from fusion.phasors.timing import ClockResult, TimeBase, tie_daqs
 from fusion.recording.files import DaqRecord, read_daqs
 from fusion.recording.load import Manifest
@@ -139,6 +140,9 @@ class ChannelChain:
             f"{entry.name}: individual scale": entry.individual_uncertainty * flat,
             f"clock {self.clock}": -self.u_clock_s * turn,
         }
+        magnitude, phase = u_of_filter(self.frequency_hz, entry.filter_delay_s)
+        if entry.filter_delay_s:
+            found |= {f"{shared}: {DELAY_OF_FILTER}": magnitude + 0j, f"{shared}: {DELAY_OF_FILTER}, phase": 1j * phase}
         if self.response is not None:
             for cause, error in zip(self.response.causes, self.response.errors, strict=True):
                 found[f"{shared}: {cause}"] = -error
