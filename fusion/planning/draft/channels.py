@@ -92,7 +92,7 @@ def guess(channel: FoundChannel) -> Guess:
         pulses = channel.pulses
         why = f"guessed: two levels, {pulses.edges} edges at {pulses.rate_hz:.6g} Hz"
         return Guess(channel, "trigger", why, 1.0)
-    by_name = next((quantity for quantity, words in NAMES if word_in(words, channel.name)), None)
+    by_name = next((quantity for quantity, words in NAMES if word_in(words, channel.title)), None)
     by_unit = None if unit is None or unit.raw else QUANTITY_OF.get(unit.dimension)
     if unit is not None and unit.dimension == NONE and "/" in channel.unit:
         by_unit = "output"
@@ -133,7 +133,7 @@ def recorders(daqs: Iterable[FoundDaq]) -> list[Recorder]:
     def named(recorder: Recorder) -> Recorder:
         names: list[str] = []
         for item in recorder.channels:
-            name = item.found.name if len(item.found.name) <= LONG_NAME else item.found.name.rpartition("/")[2]
+            name = item.found.title if len(item.found.title) <= LONG_NAME else item.found.title.rpartition("/")[2]
             if item.found.pulses is not None:
                 name = telling.get(_same_rate(rates, item.found.pulses.rate_hz), name)
             names.append(item.found.name if name in names else name)
@@ -142,8 +142,8 @@ def recorders(daqs: Iterable[FoundDaq]) -> list[Recorder]:
 
     telling: dict[float, str] = {}
     for item in (item for recorder in found for item in recorder.channels if item.found.pulses is not None):
-        if item.found.pulses is not None and word_in(TRIGGER_WORDS, item.found.name):
-            telling.setdefault(_same_rate(rates, item.found.pulses.rate_hz), item.found.name)
+        if item.found.pulses is not None and word_in(TRIGGER_WORDS, item.found.title):
+            telling.setdefault(_same_rate(rates, item.found.pulses.rate_hz), item.found.title)
     files = map(named, found)
     return sorted(files, key=lambda recorder: (-_motions(recorder), natural_key(recorder.daq.path.name)))
 
