@@ -189,7 +189,7 @@ def _notices(
             share, size = part / whole, np.sqrt(part / 2.0) / np.abs(value[line, largest])
             text = (
                 f"nothing measures {', '.join(hidden)} of the load at some lines: amplitudes up to "
-                f"{acceleration.unseen} are assumed ([shaker] states others); they make u = {100.0 * size:.2g} % of "
+                f"{acceleration.unseen} are assumed ([shaker] states others){_driven(acceleration, line)}; they make u = {100.0 * size:.2g} % of "
                 f"{LOAD_COMPONENTS[largest]} at {acceleration.phasors.frequency_hz[line]:.6g} Hz, {share:.0%} of its "
                 "variance"
             )
@@ -199,6 +199,15 @@ def _notices(
         text = f"no value of {', '.join(missing)}: components of the motion that were not observed may dominate them"
         told.append(Notice("info", text, "load"))
     return tuple(told)
+
+
+def _driven(acceleration: Acceleration, line: int) -> str:
+    """Say how far the drive itself moves what is not observed of it at a line; empty where that is nothing."""
+    drive, amplitude = acceleration.unseen.drive or (0.0,) * 6, acceleration.unseen_amplitude[line]
+    units = ("m/s^2",) * 3 + ("rad/s^2",) * 3
+    own = zip(MOTION_COMPONENTS, drive, amplitude.tolist(), units, strict=True)
+    parts = [f"{name} up to {size:.3g} {unit}" for name, part, size, unit in own if part and 0.0 < size < np.inf]
+    return f", and by excitation.direction {', '.join(parts)}" if parts else ""
 
 
 def _elastic_notices(

@@ -159,3 +159,30 @@ def test_motion_across_that_is_larger_than_the_drive_is_asked_about(tmp_path):
     (doubt,) = (n for n in evaluated(run).notices if n.where == "excitation.direction")
     assert doubt.severity == "warning"
     assert all(word in doubt.text for word in ("z of the load", "50 m/s^2", "0.2 m/s^2"))
+
+
+@pytest.mark.parametrize("body", ["load", "base"])
+def test_only_the_body_that_is_not_observed_along_the_drive_loses_its_values(tmp_path, body):
+    along, aside = ([0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
+    other = "base" if body == "load" else "load"
+    rows = {"across": (body, aside, 1.0), "along": (other, along, ACCELERATION)}
+    channels_ = {n: Bench(a, "m/s^2", keys={**BEAM, "body": b, "direction": d}) for n, (b, d, a) in rows.items()}
+    run = write_bench(tmp_path, {**channels_, "Fz": FORCE_OUTPUT})
+    said = f"no instrument observes z of the {body}"
+    if body == "load":
+        with pytest.raises(ComputeError, match=said):
+            evaluated(run)
+    else:
+        found = evaluated(run)
+        assert np.isfinite(found.load.value[0, 2])
+        assert [a.body for a in found.accelerations if a.source == "fused"] == ["load"]
+        assert any(said in n.text and n.severity == "warning" for n in found.notices)
+
+
+def test_what_an_oblique_drive_moves_unobserved_is_told(tmp_path):
+    keys = {**BEAM, "direction_uncertainty": 0.02}
+    channels_ = {"acc": Bench(ACCELERATION, "m/s^2", keys=keys), "Fz": FORCE_OUTPUT}
+    run = write_bench(tmp_path, channels_, shaker={"transverse_motion": 0.1}, direction=[1.0, 0.0, 1.0])
+    text = next(n.text for n in evaluated(run).notices if "by excitation.direction" in n.text)
+    size = float(text.partition("x up to ")[2].split()[0])
+    assert size == pytest.approx(50.0, rel=0.4)
