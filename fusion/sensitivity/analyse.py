@@ -295,9 +295,13 @@ def analyse(inputs: Inputs) -> Analysis:
         try:
             accelerations += fuse_sources(seen, body, unseen)
         except Unbounded as error:
+            compared = ", ".join(o.title for o in seen if o.body == body and not o.stated)
+            text = (
+                f"{error}; {compared} is not used, which states no systematic uncertainty" if compared else str(error)
+            )
             if body == "load":
-                raise
-            doubts.append(Notice("warning", str(error), body))
+                raise Unbounded(text) from error
+            doubts.append(Notice("warning", text, body))
     if not accelerations and not doubts:
         raise ComputeError("no channel or camera of this recording measures a motion; add one to recording.toml")
     fused = next((a for a in accelerations if a.body == "load" and a.source == "fused"), None)

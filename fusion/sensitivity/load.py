@@ -189,9 +189,9 @@ def _notices(
             share, size = part / whole, np.sqrt(part / 2.0) / np.abs(value[line, largest])
             text = (
                 f"nothing measures {', '.join(hidden)} of the load at some lines: amplitudes up to "
-                f"{acceleration.unseen} are assumed ([shaker] states others){_driven(acceleration, line)}; they make u = {100.0 * size:.2g} % of "
-                f"{LOAD_COMPONENTS[largest]} at {acceleration.phasors.frequency_hz[line]:.6g} Hz, {share:.0%} of its "
-                "variance"
+                f"{acceleration.unseen} are assumed ([shaker] states others){_driven(acceleration, int(line))}; they "
+                f"make u = {100.0 * size:.2g} % of {LOAD_COMPONENTS[largest]} at "
+                f"{acceleration.phasors.frequency_hz[line]:.6g} Hz, {share:.0%} of its variance"
             )
             told.append(Notice("warning" if share > MATTERS else "info", text, acceleration.body))
     missing = [name for place, name in enumerate(LOAD_COMPONENTS) if not np.any(observed[:, place])]
