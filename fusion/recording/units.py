@@ -212,15 +212,18 @@ def _usual_magnitude(entry: ChannelEntry) -> float:
 def unit_doubts(manifest: Manifest, daq: Daq, raw: Mapping[str, RawChannel]) -> tuple[Notice, ...]:
     """Return a question for every channel whose file states another unit than its `scale` lets expect."""
     told = []
+    certified = {item.key for item in manifest.inputs if item.stated is not None and item.stated.certificate}
     for entry in daq.channel:
-        doubt = None if entry.quantity == "trigger" else _doubt(entry, raw[entry.name].unit, manifest.rig)
+        where = f"daq.{quoted(daq.name)}.channel.{quoted(entry.name)}.scale"
+        of_certificate = any(key.endswith(where) for key in certified)
+        unit = raw[entry.name].unit
+        doubt = None if entry.quantity == "trigger" else _doubt(entry, unit, manifest.rig, of_certificate)
         if doubt is not None:
-            where = f"daq.{quoted(daq.name)}.channel.{quoted(entry.name)}.scale"
             told.append(Notice("warning", f"{where}: {doubt}", manifest.path.name))
     return tuple(told)
 
 
-def _doubt(entry: ChannelEntry, stated: str, rig: Rig) -> str | None:
+def _doubt(entry: ChannelEntry, stated: str, rig: Rig, of_certificate: bool) -> str | None:
     """Return what is to be asked of the scale of a channel whose file states a unit."""
     unit, quantity, text = recorded_unit(stated), rig.unit_of(entry), None
     given, wanted = "scale" in entry.model_fields_set, _wanted(entry, rig)
@@ -236,6 +239,8 @@ def _doubt(entry: ChannelEntry, stated: str, rig: Rig) -> str | None:
         off = abs(abs(entry.scale) / factor - 1.0) > CORRECTED
         if off if wanted.mechanical else abs(entry.scale) == 1.0 != factor:
             text = f"of which {factor:.6g} makes {quantity}: is {entry.scale:g} right?"
+    elif of_certificate and not unit.mechanical and unit.factor != 1.0:
+        text = f"and the scale is that of a certificate: is it per {stated}?"
     elif wanted is not None and unit.mechanical and wanted.mechanical:
         text = f"of which no factor makes {quantity}: is this channel {entry.quantity}?"
     return None if text is None else f'the file states the unit "{stated}", {text}'

@@ -295,10 +295,9 @@ def analyse(inputs: Inputs) -> Analysis:
         try:
             accelerations += fuse_sources(seen, body, unseen)
         except Unbounded as error:
-            compared = ", ".join(o.title for o in seen if o.body == body and not o.stated)
-            text = (
-                f"{error}; {compared} is not used, which states no systematic uncertainty" if compared else str(error)
-            )
+            own = [observation for observation in seen if observation.body == body]
+            compared = ", ".join(o.title for o in own if any(other.stated for other in own) and not o.stated)
+            text = f"{error}" + (f"; {compared} states no systematic uncertainty and is not used" if compared else "")
             if body == "load":
                 raise Unbounded(text) from error
             doubts.append(Notice("warning", text, body))
