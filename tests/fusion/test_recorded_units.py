@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from bench_factory import ACCELERATION, FORCE_OUTPUT, LINE_HZ, MASS_KG, SENSITIVITY, Bench, write_bench
-from support import evaluated
+from support import edit, evaluated
 
 from fusion.base import InputError
 from fusion.planning.check import check
@@ -116,6 +116,14 @@ def test_a_scale_that_contradicts_the_file_is_asked_about(tmp_path, case):
     assert doubt.severity == "warning"
     assert all(word in doubt.text for word in said)
     assert any(doubt.text in remark for remark in check(load_manifest(run)).remarks)
+
+
+def test_a_scale_of_a_certificate_is_asked_about_if_the_file_is_in_millivolts(tmp_path):
+    run = write_bench(tmp_path, {"acc": Bench(A, "mV", keys={"scale": 1.0}), "Fz": FORCE_OUTPUT})
+    edit(run / "recording.toml", "scale = 1.0", 'scale = { value = 1.0, U = 1e-3, k = 2, certificate = "A-1" }')
+    (doubt,) = (n for n in evaluated(run).notices if "the file states" in n.text)
+    assert '"mV"' in doubt.text
+    assert "certificate" in doubt.text
 
 
 RESPONSES = [
