@@ -17,7 +17,7 @@ from fusion.instruments.channel import Outputs
 from fusion.sensitivity.analyse import Analysis, Inputs
 from fusion.sensitivity.distributions import FirstOrder, MonteCarlo, Propagated, judged, summarise
 from fusion.sensitivity.load import LoadResult
-from fusion.sensitivity.ratio import KnownMatrix
+from fusion.sensitivity.ratio import KnownMatrix, quotient
 from shaker.arrays import ComplexArray, FloatArray, Notice
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS
 
@@ -162,7 +162,7 @@ def _draw(
     outputs = analysis.outputs
     if outputs is not None and analysis.sensitivity is not None:
         channel, component = np.array(analysis.sensitivity.elements).T
-        drawn["sensitivity"] = outputs.draw(deviates)[:, :, channel] / drawn["load"][:, :, component]
+        drawn["sensitivity"] = quotient(outputs.draw(deviates)[:, :, channel], drawn["load"][:, :, component])
         if analysis.known is not None and analysis.load is not None:
             drawn["element"] = _draw_elements(analysis.known, outputs, analysis.load, drawn["load"], deviates)
     return drawn
