@@ -165,7 +165,6 @@ def fuse(
     unclear = disputed(system, first, open_)
     given = replace(system, observed=system.observed & ~unclear)
     uncertainty, leaked = _uncertainty(given, solved)
-    lines = np.arange(len(given.observed))
     largest = np.argmax(np.where(given.observed, np.abs(final.acceleration / SCALE), -1.0), axis=1)
     phasors = Phasors(
         frequency_hz=system.observations[0].phasors.frequency_hz,
@@ -173,7 +172,7 @@ def fuse(
         covariance=uncertainty.covariance,
         channels=MOTION_COMPONENTS,
         unit=component_units(2),
-        dof=uncertainty.dof()[lines, largest],
+        dof=uncertainty.dof()[np.arange(len(largest)), largest],
     )
     for observation in own if stated else ():
         if not observation.stated:
