@@ -111,8 +111,9 @@ class System:
 
     def driven_limit(self, acceleration: ComplexArray) -> FloatArray | None:
         """Return up to which amplitude (K,) the driven motion goes, None where it is not known what is driven."""
-        known = self.unseen.drive is not None and self.share is not None
-        return self.unseen.driven_amplitude(acceleration, self.share) if known else None
+        if self.unseen.drive is None or self.share is None:
+            return None
+        return self.unseen.driven_amplitude(acceleration, self.share)
 
     def hidden(self, acceleration: ComplexArray) -> Hidden:
         """Return what components that nobody observes, zero in the estimate A (K, 6), do to the readings.
