@@ -142,7 +142,8 @@ class ChannelChain:
         }
         magnitude, phase = u_of_filter(self.frequency_hz, entry.filter_delay_s)
         if entry.filter_delay_s:
-            found |= {f"{shared}: {DELAY_OF_FILTER}": magnitude + 0j, f"{shared}: {DELAY_OF_FILTER}, phase": 1j * phase}
+            found[f"{shared}: {DELAY_OF_FILTER}"] = magnitude * flat
+            found[f"{shared}: {DELAY_OF_FILTER}, phase"] = 1j * phase * flat
         if self.response is not None:
             for cause, error in zip(self.response.causes, self.response.errors, strict=True):
                 found[f"{shared}: {cause}"] = -error
