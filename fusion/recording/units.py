@@ -20,8 +20,10 @@ from fusion.recording.toml import quoted
 from shaker.arrays import Notice
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from fusion.recording.load import Manifest
-    from fusion.recording.manifest import ChannelEntry, Daq
+    from fusion.recording.manifest import ChannelEntry, Daq, ResponseColumns
     from fusion.recording.rig import Rig
     from shaker.io.channel import RawChannel
 
@@ -163,8 +165,9 @@ def in_stated_units(manifest: Manifest, daq: Daq, raw: Mapping[str, RawChannel])
     for entry in daq.channel:
         if entry.quantity == "trigger" or "scale" in entry.model_fields_set:
             continue
-        channel, wanted = channels[entry.name], _wanted(entry, manifest.rig)
+        channel = channels[entry.name]
         found = recorded_unit(channel.unit)
+        wanted = None if found is None else _wanted(entry, manifest.rig)
         if found is None or wanted is None:
             continue
         factor = found.over(wanted)
@@ -194,19 +197,22 @@ def _wanted(entry: ChannelEntry, rig: Rig) -> RecordedUnit | None:
     if entry.response.suffix.lower() == SUFFIX:
         stated = curve_named(read_dcc(entry.response), entry.response_result or "").unit.text
     if stated is None:
-        return unit if PLAIN[0] <= _usual_magnitude(entry) <= PLAIN[1] else None
+        return unit if PLAIN[0] <= _usual_magnitude(entry.response, entry.response_columns) <= PLAIN[1] else None
     of_response = parse_unit(stated).dimension
     metre, kilogram, second, ampere, kelvin = (a + b for a, b in zip(unit.dimension, of_response, strict=True))
     return RecordedUnit(1.0 if any(of_response) else unit.factor, (metre, kilogram, second, ampere, kelvin))
 
 
-def _usual_magnitude(entry: ChannelEntry) -> float:
-    """Return the size of a response without unit: of a table the median, of a chain the product of its gains."""
-    if entry.response is None:
-        return 1.0
-    if entry.response.suffix.lower() == ELEMENTS:
-        return float(np.prod([abs(element.gain) for element in read_chain(entry.response).element]))
-    return float(np.median(read_table(entry.response, entry.response_columns).magnitude))
+def _usual_magnitude(path: Path, columns: ResponseColumns | None) -> float:
+    """Return the size of a response without unit: of a table the median, of a chain the product of its gains.
+
+    0 of one that cannot be read, which commands that use it refuse.
+    """
+    with suppress(InputError):
+        if path.suffix.lower() == ELEMENTS:
+            return float(np.prod([abs(element.gain) for element in read_chain(path).element]))
+        return float(np.median(read_table(path, columns).magnitude))
+    return 0.0
 
 
 def unit_doubts(manifest: Manifest, daq: Daq, raw: Mapping[str, RawChannel]) -> tuple[Notice, ...]:
@@ -226,7 +232,7 @@ def unit_doubts(manifest: Manifest, daq: Daq, raw: Mapping[str, RawChannel]) -> 
 def _doubt(entry: ChannelEntry, stated: str, rig: Rig, of_certificate: bool) -> str | None:
     """Return what is to be asked of the scale of a channel whose file states a unit."""
     unit, quantity, text = recorded_unit(stated), rig.unit_of(entry), None
-    given, wanted = "scale" in entry.model_fields_set, _wanted(entry, rig)
+    given, wanted = "scale" in entry.model_fields_set, None if unit is None else _wanted(entry, rig)
     factor = None if unit is None or wanted is None else unit.over(wanted)
     if unit is None:
         if not given and _spelt(stated).lower() not in (*NOT_STATED, _spelt(quantity).lower()):
