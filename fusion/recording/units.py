@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fusion.base import InputError
-from fusion.recording.dcc import SUFFIX, curve_named, read_dcc
+from fusion.recording.dcc import SUFFIX, read_dcc
+from fusion.recording.dcc_curves import curve_named
 from fusion.recording.dsi import NONE, Dimension, parse_unit
 from fusion.recording.response import ELEMENTS, read_chain, read_table
 from fusion.recording.toml import quoted
@@ -27,11 +28,9 @@ if TYPE_CHECKING:
     from fusion.recording.rig import Rig
     from shaker.io.channel import RawChannel
 
-LENGTH: Dimension = (1, 0, 0, 0, 0)
-SPEED: Dimension = (1, 0, -1, 0, 0)
-ACCELERATION: Dimension = (1, 0, -2, 0, 0)
-TURN_RATE: Dimension = (0, 0, -1, 0, 0)
-FORCE: Dimension = (1, 1, -2, 0, 0)
+LENGTH, SPEED, ACCELERATION, TURN_RATE, FORCE = (
+    parse_unit(unit).dimension for unit in ("m", "m/s", "m/s^2", "1/s", "N")
+)
 QUANTITY_OF = {
     LENGTH: "displacement",
     SPEED: "velocity",
@@ -195,12 +194,14 @@ def _wanted(entry: ChannelEntry, rig: Rig) -> RecordedUnit | None:
         return unit
     stated = entry.response_columns.magnitude_unit if entry.response_columns is not None else None
     if entry.response.suffix.lower() == SUFFIX:
-        stated = curve_named(read_dcc(entry.response), entry.response_result or "").unit.text
-    if stated is None:
-        return unit if PLAIN[0] <= _usual_magnitude(entry.response, entry.response_columns) <= PLAIN[1] else None
-    of_response = parse_unit(stated).dimension
-    metre, kilogram, second, ampere, kelvin = (a + b for a, b in zip(unit.dimension, of_response, strict=True))
-    return RecordedUnit(1.0 if any(of_response) else unit.factor, (metre, kilogram, second, ampere, kelvin))
+        of_response = curve_named(read_dcc(entry.response), entry.response_result or "").unit.dimension
+    elif stated is not None:
+        of_response = parse_unit(stated).dimension
+    else:
+        plain = PLAIN[0] <= _usual_magnitude(entry.response, entry.response_columns) <= PLAIN[1]
+        return unit if plain else None
+    dimension = tuple(a + b for a, b in zip(unit.dimension, of_response, strict=True))
+    return RecordedUnit(1.0 if any(of_response) else unit.factor, dimension)
 
 
 def _usual_magnitude(path: Path, columns: ResponseColumns | None) -> float:
