@@ -91,7 +91,7 @@ def channel_entry(**changes: Any) -> Any:
             "name": "v", "quantity": "velocity", "body": "load", "point": (0.0, 0.0, 0.0),
             "direction": (0.0, 0.0, 1.0), "point_uncertainty": (0.0,) * 3, "direction_uncertainty": 0.0,
             "scale_uncertainty": 0.0, "individual_uncertainty": 0.0, "transverse_sensitivity": 0.0,
-            "delay_uncertainty": 0.0, "common": None, "channel": None, "head": None,
+            "delay_uncertainty": 0.0, "filter_delay_s": 0.0, "common": None, "channel": None, "head": None,
         }
         | changes
     )  # fmt: skip

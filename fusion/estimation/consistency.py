@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fusion.estimation.least_squares import Solution, System, solve
+from fusion.estimation.least_squares import Solution, System, solve, without
 from fusion.estimation.uncertainty import as_complex, real_design, real_stack
 from fusion.estimation.variance_components import (
     LEAST_DOF,
@@ -476,12 +476,26 @@ def without_readings(system: System, rows: IntArray) -> tuple[Observation, ...]:
     kept = []
     for place, observation in enumerate(system.observations):
         own = rows[system.observation[rows] == place]
-        value, covariance = observation.phasors.value.copy(), observation.phasors.covariance.copy()
-        value[system.line[own], system.channel[own]] = complex(np.nan, np.nan)
-        gone = np.tile(~np.isfinite(value), (1, 2))
-        covariance[gone[:, :, None] | gone[:, None, :]] = np.nan
-        kept.append(replace(observation, phasors=replace(observation.phasors, value=value, covariance=covariance)))
+        gone = np.zeros(observation.phasors.value.shape, np.bool_)
+        gone[system.line[own], system.channel[own]] = True
+        kept.append(without(observation, gone))
     return tuple(kept)
+
+
+NEARLY = 0.9999
+"""An unknown after whose estimate the readings still fail even at this level is not what they differ by."""
+
+
+def deviating(system: System, solution: Solution, unknowns: Sequence[CommonEstimate]) -> dict[CommonEstimate, bool]:
+    """Return the unknowns that deviate, and whether the readings agree nearly once such a one is free."""
+    noise, found = EstimatedNoise.of(system, solution.effects), dict[CommonEstimate, bool]()
+    for unknown, effect in zip(unknowns, solution.effects.T, strict=True):
+        if abs(unknown.deviation) > NOTABLE_DEVIATION:
+            part = solution.projector @ effect
+            rest = solution.projector - np.outer(part, part) / (1.0 - unknown.remaining**2)
+            chi2 = solution.chi2 - unknown.deviation**2
+            found[unknown] = not noise.fails(chi2, solution.dof - 1, rest, NEARLY)
+    return found
 
 
 # Mistakes that are common enough to be named where the readings look like one.

@@ -11,7 +11,6 @@ import numpy as np
 
 from fusion.base import AnyNotice, rounded
 from fusion.estimation.consistency import (
-    NOTABLE_DEVIATION,
     CommonEstimate,
     Consistency,
     Explanation,
@@ -19,6 +18,7 @@ from fusion.estimation.consistency import (
     as_stated,
     compare,
     contradicts,
+    deviating,
     disputed,
     estimates,
     exchanged,
@@ -37,9 +37,11 @@ from fusion.estimation.least_squares import (
     UNOBSERVED_ITSELF,
     Solution,
     System,
-    build_system,
+    Unbounded,
+    bounded_system,
     products,
     solve,
+    unbounded_text,
 )
 from fusion.estimation.measurement_model import SCALE, Observation, UnseenMotion
 from fusion.estimation.uncertainty import (
@@ -82,11 +84,13 @@ class Acceleration:
     instruments whose readings scatter beyond that. `explanations`: where instruments contradict each other, what the
     estimate is without each suspect; `disputed` (K, 6): values that are not given (not `observed`), since these differ
     by gross errors and nothing decides between them; None where there are none. `unseen`: what is assumed of components
-    that are not observed, and `leaked` (K, 12, 12): what one standard uncertainty of their [Re, Im] adds to [Re, Im] of
-    the values. `unnoticed`: of the fused estimate, which components an error of a single channel may move by more than
-    U although no test sees it. `posterior` (E, E): covariance of the `unknowns` after the estimate, in their u; of the
-    fused load only, and None where its instruments contradict each other, which tells nothing of unknowns. `products`
-    (E,): by how much, in their u, these act otherwise than to first order (`least_squares.products`).
+    that are not observed, `assumed` (K, 6) their amplitudes by that, infinite where nothing bounds the driven motion;
+    `driven` (K,): limit of that amplitude, None where it is not known what is driven; `leaked` (K, 12, 12): what one
+    standard uncertainty of their [Re, Im] adds to [Re, Im] of the values. `unnoticed`: of the fused estimate, which
+    components an error of a single channel may move by more than U although no test sees it. `posterior` (E, E):
+    covariance of the `unknowns` after the estimate, in their u; of the fused load only, and None where its instruments
+    contradict each other, which tells nothing of unknowns. `products` (E,): by how much, in their u, these act
+    otherwise than to first order (`least_squares.products`).
     """
 
     body: str
@@ -102,6 +106,8 @@ class Acceleration:
     notices: tuple[AnyNotice, ...]
     scatter: tuple[Scatter, ...] = ()
     unseen: UnseenMotion = field(default_factory=UnseenMotion)
+    assumed: FloatArray | None = None
+    driven: FloatArray | None = None
     explanations: tuple[Explanation, ...] = ()
     disputed: BoolArray | None = None
     unnoticed: tuple[Unnoticed, ...] = ()
@@ -111,6 +117,12 @@ class Acceleration:
     products: FloatArray | None = None
 
     __repr__ = brief
+
+    @cached_property
+    def unseen_amplitude(self) -> FloatArray:
+        """Return what is assumed of components that are not observed (K, 6); 0 of the others."""
+        known = np.asarray(np.nan_to_num(self.phasors.value))
+        return self.unseen.amplitude(known, self.observed) if self.assumed is None else self.assumed
 
     @property
     def contributions(self) -> tuple[Contribution, ...]:
@@ -153,7 +165,6 @@ def fuse(
     unclear = disputed(system, first, open_)
     given = replace(system, observed=system.observed & ~unclear)
     uncertainty, leaked = _uncertainty(given, solved)
-    lines = np.arange(len(given.observed))
     largest = np.argmax(np.where(given.observed, np.abs(final.acceleration / SCALE), -1.0), axis=1)
     phasors = Phasors(
         frequency_hz=system.observations[0].phasors.frequency_hz,
@@ -161,7 +172,7 @@ def fuse(
         covariance=uncertainty.covariance,
         channels=MOTION_COMPONENTS,
         unit=component_units(2),
-        dof=uncertainty.dof()[lines, largest],
+        dof=uncertainty.dof()[np.arange(len(largest)), largest],
     )
     for observation in own if stated else ():
         if not observation.stated:
@@ -180,6 +191,8 @@ def fuse(
         notices=(),
         scatter=solved.scatter,
         unseen=system.unseen,
+        assumed=system.unseen.amplitude(final.acceleration, given.observed, system.share),
+        driven=system.driven_limit(final.acceleration),
         explanations=explanations(system, first, open_),
         disputed=unclear if np.any(unclear) else None,
         unnoticed=unnoticed(given, first) if source == "fused" and stated else (),
@@ -189,7 +202,7 @@ def fuse(
     if (body, source) == ("load", "fused") and system.common and not solved.contradicted:
         result = replace(result, posterior=final.posterior, products=products(system, final.acceleration))
     swapped = exchanged(system, first, open_) if any(one.gross for one in open_) else ()
-    contradicted = _enough(system, first, unknowns) if solved.contradicted else None
+    contradicted = deviating(system, first, unknowns) if solved.contradicted else None
     return replace(result, notices=_notices(result, bool(stated), contradicted, swapped))
 
 
@@ -202,7 +215,7 @@ def without_gross(
     none is.
     """
     out: list[Consistency] = []
-    system = build_system(observations, unseen)
+    system = bounded_system(observations, unseen)
     first = solve(system)
     for _ in range(MOST_LEFT_OUT):
         if not contradicts(system, first, estimates(system.common, first)):
@@ -212,7 +225,7 @@ def without_gross(
             break
         tests = leave_one_out(system, first, found[0].names)
         out += [replace(test, used=False, left_out=True) for test in tests if test.suspect]
-        system = build_system(without_readings(system, found[0].rows), unseen)
+        system = bounded_system(without_readings(system, found[0].rows), unseen)
         first = solve(system)
     return system, first, tuple(out)
 
@@ -265,23 +278,27 @@ def fuse_sources(
 ) -> tuple[Acceleration, ...]:
     """Return the fused acceleration of `body`, then that of each kind of instrument alone where it determines any.
 
-    The scatter of an instrument is estimated once, so that no source claims more of it than another.
+    The scatter of an instrument is estimated once, so that no source claims more of it than another, and the driven
+    motion is bounded by all instruments.
     """
     own = [observation for observation in observations if observation.body == body]
     fused = fuse(own, body, unseen=unseen)
     accelerations = [fused]
+    known = None if unseen is None else replace(unseen, driven=fused.driven)
     for source in SINGLE_SOURCES:
         alone = [observation for observation in own if observation.kind == source]
-        if alone:
-            used = any(observation.title in fused.instruments for observation in alone)
-            same = len(alone) == len(own)
-            result = (
-                replace(fused, source=source, posterior=None, products=None)
-                if same
-                else fuse(alone, body, source, fused.scatter if used else None, unseen)
-            )
-            if np.any(result.observed):
-                accelerations.append(result)
+        if not alone:
+            continue
+        used = any(observation.title in fused.instruments for observation in alone)
+        if len(alone) == len(own):
+            result = replace(fused, source=source, posterior=None, products=None)
+        else:
+            try:
+                result = fuse(alone, body, source, fused.scatter if used else None, known)
+            except Unbounded:
+                continue
+        if np.any(result.observed):
+            accelerations.append(result)
     return tuple(accelerations)
 
 
@@ -343,8 +360,6 @@ REMAINING = 0.9
 NOTABLE_SHARE = 0.1
 """Least share in the variance of a component for which an untested unknown is worth a word."""
 EQUALLY_LIKELY = 0.95
-NEARLY = 0.9999
-"""An unknown after whose estimate the readings still fail even at this level is not what they differ by."""
 MOST_NAMED = 3
 MISSED = 5.0
 """Times its stated uncertainty: the largest error of a channel that is looked for among those that no test need see."""
@@ -453,6 +468,9 @@ def _notices(
                 f"{len(result.observed)} lines: too few points, directions or usable lines; no values are given"
             )
             notices.append(Notice("info", text, result.body))
+    if np.any(np.isinf(result.unseen_amplitude)):
+        observed = np.any(result.observed, axis=0)
+        notices.append(Notice("warning", unbounded_text(result.body, result.unseen, observed), result.body))
     if not stated:
         text = f"no instrument ({titles}) states a systematic uncertainty: U contains noise only"
         notices.append(Notice("warning", text, result.body))
@@ -534,18 +552,6 @@ def _disagreement(
     if result.disputed is None:
         return Notice("warning", text + "; U was enlarged to cover the disagreement", result.body)
     return Notice("warning", f"{text}; nothing decides, so no mean is given: {_values(result)}", result.body)
-
-
-def _enough(system: System, solution: Solution, unknowns: Sequence[CommonEstimate]) -> dict[CommonEstimate, bool]:
-    """Return the unknowns that deviate, and whether the readings agree nearly once such a one is free."""
-    noise, found = EstimatedNoise.of(system, solution.effects), dict[CommonEstimate, bool]()
-    for unknown, effect in zip(unknowns, solution.effects.T, strict=True):
-        if abs(unknown.deviation) > NOTABLE_DEVIATION:
-            part = solution.projector @ effect
-            rest = solution.projector - np.outer(part, part) / (1.0 - unknown.remaining**2)
-            chi2 = solution.chi2 - unknown.deviation**2
-            found[unknown] = not noise.fails(chi2, solution.dof - 1, rest, NEARLY)
-    return found
 
 
 def _causes(result: Acceleration, deviating: Mapping[CommonEstimate, bool]) -> str:

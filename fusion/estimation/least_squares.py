@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import block_diag, solve_triangular
 from scipy.sparse import csr_array, diags_array
 
+from fusion.base import ComputeError
 from fusion.estimation.measurement_model import SCALE, UnseenMotion, relative_change
 from fusion.estimation.uncertainty import as_complex, real_design, real_stack
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
@@ -74,8 +75,9 @@ class System:
     belongs; `pairs` (N/2, 2): the rows of the real and the imaginary part of every reading; `member_names`; `expand`
     (12K, P) from the unknowns to [Re A_k, Im A_k] of all lines; `observed` (K, 6); `common`: the E common errors, each
     once; `errors`: their effects, observation by observation. `unseen`: what is assumed of components that nobody
-    observes; `beyond` (N, 12): how [Re A, Im A] that are not among the unknowns act on the rows; `ways`: for each line
-    its rows and, sparse, how they act through common errors, 12 columns for each.
+    observes; `share` (K,): which part of the driven motion is observed (`driven_share`); `beyond` (N, 12): how
+    [Re A, Im A] that are not among the unknowns act on the rows; `ways`: for each line its rows and, sparse, how they
+    act through common errors, 12 columns for each.
     """
 
     observations: tuple[Observation, ...]
@@ -95,6 +97,7 @@ class System:
     errors: tuple[RowErrors, ...]
     beyond: FloatArray
     unseen: UnseenMotion = field(default_factory=UnseenMotion)
+    share: FloatArray | None = None
     ways: tuple[tuple[IntArray, csr_array], ...] = ()
 
     def effects(self, acceleration: ComplexArray) -> FloatArray:
@@ -106,6 +109,12 @@ class System:
             effects[part.block, part.columns] = change
         return effects
 
+    def driven_limit(self, acceleration: ComplexArray) -> FloatArray | None:
+        """Return up to which amplitude (K,) the driven motion goes, None where it is not known what is driven."""
+        if self.unseen.drive is None or self.share is None:
+            return None
+        return self.unseen.driven_amplitude(acceleration, self.share)
+
     def hidden(self, acceleration: ComplexArray) -> Hidden:
         """Return what components that nobody observes, zero in the estimate A (K, 6), do to the readings.
 
@@ -114,7 +123,9 @@ class System:
         A product of two unknowns, error times motion, has the product of their variances; it is shared by all readings
         that share the error.
         """
-        u = np.tile(self.unseen.amplitude(acceleration, self.observed) / np.sqrt(2.0), (1, 2))
+        amplitude = self.unseen.amplitude(acceleration, self.observed, self.share)
+        # What nothing bounds reaches no reading that is left (`without_unbounded`).
+        u = np.tile(np.where(np.isinf(amplitude), 0.0, amplitude) / np.sqrt(2.0), (1, 2))
         own, count = self.beyond * u[self.line], len(self.readings)
         through, total = np.zeros((count, count)), np.zeros((count, count))
         for (rows, ways), parts in zip(self.ways, u, strict=True):
@@ -242,7 +253,79 @@ def build_system(observations: Sequence[Observation], unseen: UnseenMotion | Non
         errors=tuple(errors),
         beyond=_beyond(motion, line, bases),
         unseen=unseen or UnseenMotion(),
+        share=np.array([driven_share(basis, unseen) for basis in bases]),
         ways=tuple(_ways(np.flatnonzero(line == k), errors, len(common)) for k in range(lines)),
+    )
+
+
+def driven_share(basis: ComplexArray, unseen: UnseenMotion | None) -> float:
+    """Return which share of the driven motion a basis (6, R) of observed ones holds, as a square; 1 without a drive."""
+    drive = None if unseen is None else unseen.drive
+    return 1.0 if drive is None else float(np.sum(np.abs(basis.conj().T @ np.array(drive)) ** 2))
+
+
+def without_unbounded(observations: Sequence[Observation], unseen: UnseenMotion | None) -> tuple[Observation, ...]:
+    """Return observations without readings (NaN) that are reached by a motion which nothing bounds.
+
+    Where the driven motion is not observed and nothing bounds it, neither does anything bound what goes with it. It
+    reaches readings by themselves, and through what is uncertain of their directions and places. Readings that are
+    gone observe nothing any more, which may leave others open.
+    """
+    kept = tuple(observations)
+    if unseen is None or unseen.drive is None or not kept:
+        return kept
+    lines = len(kept[0].phasors.frequency_hz)
+    while True:
+        bases = [row_space(kept, line) for line in range(lines)]
+        lost = unseen.unbounded(np.array([driven_share(basis, unseen) for basis in bases]))
+        reached = [np.isfinite(o.phasors.value) & lost[:, None] for o in kept]
+        for mask, o in zip(reached, kept, strict=True):
+            for line in np.flatnonzero(lost).tolist():
+                mask[line] &= _reached(o, line, bases[line])
+        if not any(mask.any() for mask in reached):
+            return kept
+        kept = tuple(without(o, mask) for o, mask in zip(kept, reached, strict=True))
+
+
+def _reached(observation: Observation, line: int, basis: ComplexArray) -> BoolArray:
+    """Return which readings (M,) of a line motion beyond a basis changes, by itself or through common errors."""
+    rows, hidden = observation.design[line] * SCALE, ~observed_components(basis)
+    least = ROUNDING * np.abs(rows).max(axis=1)
+    found = np.abs(rows - rows @ basis @ basis.conj().T).max(axis=1) > least
+    for error in observation.common:
+        found |= np.abs(error.slope[line] * SCALE)[:, hidden].max(axis=1, initial=0.0) > least
+    return np.asarray(found)
+
+
+def without(observation: Observation, gone: BoolArray) -> Observation:
+    """Return an observation with some of its readings (K, M) gone, NaN."""
+    value, covariance = observation.phasors.value.copy(), observation.phasors.covariance.copy()
+    value[gone] = complex(np.nan, np.nan)
+    lost = np.tile(~np.isfinite(value), (1, 2))
+    covariance[lost[:, :, None] | lost[:, None, :]] = np.nan
+    return replace(observation, phasors=replace(observation.phasors, value=value, covariance=covariance))
+
+
+def bounded_system(observations: Sequence[Observation], unseen: UnseenMotion | None) -> System:
+    """Return the system of readings that no unbounded motion reaches; `Unbounded` where there are none."""
+    left = without_unbounded(observations, unseen)
+    if unseen is not None and not any(np.isfinite(o.phasors.value).any() for o in left):
+        raise Unbounded(unbounded_text(observations[0].body, unseen, np.zeros(6, np.bool_)))
+    return build_system(left, unseen)
+
+
+class Unbounded(ComputeError):
+    """No reading is left, since each could contain a driven motion that no instrument observes."""
+
+
+def unbounded_text(body: str, unseen: UnseenMotion, observed: BoolArray) -> str:
+    """Say that the driven motion of a body has no limit, and which instrument would give one; `observed` (6,)."""
+    drive = unseen.drive or (0.0,) * 6
+    named = [name for name, part, seen in zip(MOTION_COMPONENTS, drive, observed, strict=True) if part and not seen]
+    driven = f"{' and '.join(named)} of the {body}"
+    return (
+        f"no instrument observes {driven}, which excitation.direction says is driven: nothing bounds that motion, and "
+        f"what it can reach has no value; add an instrument that observes {driven}, or correct excitation.direction"
     )
 
 

@@ -18,6 +18,8 @@ from shaker.sine.phasor import Phasors
 
 Kind = Literal["photogrammetry", "vibrometer", "accelerometer"]
 MULTIPLE_TOLERANCE = 1e-9
+FULL = 1.0 - 1e-6
+"""Share of the driven motion from which on readings show all of it, as of a component (`RESOLUTION_TOLERANCE`)."""
 BODY_SIZE_M = 0.1
 """Length that compares rotations with translations where ranks are decided: a body of the size of a hand."""
 SCALE = np.array([1.0, 1.0, 1.0, 1.0 / BODY_SIZE_M, 1.0 / BODY_SIZE_M, 1.0 / BODY_SIZE_M])
@@ -200,23 +202,63 @@ class Deviates:
 
 @dataclass(frozen=True)
 class UnseenMotion:
-    """Limits of what nobody observes: amplitude of a component over that of the observed motion.
+    """Limits of what nobody observes: amplitude of a component over that of the driven motion.
 
     `transverse`: of translations; `rocking`: of rotations times 0.1 m. 10 % is what ISO 16063-21 lets a shaker move
     aside. An amplitude at its limit with a phase of which nothing is known has the standard uncertainty limit/√2 in
     each part (arc-sine distribution), in each component that is not observed. Motion in phase with the drive needs all
     of it; amplitudes spread evenly over the disc up to the limit would need limit/2, amplitudes spread evenly up to the
     limit in an even direction, as ISO 16063-21 counts them (1/√18 with the transverse sensitivity), less still.
+
+    `drive` (6,): the driven motion, translations and rotations times 0.1 m, a unit vector; None where it is not known
+    and the largest component that is observed counts as driven. `driven` (K,): its amplitude as other instruments
+    bound it, for those that do not observe it.
     """
 
     transverse: float = 0.1
     rocking: float = 0.1
+    drive: tuple[float, ...] | None = None
+    driven: FloatArray | None = None
 
-    def amplitude(self, acceleration: ComplexArray, observed: BoolArray) -> FloatArray:
-        """Return the amplitudes (K, 6) assumed of what is not `observed` (K, 6) beside A (K, 6); zero for the rest."""
+    def unbounded(self, share: FloatArray) -> BoolArray:
+        """Return at which lines (K,) nothing bounds the driven motion, of which `share` (K,) is observed (`gain`)."""
+        known = np.full(share.shape, np.inf) if self.driven is None else self.driven
+        none = np.zeros(share.shape, np.bool_)
+        return none if self.drive is None else np.isinf(np.where(share < FULL, known, 0.0)) & np.isinf(self.gain(share))
+
+    def gain(self, share: FloatArray) -> FloatArray:
+        """Return by how much (K,) the driven amplitude s may exceed what readings show of it, infinite without limit.
+
+        They show P·(s·d + t), of the drive d and other motion t, |t| < λ|s|; `share` q² = |P·d|². Of s they show
+        d·P·(s·d + t)/q², and t moves that by no more than λ|s|·min(√(1 - q²), q)/q².
+        """
+        q2 = np.maximum(share, np.finfo(np.float64).tiny)
+        moved = max(self.transverse, self.rocking) * np.minimum(np.sqrt(np.maximum(1.0 - q2, 0.0)), np.sqrt(q2)) / q2
+        moved = np.where(share >= FULL, 0.0, np.minimum(moved, 1.0))
+        return np.asarray(np.divide(1.0, 1.0 - moved, out=np.full(moved.shape, np.inf), where=moved < 1.0))
+
+    def driven_amplitude(self, acceleration: ComplexArray, share: FloatArray) -> FloatArray:
+        """Return the amplitude (K,) of the driven motion at A (K, 6), m/s²; infinite where nothing bounds it."""
+        if self.drive is None:
+            return np.zeros(len(acceleration))
+        shown = np.abs(np.nan_to_num(acceleration) / SCALE @ np.array(self.drive))
+        gain, seen = self.gain(share), np.maximum(share, np.finfo(np.float64).tiny)
+        own = np.where(np.isinf(gain), np.inf, shown / seen * np.where(np.isinf(gain), 0.0, gain))
+        return own if self.driven is None else np.where(share < FULL, np.minimum(own, self.driven), own)
+
+    def amplitude(self, acceleration: ComplexArray, observed: BoolArray, share: FloatArray | None = None) -> FloatArray:
+        """Return the amplitudes (K, 6) assumed of what is not `observed` (K, 6) beside A (K, 6); zero for the rest.
+
+        `share` (K,) of the driven motion that is observed, all of it where None; infinite where nothing bounds that.
+        """
+        share = np.ones(len(acceleration)) if share is None else share
         size = np.max(np.where(observed, np.abs(acceleration / SCALE), 0.0), axis=1, keepdims=True)
+        driven = self.driven_amplitude(acceleration, share)[:, None]
         limit = np.repeat([self.transverse, self.rocking], 3) * SCALE
-        return np.asarray(np.where(observed, 0.0, limit * size))
+        along = np.abs(np.zeros(6) if self.drive is None else np.array(self.drive)) * SCALE
+        lost = np.isinf(driven)
+        known = limit * np.maximum(size, np.where(lost, 0.0, driven)) + along * np.where(lost, 0.0, driven)
+        return np.asarray(np.where(observed, 0.0, np.where(lost, np.inf, known)))
 
     def __str__(self) -> str:
         """Return the limits in words."""

@@ -28,6 +28,7 @@ from fusion.instruments.transducer import (
 )
 from photogram.geometry import rotation_from_vector
 from shaker.arrays import ComplexArray, FloatArray
+from shaker.frf.chain import filters_of_delay
 from shaker.sine.phasor import Phasors, stack_phasors
 
 if TYPE_CHECKING:
@@ -115,12 +116,30 @@ class Reading:
     further: tuple[RelativeError, ...] = ()
 
 
+DELAY_OF_FILTER = "filter that the delay may be of"
+"""Label of the attenuation that comes with a delay unless it is pure."""
+
+
+def u_of_filter(frequency_hz: FloatArray, delay_s: float) -> tuple[FloatArray, FloatArray]:
+    """Return standard uncertainties (K,) of relative magnitude and phase, rad, of a delay that may be a low-pass's.
+
+    Nothing is corrected: a filter of this delay does anything between nothing and what the usual one does that changes
+    most, so that u is that over √3.
+    """
+    if not delay_s > 0.0:
+        return np.zeros(len(frequency_hz)), np.zeros(len(frequency_hz))
+    filters = filters_of_delay(frequency_hz, delay_s)
+    most = np.abs(np.abs(filters) - 1.0).max(axis=0), np.abs(np.angle(filters)).max(axis=0)
+    return most[0] / np.sqrt(3.0), most[1] / np.sqrt(3.0)
+
+
 def chain_errors(readings: Sequence[Reading]) -> tuple[RelativeError, ...]:
     """Return scale, delay and response errors of channels that share one chain.
 
     Scale multiplies by 1 + u; a delay not taken off by exp(-jω u) ≈ 1 - jω u; a response by 1 + u_m + j u_phi, its
-    error at all lines taken as one. `individual_uncertainty` is one unknown per channel. What a reading has beside
-    that, errors of its clock among it, comes last.
+    error at all lines taken as one; likewise the filter that a delay may belong to (`u_of_filter`).
+    `individual_uncertainty` is one unknown per channel. What a reading has beside that, errors of its clock among it,
+    comes last.
     """
     entries, chains = [reading.entry for reading in readings], [reading.chain for reading in readings]
     name, frequency = chain_name(entries[0]), readings[0].phasors.frequency_hz
@@ -128,12 +147,15 @@ def chain_errors(readings: Sequence[Reading]) -> tuple[RelativeError, ...]:
     scales, delays = [e.scale_uncertainty for e in entries], [e.delay_uncertainty for e in entries]
     magnitudes = [zero if chain.u_magnitude is None else chain.u_magnitude for chain in chains]
     phases = [zero if chain.u_phase_rad is None else chain.u_phase_rad for chain in chains]
+    filters = [u_of_filter(frequency, entry.filter_delay_s) for entry in entries]
     errors = []
     for kind, unit, u, columns in (
         ("scale", "1", max(scales), [zero + u for u in scales]),
         ("delay", "s", max(delays), [turn * u for u in delays]),
         ("response magnitude", "1", 1.0, magnitudes),
         ("response phase", "1", 1.0, [1j * phase for phase in phases]),
+        (DELAY_OF_FILTER, "1", 1.0, [magnitude for magnitude, _ in filters]),
+        (f"{DELAY_OF_FILTER}, phase", "1", 1.0, [1j * phase for _, phase in filters]),
     ):
         relative = np.stack(columns, axis=1).astype(np.complex128)
         errors.append(RelativeError(f"{name}: {kind}", f"{name}: {kind}", u, unit, relative, "rig"))

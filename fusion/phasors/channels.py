@@ -7,12 +7,13 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from hashlib import sha256
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fusion.base import AnyNotice, InputError, as_input_error
-from fusion.instruments.channel import NOISE_REACH, ChainUncertainty, Reading, acting, chain_errors
+from fusion.instruments.channel import NOISE_REACH, ChainUncertainty, Reading, acting, chain_errors, u_of_filter
 from fusion.instruments.transducer import HEAD, ROOM, TRANSDUCERS
 from fusion.phasors.condition import check_usable, condition_of, fit_usable
 from fusion.phasors.timing import Lateness, TimeBase, together
@@ -526,6 +527,26 @@ def _expected(channel: ChannelResult, reading: Reading, fold: Fold) -> bool:
     own = channel.phasors.at_lines(np.array([line]))
     u = np.linalg.norm([own.u_re[0, 0], own.u_im[0, 0], np.abs(own.value[0, 0]) * np.linalg.norm(relative)])
     return bool(np.max((size * (order / fold.multiple) ** 2)[counted], initial=0.0) > OF_U * u)
+
+
+ATTENUATED = 1e-3
+"""Relative attenuation that a filter of a stated delay may have, from which on the user is asked about it."""
+
+
+def delay_doubts(readings: Sequence[Reading], path: Path) -> list[Notice]:
+    """Ask about delays that may be those of filters, which attenuate, in the manifest at `path`."""
+    told = []
+    for entry, phasors in ((reading.entry, reading.phasors) for reading in readings if reading.entry.delay_of is None):
+        loss = np.sqrt(3.0) * u_of_filter(phasors.frequency_hz, entry.filter_delay_s)[0]
+        line = int(np.argmax(loss))
+        if loss[line] > ATTENUATED:
+            text = (
+                f"channel.{entry.name}.delay: a low-pass with this delay of {1e6 * entry.delay:.4g} us changes "
+                f"{phasors.frequency_hz[line]:.6g} Hz by up to {loss[line]:.2%}, which U contains: state delay_of = "
+                '"pure" if it is none, or the filter as response'
+            )
+            told.append(Notice("warning", text, path.name))
+    return told
 
 
 def line_strength(readings: Sequence[Reading], lines: Lines) -> FloatArray | None:

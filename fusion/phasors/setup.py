@@ -18,6 +18,7 @@ from fusion.phasors.channels import (
     APART_PERIODS,
     ChannelResult,
     channel_phasors,
+    delay_doubts,
     find_channel_lines,
     folding_told,
     line_clock,
@@ -39,6 +40,7 @@ from fusion.phasors.stereo_motion import (
 from fusion.phasors.timing import TimeBase, tie_daqs
 from fusion.recording.files import AlreadyRead, read_set_ups, told_in
 from fusion.recording.load import Manifest
+from fusion.recording.units import unit_doubts
 from shaker.arrays import Notice
 from shaker.lines.frequencies import Lines
 from shaker.sine.aliasing import alias_frequency
@@ -97,7 +99,8 @@ class SetUp:
         clocks = [(daq, notice) for (daq, _), fit in base.triggers.items() for notice in fit.notices]
         clocks += [(daq, notice) for daq, tie in base.ties.items() if tie is not None for notice in tie.notices]
         told: list[AnyNotice] = [Notice(n.severity, f"{daq}: {n.text}", daq) for daq, n in clocks]
-        told += [*self.lines.notices, *self.aliased]
+        told += [doubt for r in base.records for doubt in unit_doubts(self.opened.manifest, r.entry, r.raw)]
+        told += [*delay_doubts(self.opened.readings, self.opened.manifest.path), *self.lines.notices, *self.aliased]
         told += [notice for channel in self.opened.channels for notice in channel.notices]
         told += folding_told(self.opened.channels, self.opened.readings, self.lines)[0]
         told += [found.notice for found in distortions(self.opened.channels, self.lines)]

@@ -25,6 +25,7 @@ from fusion.recording.plausible import doubts
 from fusion.recording.response import check_response, read_response
 from fusion.recording.rig import Rig, Stereo
 from fusion.recording.toml import quoted
+from fusion.recording.units import unit_doubts
 from fusion.recording.values import PULSE
 from photogram.images.sequence import ImageSequence
 from shaker.arrays import BoolArray, FloatArray
@@ -131,6 +132,9 @@ def check(manifest: Manifest) -> CheckReport:
     already = AlreadyRead()
     takes = [take for _, block in manifest.set_ups for take in _takes(block)]
     contents, problems = _contents(manifest, takes, already)
+    named = {(where, daq.name): (block, daq) for where, block in manifest.set_ups for daq in block.daq}
+    doubted = [unit_doubts(*named[place], raw) for place, raw in already.channels.items()]
+    remarks += [f"{notice.where}: {notice.text}" for notices in doubted for notice in notices]
     observed = _observed(manifest.rig, takes)
     told_alone = _alone(manifest.rig, takes, observed, already)
     blank = _blank(takes, already)
@@ -336,7 +340,7 @@ def _read_daq(block: Manifest, daq: Daq, where: str, already: AlreadyRead) -> tu
     try:
         points = scanned_points(block, daq)
         if points is None:
-            channels = already.channels[where, daq.name] = recorded_channels(daq)
+            channels = already.channels[where, daq.name] = recorded_channels(block, daq)
         else:
             channels = {f"{name}/{point.number}": channel for point in points for name, channel in point.raw.items()}
     except (OSError, ValueError, KeyError, InputError) as error:

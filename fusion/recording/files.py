@@ -14,6 +14,7 @@ from fusion.base import ComputeError, InputError, as_input_error
 from fusion.instruments.transducer import TRANSDUCERS, wrong_aim
 from fusion.recording.excitation import KINDS
 from fusion.recording.manifest import SCAN, ChannelEntry, Daq, Frames
+from fusion.recording.units import in_stated_units
 from shaker.arrays import FloatArray, Stacked
 from shaker.io import read_channels
 from shaker.io.channel import RawChannel
@@ -268,10 +269,11 @@ def told_in(path: Path, where: str, name: str = "") -> Iterator[None]:
         raise ComputeError(f"{name}: {error}" if name else str(error)) from error
 
 
-def recorded_channels(daq: Daq) -> dict[str, RawChannel]:
-    """Read the channels of a block from its file, each by the name that the recording gives it."""
+def recorded_channels(manifest: Manifest, daq: Daq) -> dict[str, RawChannel]:
+    """Read the channels of a block from its file, each by the name that the recording gives it (`in_stated_units`)."""
     stored = read_channels(daq.file, [entry.stored_name for entry in daq.channel], daq.sample_rate)
-    return {entry.name: stored[entry.stored_name] for entry in daq.channel}
+    named = {entry.name: stored[entry.stored_name] for entry in daq.channel}
+    return in_stated_units(manifest, daq, named)
 
 
 def _read_daq(
@@ -289,7 +291,7 @@ def _read_daq(
         record: DaqRecord = replace(point, slowest_hz=slowest_hz)
     else:
         with as_input_error(manifest.path, f"daq.{daq.name}.file"):
-            raw = recorded_channels(daq) if raw is None else raw
+            raw = recorded_channels(manifest, daq) if raw is None else raw
         start_s = min(channel.start_s for channel in raw.values())
         record = DaqRecord(daq, raw, start_s, slowest_hz=slowest_hz)
     for entry in daq.channel:

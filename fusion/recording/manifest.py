@@ -128,7 +128,8 @@ class ChannelEntry(Block):
     """One channel of a DAQ file: true phasor = file value · scale · exp(+jω·delay) / response(f).
 
     `in_file`: its name in the file, where that is not `name`, by which the recording knows it. `body` "head": it sits
-    on its `head`; "room": a beam of that head at what stands still. Both tell how the head moves.
+    on its `head`; "room": a beam of that head at what stands still. Both tell how the head moves. `delay_of` "pure":
+    the delay is that of a converter or a line, which attenuates nothing; "filter": that of a low-pass.
     """
 
     name: Text
@@ -148,6 +149,7 @@ class ChannelEntry(Block):
     transverse_sensitivity: Share = 0.0
     delay: Delay = 0.0
     delay_uncertainty: Annotated[NotNegative, SECONDS] = 0.0
+    delay_of: Literal["pure", "filter"] | None = None
     response: ExistingFile | None = None
     response_result: Text | None = None
     response_columns: ResponseColumns | None = None
@@ -165,7 +167,9 @@ class ChannelEntry(Block):
         "response_result",
         "response_columns",
     )
-    VALUE: ClassVar[tuple[str, ...]] = ("scale", "scale_uncertainty", "common", "individual_uncertainty", "reference")
+    VALUE: ClassVar[tuple[str, ...]] = (
+        "scale", "scale_uncertainty", "common", "individual_uncertainty", "delay_of", "reference",
+    )  # fmt: skip
     PLACE: ClassVar[tuple[str, ...]] = (
         "body", "point", "point_uncertainty", "direction", "direction_uncertainty", "head", "transverse_sensitivity",
     )  # fmt: skip
@@ -202,6 +206,8 @@ class ChannelEntry(Block):
             )
         if self.response_columns is not None and suffix not in SUFFIXES:
             raise refusal("no such key without a table as response", "one", key="response_columns")
+        if self.delay_of is not None and not self.delay > 0.0 and (self.delay_of == "filter" or not self.delay):
+            raise refusal("a delay above 0 that this says something of", f"{self.delay:g}", key="delay_of")
         if self.scale == 0.0:
             raise refusal("a number other than 0", "0", key="scale")
         return self
@@ -210,6 +216,15 @@ class ChannelEntry(Block):
     def stored_name(self) -> str:
         """Return what the file calls this channel."""
         return self.in_file or self.name
+
+    @property
+    def filter_delay_s(self) -> float:
+        """Return the delay that may be a low-pass's, which attenuates; 0 where it says that it is none.
+
+        Beside a response the delay is pure, unless it says otherwise.
+        """
+        kind = self.delay_of or (None if self.response is None else "pure")
+        return 0.0 if kind == "pure" else max(self.delay, 0.0)
 
 
 class Daq(Block):

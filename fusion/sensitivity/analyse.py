@@ -11,8 +11,8 @@ import numpy as np
 from fusion.base import AnyNotice, ComputeError
 from fusion.estimation.consistency import UNTESTED
 from fusion.estimation.fuse import Acceleration, fuse_sources
-from fusion.estimation.least_squares import observed_components, row_space
-from fusion.estimation.measurement_model import CommonError, Deviates, Geometry, Observation, UnseenMotion
+from fusion.estimation.least_squares import Unbounded, observed_components, row_space
+from fusion.estimation.measurement_model import SCALE, CommonError, Deviates, Geometry, Observation, UnseenMotion
 from fusion.estimation.uncertainty import Influence, Uncertainty, added_up, as_complex
 from fusion.instruments.channel import ChannelGeometry, Outputs
 from fusion.instruments.stereo import StereoReading
@@ -213,6 +213,7 @@ class Analysis:
 
     `outputs`: of the sensor, with what the instruments say of errors that they share; `sensitivity`: their ratios over
     the driven load; `element`: the sensor's own elements, with what is `known` of its matrix, None where nothing is.
+    `doubts`: of what the excitation is said to drive.
     """
 
     accelerations: tuple[Acceleration, ...]
@@ -221,6 +222,7 @@ class Analysis:
     sensitivity: Sensitivity | None
     element: Sensitivity | None = None
     known: KnownMatrix | None = None
+    doubts: tuple[Notice, ...] = ()
 
     __repr__ = brief
 
@@ -229,7 +231,7 @@ class Analysis:
         """Return what fusion, load and sensitivity want the user to know."""
         results = [*(a for a in self.accelerations if a.source == "fused"), self.load, self.sensitivity]
         results.append(self.element)
-        return tuple(notice for result in results if result is not None for notice in result.notices)
+        return (*self.doubts, *(notice for result in results if result is not None for notice in result.notices))
 
 
 NOT_SHOWN = ("repeatability", "mounting anew")
@@ -242,17 +244,73 @@ SINGLE = (
 )
 
 
+def driven_motion(direction: Sequence[float], body: Body | None = None) -> tuple[float, ...]:
+    """Return the motion (6,) that an excitation drives, translations and rotations times 0.1 m, as a unit vector.
+
+    Of six load components each drives the motion along or about its own axis, force over mass and moment over moment of
+    inertia at the sensor origin; without a body, or of a point mass, that of a radius of gyration of 0.1 m.
+    """
+    inertia = SCALE**-2.0
+    if body is not None:
+        own = np.diag(body.rigid.mass_matrix)
+        inertia = np.where(own > 0.0, own, own[0] * inertia)
+    whole = np.zeros(6)
+    whole[: len(direction)] = direction
+    motion = whole / inertia / SCALE
+    return tuple((motion / np.linalg.norm(motion)).tolist())
+
+
+OTHER_AXIS = 2.0
+"""Observed motion across the stated direction over that along it: more is no shaker's, unless it resonates."""
+
+
+def _direction_doubts(fused: Acceleration) -> Iterator[Notice]:
+    """Ask about the direction of the excitation where the largest motion observed is another one."""
+    drive = np.array(fused.unseen.drive or (0.0,) * 6)
+    motion = np.where(fused.observed, fused.phasors.value, 0.0) / SCALE
+    line = int(np.argmax(np.linalg.norm(motion, axis=1)))
+    along = abs(motion[line] @ drive)
+    across = np.abs(motion[line] - drive * (motion[line] @ drive))
+    c = int(np.argmax(across))
+    if np.all(fused.observed[line] | (drive == 0.0)) and across[c] > OTHER_AXIS * along:
+        unit = "m/s^2" if c < 3 else f"m/s^2 at {1.0 / SCALE[c]:g} m"
+        text = (
+            f"{MOTION_COMPONENTS[c]} of the {fused.body} moves by {across[c]:.3g} {unit} at "
+            f"{fused.phasors.frequency_hz[line]:.6g} Hz, and only by {along:.3g} m/s^2 along what excitation.direction "
+            "says is driven: is that the driven axis?"
+        )
+        yield Notice("warning", text, "excitation.direction")
+
+
 def analyse(inputs: Inputs) -> Analysis:
     """Fuse all instruments of every body, apply the mass matrix, and divide the outputs by the driven load.
 
-    Raises `ComputeError` where nothing measures a motion.
+    Raises `ComputeError` where nothing measures a motion, or where every reading of the load may contain a driven
+    motion that nothing bounds.
     """
-    seen, outputs, sensor, direction = inputs.observations, inputs.outputs, inputs.sensor, inputs.direction
-    bodies = [body for body in ("load", "base") if any(observation.body == body for observation in seen)]
-    if not bodies:
+    seen, direction = inputs.observations, inputs.direction
+    unseen = replace(inputs.unseen, drive=driven_motion(direction, inputs.body) if direction is not None else None)
+    accelerations, doubts = list[Acceleration](), list[Notice]()
+    for body in (body for body in ("load", "base") if any(observation.body == body for observation in seen)):
+        try:
+            accelerations += fuse_sources(seen, body, unseen)
+        except Unbounded as error:
+            own = [observation for observation in seen if observation.body == body]
+            compared = ", ".join(o.title for o in own if any(other.stated for other in own) and not o.stated)
+            text = f"{error}" + (f"; {compared} states no systematic uncertainty and is not used" if compared else "")
+            if body == "load":
+                raise Unbounded(text) from error
+            doubts.append(Notice("warning", text, body))
+    if not accelerations and not doubts:
         raise ComputeError("no channel or camera of this recording measures a motion; add one to recording.toml")
-    accelerations = tuple(acceleration for body in bodies for acceleration in fuse_sources(seen, body, inputs.unseen))
     fused = next((a for a in accelerations if a.body == "load" and a.source == "fused"), None)
+    doubts += [] if fused is None else _direction_doubts(fused)
+    return replace(_sensor(inputs, tuple(accelerations), fused), doubts=tuple(doubts))
+
+
+def _sensor(inputs: Inputs, accelerations: tuple[Acceleration, ...], fused: Acceleration | None) -> Analysis:
+    """Return the load under the fused acceleration of its body, and the outputs over it."""
+    outputs, sensor, direction = inputs.outputs, inputs.sensor, inputs.direction
     if inputs.body is None or fused is None:
         return Analysis(accelerations, None, outputs, None)
     load = load_phasors(fused, inputs.body)

@@ -115,6 +115,7 @@ def load_phasors(acceleration: Acceleration, body: Body) -> LoadResult:
     changes = [replace(change, effect=seen * change.effect) for change in body.matrix_changes(frequency)]
     known = np.nan_to_num(acceleration.phasors.value)
     value = np.einsum("kij,kj->ki", matrix, known)
+    value = np.where(_reached(acceleration, matrix, changes), complex(np.nan, np.nan), value)
     hidden = _hidden_contributions(acceleration, matrix, changes)
     spread = np.sum([np.zeros(value.shape), *(total_variance(part.covariance) for part in hidden.values())], axis=0)
     observed = np.isfinite(value) & (np.sqrt(spread) <= UNOBSERVED_LIMIT * np.abs(value))
@@ -135,6 +136,13 @@ def load_phasors(acceleration: Acceleration, body: Body) -> LoadResult:
     return replace(result, notices=(*notices, *_rigidity_notices(body, result)))
 
 
+def _reached(acceleration: Acceleration, matrix: ComplexArray, changes: Sequence[Unknown[ComplexArray]]) -> BoolArray:
+    """Return which components of the load (K, 6) a motion changes that nobody observes and nothing bounds."""
+    unbounded = np.isinf(acceleration.unseen_amplitude)[:, None, :]
+    ways = (matrix, *(change.effect for change in changes))
+    return np.asarray(np.any([np.any((way != 0.0) & unbounded, axis=2) for way in ways], axis=0))
+
+
 def _hidden_contributions(
     acceleration: Acceleration, matrix: ComplexArray, changes: Sequence[Unknown[ComplexArray]]
 ) -> dict[str, Contribution]:
@@ -142,8 +150,8 @@ def _hidden_contributions(
 
     What it adds to the load it takes from, or adds to, what instruments tell of other components, with sign.
     """
-    known = np.nan_to_num(acceleration.phasors.value)
-    u = acceleration.unseen.amplitude(known, acceleration.observed) / np.sqrt(2.0)
+    amplitude = acceleration.unseen_amplitude
+    u = np.where(np.isinf(amplitude), 0.0, amplitude) / np.sqrt(2.0)
     # Through the uncertain parameters an unobserved component acts even where its coefficient is zero.
     ways = np.stack([matrix, *(c.effect for c in changes)])
     leaked = np.zeros((len(u), 12, 12)) if acceleration.leaked is None else real_design(matrix) @ acceleration.leaked
@@ -181,9 +189,9 @@ def _notices(
             share, size = part / whole, np.sqrt(part / 2.0) / np.abs(value[line, largest])
             text = (
                 f"nothing measures {', '.join(hidden)} of the load at some lines: amplitudes up to "
-                f"{acceleration.unseen} are assumed ([shaker] states others); they make u = {100.0 * size:.2g} % of "
-                f"{LOAD_COMPONENTS[largest]} at {acceleration.phasors.frequency_hz[line]:.6g} Hz, {share:.0%} of its "
-                "variance"
+                f"{acceleration.unseen} are assumed ([shaker] states others){_driven(acceleration, int(line))}; they "
+                f"make u = {100.0 * size:.2g} % of {LOAD_COMPONENTS[largest]} at "
+                f"{acceleration.phasors.frequency_hz[line]:.6g} Hz, {share:.0%} of its variance"
             )
             told.append(Notice("warning" if share > MATTERS else "info", text, acceleration.body))
     missing = [name for place, name in enumerate(LOAD_COMPONENTS) if not np.any(observed[:, place])]
@@ -191,6 +199,15 @@ def _notices(
         text = f"no value of {', '.join(missing)}: components of the motion that were not observed may dominate them"
         told.append(Notice("info", text, "load"))
     return tuple(told)
+
+
+def _driven(acceleration: Acceleration, line: int) -> str:
+    """Say how far the drive itself moves what is not observed of it at a line; empty where that is nothing."""
+    drive, amplitude = acceleration.unseen.drive or (0.0,) * 6, acceleration.unseen_amplitude[line]
+    units = ("m/s^2",) * 3 + ("rad/s^2",) * 3
+    own = zip(MOTION_COMPONENTS, drive, amplitude.tolist(), units, strict=True)
+    parts = [f"{name} up to {size:.3g} {unit}" for name, part, size, unit in own if part and 0.0 < size < np.inf]
+    return f", and by excitation.direction {', '.join(parts)}" if parts else ""
 
 
 def _elastic_notices(

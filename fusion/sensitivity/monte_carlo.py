@@ -17,7 +17,7 @@ from fusion.instruments.channel import Outputs
 from fusion.sensitivity.analyse import Analysis, Inputs
 from fusion.sensitivity.distributions import FirstOrder, MonteCarlo, Propagated, judged, summarise
 from fusion.sensitivity.load import LoadResult
-from fusion.sensitivity.ratio import KnownMatrix
+from fusion.sensitivity.ratio import KnownMatrix, quotient
 from shaker.arrays import ComplexArray, FloatArray, Notice
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS
 
@@ -121,7 +121,8 @@ class _Motion:
         """
         fused, estimate = self.fused, np.asarray(np.nan_to_num(self.fused.phasors.value))
         phase = deviates.angle(f"unobserved motion of the {fused.body}", *estimate.shape)
-        hidden = fused.unseen.amplitude(estimate, fused.observed) * np.exp(1j * phase)
+        amplitude = fused.unseen_amplitude  # what is unbounded reaches no value that is given
+        hidden = np.where(np.isinf(amplitude), 0.0, amplitude) * np.exp(1j * phase)
         readings = [o.draw(estimate, deviates, noise) for o, noise in zip(self.observations, self.noise, strict=True)]
         value = self.estimator.acceleration(readings, estimate, hidden)
         own = {f"{name}: noise" for name in fused.instruments} | {UNOBSERVED, *UNOBSERVED_ITSELF}
@@ -161,7 +162,7 @@ def _draw(
     outputs = analysis.outputs
     if outputs is not None and analysis.sensitivity is not None:
         channel, component = np.array(analysis.sensitivity.elements).T
-        drawn["sensitivity"] = outputs.draw(deviates)[:, :, channel] / drawn["load"][:, :, component]
+        drawn["sensitivity"] = quotient(outputs.draw(deviates)[:, :, channel], drawn["load"][:, :, component])
         if analysis.known is not None and analysis.load is not None:
             drawn["element"] = _draw_elements(analysis.known, outputs, analysis.load, drawn["load"], deviates)
     return drawn

@@ -192,6 +192,30 @@ def filter_poles(
     return PoleModel(np.asarray(zeros, dtype=np.complex128), np.asarray(poles, dtype=np.complex128), *held)
 
 
+DELAYING: tuple[tuple[FilterKind, int], ...] = tuple(
+    (kind, order) for kind in ("bessel", "butterworth") for order in range(1, 9)
+)
+"""Filters that amplifiers and recorders usually have."""
+
+
+def filters_of_delay(frequency_hz: FloatArray, delay_s: float) -> ComplexArray:
+    """Return responses (F, K) of usual low-pass filters with a delay at low frequencies, less this delay.
+
+    Filters of poles p are late by Σ Re(-1/p) at 0 Hz, which gives their corner. 1 means that a filter delays only.
+
+    >>> from shaker.frf.chain import filters_of_delay
+    >>> import numpy as np
+    >>> np.abs(filters_of_delay(np.array([319.0]), 168e-6)).min().round(3)  # of a first order
+    0.948
+    """
+    s, found = derivative_factor(frequency_hz, 1), []
+    for kind, order in DELAYING:
+        model = filter_poles(kind, order, 1.0)
+        scale = delay_s / float(np.sum(-1.0 / model.poles).real)
+        found.append(_product(scale * s, model) / _product(0.0 * s, model) * np.exp(s * delay_s))
+    return np.asarray(found)
+
+
 def product(responses: Sequence[ChainResponse]) -> ChainResponse:
     """Return the response of elements one behind the other; their errors are independent of each other."""
     value = np.prod([response.value for response in responses], axis=0)

@@ -254,6 +254,72 @@ def test_recorders_that_call_the_trigger_otherwise_are_tied(tmp_path):
     assert tie.rate == pytest.approx(1 / fast, abs=3e-6)
 
 
+HUM = {
+    # what else a recorder has: name, level of hum in V, largest value of a release that rings
+    "on the trigger": ("camera_trigger", 9e-5, 0.05),
+    "on a channel of no name": ("ai5", 9e-5, 0.5),
+    "on the trigger alone": ("trigger", 9e-5, 0.0),
+}
+
+
+@pytest.mark.parametrize("case", HUM)
+def test_hum_is_no_excitation(tmp_path, case):
+    name, hum, size = HUM[case]
+    time_s, rng = np.arange(20_000) / 10e3, np.random.default_rng(3)
+    release = size * np.exp(-np.maximum(time_s - 0.3, 0.0) * 40.0) * (time_s > 0.3)
+    signals = {"Fz": release + 1e-6 * rng.normal(size=20_000)} if size else {"acc": 1e-3 * rng.normal(size=20_000)}
+    signals[name] = hum * np.sin(2 * np.pi * 50.04 * time_s) + 1e-6 * rng.normal(size=20_000)
+    write_daq(tmp_path / "a.h5", 10e3, signals)
+    with h5py.File(tmp_path / "a.h5", "a") as file:
+        for channel in signals:
+            file[channel].attrs["unit"] = "V"
+    (path, *_) = (path for path in draft(tmp_path).files if path.name == "recording.toml")
+    recording = tomllib.loads(draft(tmp_path).files[path])
+    assert recording["excitation"]["kind"] == "?"
+    assert "frequencies" not in recording["excitation"]
+
+
+NAMES = ["acc x", "Fz", "camera_trigger"]
+LISTED = {
+    "data set": lambda file: file.create_dataset("names", data=NAMES),
+    "data set of bytes": lambda file: file.create_dataset("channel_names", data=np.array(NAMES, "S20")),
+    "data set of another name": lambda file: file.create_dataset("Kanal", data=np.array([NAMES], "S20")),
+    "attribute of the table": lambda file: file["data"].attrs.update(channels=NAMES),
+    "attribute of the file": lambda file: file.attrs.update(ChannelNames=NAMES),
+    "one text": lambda file: file["data"].attrs.update(labels=", ".join(NAMES)),
+}
+
+
+@pytest.mark.parametrize("case", LISTED)
+@pytest.mark.parametrize("across", [False, True])
+def test_names_beside_a_table_of_channels_are_used(tmp_path, case, across):
+    time_s = np.arange(4000) / 1e3
+    table = np.stack([np.sin(2 * np.pi * 80 * time_s), np.cos(2 * np.pi * 80 * time_s), 5.0 * (time_s % 0.0731 < 5e-3)])
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.attrs["sample_rate"] = 1e3
+        file["data"] = table if across else table.T
+        LISTED[case](file)
+    (path, *_) = (path for path in draft(tmp_path).files if path.name == "recording.toml")
+    channels = tomllib.loads(draft(tmp_path).files[path])["daq"][0]["channel"]
+    found = {entry["in_file"]: (entry["name"], entry["quantity"]) for entry in channels}
+    assert found == {
+        "data/1": ("acc x", "acceleration"),
+        "data/2": ("Fz", "output"),
+        "data/3": ("camera_trigger", "trigger"),
+    }
+
+
+@pytest.mark.parametrize("names", [NAMES[:2], ["a", "a", "b"], ["", "b", "c"]])
+def test_a_list_that_does_not_fit_the_table_is_not_used(tmp_path, names):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.attrs["sample_rate"] = 1e3
+        file["data"] = np.random.default_rng(1).normal(size=(4000, 3))
+        file["names"] = names
+    (path, *_) = (path for path in draft(tmp_path).files if path.name == "recording.toml")
+    channels = tomllib.loads(draft(tmp_path).files[path])["daq"][0]["channel"]
+    assert [entry["name"] for entry in channels] == ["data/1", "data/2", "data/3"]
+
+
 GUESSED = [
     ("ai0", "m/s", "velocity", 1.0),
     ("ai0", "mm/s", "velocity", 1e-3),

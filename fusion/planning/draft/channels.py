@@ -8,12 +8,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
 from fusion.base import PROGRAM, __version__, natural_key
 from fusion.instruments.transducer import TRANSDUCERS
 from fusion.planning.draft.inventory import FoundChannel, FoundDaq, FoundPoints, FoundSight, TriggerPulses
+from fusion.recording.dsi import NONE
 from fusion.recording.toml import UNFILLED
+from fusion.recording.units import QUANTITY_OF, recorded_unit
 
 SAME_RATE = 1e-3  # relative difference of the rates of one trigger
 LONG_NAME = 40  # characters
@@ -65,18 +65,6 @@ class Guess:
         return kinds.index(self.quantity), natural_key(self.name)
 
 
-UNITS: dict[str, tuple[str, float]] = {
-    **{unit: ("displacement", scale) for unit, scale in {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9}.items()},
-    **{unit: ("velocity", scale) for unit, scale in {"m/s": 1.0, "mm/s": 1e-3, "um/s": 1e-6}.items()},
-    **dict.fromkeys(("m/s^2", "m/s2", "m/s/s"), ("acceleration", 1.0)),
-    **dict.fromkeys(("g", "gn", "g_n"), ("acceleration", 9.80665)),
-    **dict.fromkeys(("rad/s",), ("angular_velocity", 1.0)),
-    **{unit: ("angular_velocity", float(np.pi / 180)) for unit in ("deg/s", "dps", "°/s")},
-    **{unit: ("force", scale) for unit, scale in {"n": 1.0, "newton": 1.0, "newtons": 1.0, "kn": 1e3}.items()},
-    **dict.fromkeys(("lbf", "pounds", "pound"), ("force", 4.4482216152605)),
-    **{unit: ("output", scale) for unit, scale in {"mv/v": 1e-3, "v/v": 1.0}.items()},
-}
-"""Quantity and SI unit over the unit, by the unit of a file in small letters."""
 NAMES = (
     ("output", r"[fm][xyz]\d?"),
     ("velocity", r"vel\w*|vib\w*|ldv\w*|laser\w*|psv\w*|lsv\w*|speed\w*"),
@@ -99,20 +87,24 @@ def word_in(words: str, name: str) -> bool:
 
 def guess(channel: FoundChannel) -> Guess:
     """Return what a channel of a file seems to read, and why."""
-    unit = channel.unit.strip().replace("µ", "u").replace("μ", "u").replace("²", "^2").lower()
+    unit, volt = recorded_unit(channel.unit), recorded_unit("V")
     if channel.pulses is not None:
         pulses = channel.pulses
         why = f"guessed: two levels, {pulses.edges} edges at {pulses.rate_hz:.6g} Hz"
         return Guess(channel, "trigger", why, 1.0)
-    by_name = next((quantity for quantity, words in NAMES if word_in(words, channel.name)), None)
-    by_unit, scale = UNITS.get(unit, (None, None))
+    by_name = next((quantity for quantity, words in NAMES if word_in(words, channel.title)), None)
+    by_unit = None if unit is None or unit.raw else QUANTITY_OF.get(unit.dimension)
+    if unit is not None and unit.dimension == NONE and "/" in channel.unit:
+        by_unit = "output"
+    if by_unit == "angular_velocity" and not re.search("rad|d|\u00b0", channel.unit.lower()):
+        by_unit = None  # revolutions of something that turns on
     if by_name == "output" and by_unit in (None, "force"):
-        scaled = 1.0 if unit in ("n", "v", "v/v") else None
+        scaled = 1.0 if unit is not None and unit.factor == 1.0 and (by_unit or unit == volt) else None
         return Guess(channel, "output", "guessed: its name", scaled, f"the file says {channel.unit}")
-    if by_unit is not None:
-        return Guess(channel, by_unit, f"the file says {channel.unit}", scale, f"from {channel.unit}")
+    if by_unit is not None and unit is not None:
+        return Guess(channel, by_unit, f"the file says {channel.unit}", unit.factor, f"from {channel.unit}")
     if by_name is not None:
-        volts = by_name == "voltage" and unit in ("", "v", "volt", "volts")
+        volts = by_name == "voltage" and (unit == volt or not channel.unit.strip())
         return Guess(channel, by_name, "guessed: its name", 1.0 if volts else None, "V")
     return Guess(channel, UNFILLED, "velocity, acceleration, displacement, force, output or voltage")
 
@@ -141,7 +133,7 @@ def recorders(daqs: Iterable[FoundDaq]) -> list[Recorder]:
     def named(recorder: Recorder) -> Recorder:
         names: list[str] = []
         for item in recorder.channels:
-            name = item.found.name if len(item.found.name) <= LONG_NAME else item.found.name.rpartition("/")[2]
+            name = item.found.title if len(item.found.title) <= LONG_NAME else item.found.title.rpartition("/")[2]
             if item.found.pulses is not None:
                 name = telling.get(_same_rate(rates, item.found.pulses.rate_hz), name)
             names.append(item.found.name if name in names else name)
@@ -150,8 +142,8 @@ def recorders(daqs: Iterable[FoundDaq]) -> list[Recorder]:
 
     telling: dict[float, str] = {}
     for item in (item for recorder in found for item in recorder.channels if item.found.pulses is not None):
-        if item.found.pulses is not None and word_in(TRIGGER_WORDS, item.found.name):
-            telling.setdefault(_same_rate(rates, item.found.pulses.rate_hz), item.found.name)
+        if item.found.pulses is not None and word_in(TRIGGER_WORDS, item.found.title):
+            telling.setdefault(_same_rate(rates, item.found.pulses.rate_hz), item.found.title)
     files = map(named, found)
     return sorted(files, key=lambda recorder: (-_motions(recorder), natural_key(recorder.daq.path.name)))
 

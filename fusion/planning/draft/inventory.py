@@ -7,6 +7,7 @@ import os
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,6 +21,7 @@ from photogram.images.files import open_sequence
 from photogram.images.tiff import TIFF_SUFFIXES
 from photogram.images.video import VIDEO_READERS
 from shaker.io import SUFFIXES, read_channels
+from shaker.io.channel import opened_hdf5
 from shaker.io.text import table_units
 from shaker.timebase.edges import find_edges
 from shaker.timebase.trigger import fit_trigger
@@ -34,6 +36,10 @@ LOOKED_AT = 4  # pictures of a camera that tell its bit depth
 GREY_BITS = (8, 10, 12, 14, 16)
 NEAR_A_LEVEL, TWO_LEVELS = 0.15, 0.9  # of the step; share of the samples that lie so near to one of the two
 TABLE_KEYS = {"frequency_hz"}
+HDF5 = (".h5", ".hdf5")
+LABELS = re.compile(r"names?\b|labels?\b|channels?\b|columns?\b|signals?\b", re.IGNORECASE)
+"""Attributes that may list what columns of a table are called."""
+MOST_LABELS = 10_000
 SIDES = (("left", "right"), ("l", "r"), ("a", "b"), ("0", "1"), ("1", "2"))
 
 
@@ -48,7 +54,10 @@ class TriggerPulses:
 
 @dataclass(frozen=True)
 class FoundChannel:
-    """A channel of a file: its name and unit there, rate and length, range of its samples, its pulses if it has any."""
+    """A channel of a file: its name and unit there, rate and length, range of its samples, its pulses if it has any.
+
+    `label`: what a list beside the columns of a table calls it, empty where there is none.
+    """
 
     name: str
     unit: str
@@ -57,6 +66,12 @@ class FoundChannel:
     low: float
     high: float
     pulses: TriggerPulses | None
+    label: str = ""
+
+    @property
+    def title(self) -> str:
+        """Return what the channel is called: its label, else its name in the file."""
+        return self.label or self.name
 
 
 @dataclass(frozen=True)
@@ -196,14 +211,55 @@ def _daq(path: Path) -> FoundDaq:
         return FoundDaq(path, (), {}, str(error).removeprefix(f"{path}: "))
     if path.suffix.lower() == SCAN:
         raw = {name.partition("/")[0]: channel for name, channel in reversed(raw.items())}
-    return FoundDaq(path, tuple(_channel(name, channel) for name, channel in raw.items()), raw)
+    labels = _column_labels(path, raw) if path.suffix.lower() in HDF5 else {}
+    return FoundDaq(path, tuple(_channel(name, own, labels.get(name, "")) for name, own in raw.items()), raw)
 
 
-def _channel(name: str, raw: RawChannel) -> FoundChannel:
+def _column_labels(path: Path, names: Iterable[str]) -> dict[str, str]:
+    """Return what lists of texts in an HDF5 file call the columns `table/1`, `table/2`, … of its tables.
+
+    They are an attribute of the table or of a group around it, or a data set beside it, with as many different texts
+    as the table has columns.
+    """
+    columns: dict[str, list[str]] = defaultdict(list)
+    for name in names:
+        table, _, number = name.rpartition("/")
+        if table and number.isdecimal():
+            columns[table].append(name)
+    labels: dict[str, str] = {}
+    with suppress(OSError, ValueError, KeyError, RuntimeError), opened_hdf5(path, links=True) as file:
+        for table, own in columns.items():
+            node = file[table]
+            if len(node.shape) != 2:
+                continue
+            beside = [other[()] for other in node.parent.values() if other is not None and _is_list_of_texts(other)]
+            around = [node, node.parent, file]
+            told = [value for place in around for key, value in place.attrs.items() if LABELS.search(key)]
+            texts = (_texts(value) for value in (*told, *beside))
+            found = next((list_ for list_ in texts if len(set(list_)) == len(own) == len(list_) and all(list_)), None)
+            labels |= zip(own, found, strict=True) if found is not None else {}
+    return labels
+
+
+def _is_list_of_texts(node: Any) -> bool:
+    """Whether a node of an HDF5 file is a short data set of texts."""
+    return getattr(node, "ndim", 0) in (1, 2) and node.dtype.kind in "OSU" and node.size <= MOST_LABELS
+
+
+def _texts(value: object) -> list[str]:
+    """Return texts of an attribute or data set, stripped; of one text its parts."""
+    parts = np.asarray(value, dtype=object).reshape(-1).tolist()
+    texts = [part.decode("utf-8", "replace") if isinstance(part, bytes) else part for part in parts]
+    if not all(isinstance(text, str) for text in texts):
+        return []
+    return [text.strip("\0 \t") for text in (re.split(r"[,;|]", texts[0]) if len(texts) == 1 else texts)]
+
+
+def _channel(name: str, raw: RawChannel, label: str = "") -> FoundChannel:
     """Look at the samples of a channel."""
     finite = raw.samples[np.isfinite(raw.samples)]
     low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
-    return FoundChannel(name, raw.unit, raw.sample_rate_hz, len(raw.samples), low, high, _pulses(raw))
+    return FoundChannel(name, raw.unit, raw.sample_rate_hz, len(raw.samples), low, high, _pulses(raw), label)
 
 
 def _pulses(raw: RawChannel) -> TriggerPulses | None:

@@ -12,6 +12,7 @@ import numpy as np
 from fusion.instruments.transducer import TRANSDUCERS
 from fusion.planning.draft.channels import (
     HEAD,
+    TRIGGER_WORDS,
     Guess,
     Recorder,
     asked,
@@ -22,15 +23,17 @@ from fusion.planning.draft.channels import (
     stated,
     word_in,
 )
-from fusion.planning.draft.inventory import FoundSight, Inventory
+from fusion.planning.draft.inventory import FoundChannel, FoundSight, Inventory
 from fusion.recording.manifest import SCAN
 from fusion.recording.rig import OTHER_UNITS
 from fusion.recording.toml import UNFILLED
+from shaker.arrays import FloatArray
 from shaker.labels import LOAD_COMPONENTS
 from shaker.lines.detection import survey_lines
 
 LOOKED_AT = 1 << 17  # samples in which the excitation is looked for
 FEWEST = 64  # samples in which lines are looked for
+FAINT = 1e-3  # amplitude of a line over the largest channel of its unit: less is hum or cross-talk
 STRONG, MOST_DRIVEN = 0.1, 30  # relative to the strongest line; lines of a multisine
 FARTHEST_M = 5.0  # of a point of a body
 COORDINATES = {"x", "y", "z", "x0", "y0", "z0", "frame", "status"}
@@ -80,14 +83,18 @@ def recording_text(surveyed: Surveyed, rig: str, known: Sequence[str] = ()) -> s
 def driven_lines(found: Sequence[Recorder]) -> tuple[list[float], str]:
     """Return the driven lines in Hz, and what shows them, in the first file where any line stands out."""
     for recorder in found:
-        chosen = [i.found for i in recorder.channels if i.quantity != "trigger" and i.found.samples >= FEWEST]
+        own = [i for i in recorder.channels if i.quantity != "trigger" and not word_in(TRIGGER_WORDS, i.found.title)]
+        own = [i for i in own if i.quantity != UNFILLED] or own  # what is known to measure something
+        chosen = [i.found for i in own if i.found.samples >= FEWEST]
         chosen = [c for c in chosen if (c.rate_hz, c.samples) == (chosen[0].rate_hz, chosen[0].samples)]
+        chosen = [c for c in chosen if np.isfinite(recorder.daq.raw[c.name].samples[:LOOKED_AT]).all()]
         values = [recorder.daq.raw[channel.name].samples[:LOOKED_AT] for channel in chosen]
-        values = [samples - samples.mean() for samples in values if np.isfinite(samples).all()]
+        values = [samples - samples.mean() for samples in values]
         if not values:
             continue
         survey = survey_lines(np.stack(values, axis=1), chosen[0].rate_hz)
         amplitude = np.nan_to_num(survey.amplitude)
+        amplitude = np.where(amplitude >= FAINT * np.array(_largest_alike(chosen, values)), amplitude, 0.0)
         # A line counts by the channel that it stands out of most, each channel relative to its own strongest line.
         strength = (amplitude / np.maximum(amplitude.max(axis=0, initial=0.0), 1e-300)).max(axis=1, initial=0.0)
         lines = [
@@ -100,6 +107,12 @@ def driven_lines(found: Sequence[Recorder]) -> tuple[list[float], str]:
         if lines:
             return lines, f"in {recorder.daq.path.name}"
     return [], ""
+
+
+def _largest_alike(chosen: Sequence[FoundChannel], values: Sequence[FloatArray]) -> list[float]:
+    """Return the largest standard deviation among channels of the unit of each channel: hum is small beside signals."""
+    sizes = [float(samples.std()) for samples in values]
+    return [max(s for s, c in zip(sizes, chosen, strict=True) if c.unit == one.unit) for one in chosen]
 
 
 def _nominal(frequency_hz: float, u_hz: float) -> float:
@@ -170,14 +183,14 @@ def _channel_block(item: Guess, *, scan: bool) -> Iterator[str]:
     if item.quantity == "trigger":
         return
     if item.quantity == "output":
-        component = next((name for name in LOAD_COMPONENTS if word_in(name.lower(), found.name)), None)
+        component = next((name for name in LOAD_COMPONENTS if word_in(name.lower(), found.title)), None)
         if component is None:
             yield asked("channel", "which of the sensor's outputs, as [sensor] channels of rig.toml names them")
         else:
             yield stated("channel", component, "guessed: its name")
     motion = item.quantity in TRANSDUCERS
     if motion:
-        yield body(found.name)
+        yield body(found.title)
         if not TRANSDUCERS[item.quantity].turning:
             yield asked("point", "where it measures in the sensor frame, in m, such as [0.03, 0, 0.04]")
         if not scan:

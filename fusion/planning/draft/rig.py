@@ -92,7 +92,7 @@ def rig_text(root: Path, inventories: Sequence[Inventory], found: Sequence[Recor
 
 def _sensor(outputs: Sequence[Guess]) -> Iterator[str]:
     """Yield the block of the sensor."""
-    named = [next((name for name in LOAD_COMPONENTS if word_in(name.lower(), o.found.name)), "") for o in outputs]
+    named = [next((name for name in LOAD_COMPONENTS if word_in(name.lower(), o.found.title)), "") for o in outputs]
     units = {o.found.unit.strip().lower() for o in outputs}
     yield "\n[sensor]"
     yield stated("name", "sensor under test", "as its certificate shall name it")

@@ -114,8 +114,8 @@ def _look_at(block: Manifest) -> tuple[list[Finding], list[Strength], dict[str, 
         pictures = [threads.submit(_look_at_images, block, images) for images in block.images]
         for daq in block.daq:
             try:
-                raw = recorded_channels(daq)
-            except (OSError, ValueError) as error:
+                raw = recorded_channels(block, daq)
+            except (OSError, ValueError, InputError) as error:
                 found.append(Finding("wrong", daq.name, _short(error)))
                 continue
             own, strong = look_at_channels(block, daq, raw)

@@ -150,7 +150,8 @@ class Opened:
             known = self._raw.setdefault(id(daq), {})
             if name not in known:
                 alone = daq.file.suffix.lower() in ALONE
-                known |= recorded_channels(daq.model_copy(update={"channel": (channel.entry,)}) if alone else daq)
+                block = daq.model_copy(update={"channel": (channel.entry,)}) if alone else daq
+                known |= recorded_channels(self.manifest, block)
             gap = known[name].gap
             if gap is not None:
                 raise InputError(daq.file, channel.entry.stored_name, found=gap, expected="uniform sampling")

@@ -14,6 +14,7 @@ from fusion.campaign.repeats import BETWEEN, WITHIN, nested
 from fusion.estimation.coverage import NamedQuantity
 from fusion.recording.load import Manifest
 from fusion.recording.rig import Load, Part, Sensor
+from fusion.recording.units import recorded_unit
 from shaker.arrays import FloatArray, Notice
 from shaker.io.text import read_table_columns, table_units
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS
@@ -238,7 +239,6 @@ class RotationEvaluation(CommandEvaluation):
 
 ANGLE = "angle"
 ANGLE_UNITS = {"deg": "deg", "°": "deg", "degree": "deg", "degrees": "deg", "rad": "rad", "radian": "rad"}
-PREFIXES = {"": 1.0, "m": 1e-3, "µ": 1e-6, "μ": 1e-6, "u": 1e-6}
 SPELT = (("·", "."), ("*", "."), (" ", ""), ("Nm", "N.m"))
 
 
@@ -365,10 +365,11 @@ def _numbers(
         if "scale" in excitation.model_fields_set or not unit:
             scale[c] = excitation.scale
             continue
-        factors = [factor for prefix, factor in PREFIXES.items() if unit == prefix + own]
-        if not factors:
-            expected = f'"{sensor.unit}", the same with m or µ before it, N and N.m, or the key scale in recording.toml'
+        found, wanted = recorded_unit(unit), recorded_unit(sensor.unit)
+        factor = None if found is None or wanted is None else found.over(wanted)
+        if factor is None and unit != own:
+            expected = f'"{sensor.unit}", a multiple of it, N and N.m, or the key scale in recording.toml'
             raise InputError(path, name, found=f'the unit "{unit}"', expected=expected)
-        scale[c] = factors[0]
+        scale[c] = 1.0 if factor is None else factor
     angle = np.radians(table[:, 0]) if excitation.angle_unit == "deg" else table[:, 0]
     return angle, table[:, 1:] * scale

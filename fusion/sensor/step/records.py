@@ -111,6 +111,10 @@ def read_step(manifest: Manifest) -> StepInput:
     if chained := ", ".join(channel.entry.name for channel in aligned.channels if channel.entry.response is not None):
         text = f"the stated response of {chained} is not taken off: the model is that of sensor and chain together"
         notices.append(Notice("warning", text, record.name))
+    if late := ", ".join(channel.entry.name for channel in aligned.channels if channel.entry.filter_delay_s > 0.0):
+        text = f"the delay of {late} may be a low-pass's, of which only the delay is taken off: the model is that of "
+        text += 'sensor and filter together; state delay_of = "pure" if it is none'
+        notices.append(Notice("warning", text, record.name))
     return StepInput(manifest, record, tuple(notices))
 
 

@@ -9,11 +9,13 @@ from typing import Literal, get_args
 import numpy as np
 
 from fusion.base import CommandEvaluation, InputError
+from fusion.instruments.channel import DELAY_OF_FILTER, u_of_filter
 from fusion.phasors.timing import ClockResult, TimeBase, tie_daqs
 from fusion.recording.files import DaqRecord, read_daqs
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry
 from fusion.recording.response import read_response
+from fusion.recording.units import unit_doubts
 from shaker.arrays import ComplexArray, FloatArray, Notice
 from shaker.frf.chain import ChainResponse
 from shaker.frf.result import TransferFunction, TransferRecord
@@ -138,6 +140,10 @@ class ChannelChain:
             f"{entry.name}: individual scale": entry.individual_uncertainty * flat,
             f"clock {self.clock}": -self.u_clock_s * turn,
         }
+        magnitude, phase = u_of_filter(self.frequency_hz, entry.filter_delay_s)
+        if entry.filter_delay_s:
+            found[f"{shared}: {DELAY_OF_FILTER}"] = magnitude * flat
+            found[f"{shared}: {DELAY_OF_FILTER}, phase"] = 1j * phase * flat
         if self.response is not None:
             for cause, error in zip(self.response.causes, self.response.errors, strict=True):
                 found[f"{shared}: {cause}"] = -error
@@ -306,6 +312,7 @@ def align(
         base = tie_daqs(manifest, [record for record in records if record is records[0] or record.entry.name in used])
     channels = tuple(Located(entry, blocks[name], base) for name, entry in wanted)
     coarse = [notice for channel in channels for notice in _condition(manifest, channel)]
+    coarse += [notice for name in used for notice in unit_doubts(manifest, blocks[name].entry, blocks[name].raw)]
     alike = {(c.record.entry.name, c.rate_hz, c.record.lag_s(c.entry.name), c.length) for c in channels}
     recorded = tuple(c.record.values(c.entry) for c in channels)
     if len(alike) == 1:
