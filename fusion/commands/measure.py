@@ -219,21 +219,21 @@ def check(options: argparse.Namespace) -> int:
     """Say what a recording holds and everything that its command would refuse; no image is followed."""
     from fusion.base import InputError, check_new_file
     from fusion.planning.check import check, check_together
-    from fusion.recording.load import find_recordings, load_manifest
+    from fusion.recording.load import Manifest, find_recordings, load_manifest
     from fusion.report.terminal import say
 
     if options.rig:
         check_new_file(options.rig, force=options.force)
-    manifests, reports, wrong = [], [], []
+    manifests, reports, wrong, shown = list[Manifest](), [], list[str](), set[str]()
     for recording in find_recordings(options.recording):
         try:
             manifests.append(load_manifest(recording, allow_outside=options.allow_outside))
             reports.append(check(manifests[-1]))
         except InputError as error:
-            wrong += [str(mistake) for mistake in error.each]
+            wrong += [str(mistake) for mistake in error.each if str(mistake) not in wrong]
         else:
             if not options.json:
-                say(str(reports[-1]))
+                say(str(reports[-1].beyond(shown)))
     wrong += [str(contradiction) for contradiction in check_together(manifests)]
     for sentence in wrong:
         log.error("%s", sentence)

@@ -45,9 +45,17 @@ MISTAKES = (
     (1.0 / 9.80665, "g were taken for m/s²"),
     (1e3, "a unit were taken for a thousand of it"),
     (1e-3, "a unit were taken for a thousandth of it"),
+    (10.0, "its scale were ten times too large"),
+    (0.1, "its scale were ten times too small"),
+    (100.0, "its scale were a hundred times too large"),
+    (0.01, "its scale were a hundred times too small"),
+    (2.0, "its scale were twice too large, such as that of another range"),
+    (0.5, "its scale were half of what it is, such as that of another range"),
+    (2.0**0.5, "rms were taken for peak values"),
+    (0.5**0.5, "peak were taken for rms values"),
 )
 """Reading over prediction, and what would make it so."""
-OUTPUT_MISTAKES = (MISTAKES[0], *MISTAKES[3:])
+OUTPUT_MISTAKES = (MISTAKES[0], *MISTAKES[3:5])
 """Those of them that outputs of the sensor may owe."""
 ALIKE = 0.03
 """Relative distance from such a factor within which a ratio looks like it."""
@@ -503,10 +511,8 @@ def deviating(system: System, solution: Solution, unknowns: Sequence[CommonEstim
 
 def likely_mistake(ratio: complex, alike: float = ALIKE, mistakes: Sequence[tuple[float, str]] = MISTAKES) -> str:
     """Return what reading/prediction looks like within `alike`, in words; empty where it is no common mistake."""
-    for factor, text in mistakes:
-        if abs(ratio / factor - 1.0) <= alike:
-            return text
-    return ""
+    away, text = min((abs(ratio / factor - 1.0), text) for factor, text in mistakes)
+    return text if away <= alike else ""
 
 
 def exchanged(system: System, first: Solution, found: Sequence[Suspicion]) -> tuple[tuple[str, str], ...]:

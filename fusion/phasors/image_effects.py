@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 
 import numpy as np
@@ -10,9 +11,10 @@ from numpy.typing import NDArray
 
 from fusion.base import ComputeError, InputError
 from fusion.instruments.stereo import CALIBRATION, PERIODIC, SURFACE
+from fusion.phasors.shutter import check_in_step
 from fusion.phasors.stereo_motion import ImageView, StereoMotion, sensor_from_camera
 from photogram.arrays import RunningMean, spread_choice
-from photogram.camera import CAMERA_PARAMETERS, FaceCamera, Rig, locate, principal_components
+from photogram.camera import CAMERA_PARAMETERS, FaceCamera, Rig, StereoRig, locate, principal_components
 from photogram.direct.shapes import Shapes
 from photogram.direct.surface import PlacedCamera, see_points
 from photogram.geometry import RigidTransform, rotation_from_vector
@@ -32,10 +34,15 @@ THROUGH = "pose through the surface"
 
 
 def image_effects(
-    measured: StereoMotion, view: ImageView, frequency_hz: FloatArray, usable: NDArray[np.bool_], gain: FloatArray
+    measured: StereoMotion,
+    view: ImageView,
+    frequency_hz: FloatArray,
+    usable: NDArray[np.bool_],
+    gain: FloatArray,
+    notices: list[Notice],
 ) -> tuple[dict[str, ComplexArray], ComplexArray]:
     """Return what calibration and errors periodic in the pixel do to the phasors, NaN at lines not `usable`, and to
-    amplitudes of shapes at those that are.
+    amplitudes of shapes at those that are. Add to `notices` if the cameras of a pair are not in step.
 
     Of a camera alone also what the stated surface does, and what the pose does through it (THROUGH).
     """
@@ -50,8 +57,12 @@ def image_effects(
             running.add(position)
     assert sums is not None
     places = [running.mean for running in means]
-    # Without a covariance there is nothing that needs the displacement of each subset.
-    frames = _phasor_frames(sums, len(measured.points_time_s)) if view.rig.covariance is not None else []
+    frames = list[FloatArray]()
+    # Without a covariance nothing but the comparison of the cameras needs the displacement of each subset.
+    with suppress(ComputeError) if view.rig.covariance is None else nullcontext():
+        frames = _phasor_frames(sums, len(measured.points_time_s))
+    if frames and isinstance(view.rig, StereoRig):
+        notices += check_in_step(view.rig, frames, frequency_hz, measured.sight.time_s)
     of_calibration = _calibration_effects(measured, view, frames, len(frequency_hz))
     periodic, periodic_of_shapes = _periodic_effects(measured, view, places, bias_px, len(frequency_hz))
     changes = {CALIBRATION: of_calibration[..., :6], PERIODIC: periodic}

@@ -1,13 +1,15 @@
-"""Rolling shutters: phasors of frames whose rows were exposed one after the other (`photogram.measure.again`)."""
+"""When pictures were exposed: rows one after the other (`photogram.measure.again`), cameras of a pair out of step."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray
+from fusion.base import ComputeError
+from photogram.camera import StereoRig, epipolar_residual
+from shaker.arrays import ComplexArray, FloatArray, Notice
 from shaker.sine.fit import fit_sines
 from shaker.sine.phasor import Phasors
 from shaker.sine.solve import SineFit, SineModel
@@ -67,3 +69,55 @@ class Turned:
         value = value + np.einsum("kij,kj->ki", inverse, beside)
         dof = np.concatenate([one.dof for one in lines])
         return replace(fit.phasors, value=value, covariance=covariance, dof=dof)
+
+
+# Cameras of a pair that were not exposed at the same time.
+
+LATE_RAD, LATE_U = 0.01, 5.0
+"""Phase between the cameras from which on it is reported; the same in standard uncertainties."""
+UNLIKE_FRAMES = 0.05
+"""Phase by which a lag may differ from that of whole frames; the frames at either end are others then."""
+MOST_FRAMES = 5
+EQUAL = 0.2
+"""Relative difference of the two cameras' motion across the epipolar lines that no lag explains."""
+
+
+def check_in_step(
+    rig: StereoRig, frames: Sequence[FloatArray], frequency_hz: FloatArray, time_s: FloatArray
+) -> tuple[Notice, ...]:
+    """Return a warning where the right camera lags behind the left one; raise `ComputeError` where by whole frames.
+
+    Across the epipolar lines both cameras see the same motion. With phasors a of n_left · L and b of n_right · R of the
+    subsets, n the derivatives of the epipolar residual, a + b·exp(jωδ) = 0 if the right camera is late by δ, hence
+    exp(jωδ) ∝ -Σ a·b*. `frames` (1 + 2K, N, 2) of each camera: mean positions, and these + Re, + Im of each phasor.
+    """
+    (left, right), (_, by_left, by_right) = frames, epipolar_residual(rig, *(side[0] for side in frames))
+
+    def across(side: FloatArray, by: FloatArray) -> ComplexArray:
+        moved = side[1:] - side[0]
+        return np.asarray(np.einsum("ni,kni->kn", by, moved[0::2] + 1j * moved[1::2]))
+
+    a, b = across(left, by_left), across(right, by_right)
+    k = int(np.argmax(np.sum(np.abs(b) ** 2, axis=1)))
+    power = float(np.sum(np.abs(b[k]) ** 2))
+    z = -complex(np.sum(a[k] * b[k].conj())) / power if power > 0.0 else 0.0
+    if abs(abs(z) - 1.0) > EQUAL:
+        return ()
+    phase = float(np.angle(z))
+    u = float(np.sqrt(np.sum(np.abs(a[k] + b[k] * z / abs(z)) ** 2) / (2.0 * len(a[k]) * power)))
+    if abs(phase) <= max(LATE_RAD, LATE_U * u):
+        return ()
+    omega, period_s = 2.0 * np.pi * float(frequency_hz[k]), float(np.min(np.diff(time_s)))
+    for count in sorted((n for n in range(-MOST_FRAMES, MOST_FRAMES + 1) if n), key=abs):
+        away = abs(np.angle(np.exp(1j * (phase - omega * count * period_s))))
+        if away < min(UNLIKE_FRAMES, abs(phase) / 2.0):
+            late, early = ("right", "left") if count > 0 else ("left", "right")
+            many = f"{abs(count)} frame{'s' if abs(count) > 1 else ''} ({1e3 * abs(count) * period_s:.4g} ms)"
+            raise ComputeError(f"the {late} camera is {many} late compared with the {early} one: they are out of step")
+    late = "right" if phase > 0.0 else "left"
+    text = (
+        f"the {late} camera is exposed {1e6 * abs(phase) / omega:.3g} us later than the other one, by their motion "
+        f"across the epipolar lines at {frequency_hz[k]:.6g} Hz ({1e3 * abs(phase):.3g} mrad, u {1e3 * u:.2g} mrad): "
+        "the cameras are out of step; what that does to depth and phase is not in U"
+    )
+    return (Notice("warning", text, "exposure"),)

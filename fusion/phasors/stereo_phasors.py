@@ -163,7 +163,7 @@ def stereo_phasors(
     if not usable.any():
         raise ComputeError(f"stereo pair {name}: {NO_LINE}")
     frequency_hz = lines.frequency_hz[usable]
-    steps = _step(name, time_s, measured.motion.pose[:, :3], frequency_hz)
+    told = _step(name, time_s, measured.motion.pose[:, :3], frequency_hz)
     measured, from_mean, fit = fit_about_mean(measured, frequency_hz)
     gain = exposure_gain(lines.frequency_hz, exposure.length_s)
     errors = [error.through(fit, usable, 2) for error in together([*base.sight_errors(sight), *line_errors])]
@@ -172,7 +172,7 @@ def stereo_phasors(
     moved, effects, shapes = displacement(measured, fit), dict[str, ComplexArray](), None
     phasors = spread_lines(moved, usable, lines.frequency_hz).scaled((1.0 / gain)[:, None])
     if view is not None and sight.pair.body != ROOM:  # they grow with the motion seen, of which a room has next to none
-        effects, of_shapes = image_effects(measured, view, frequency_hz, usable, gain)
+        effects, of_shapes = image_effects(measured, view, frequency_hz, usable, gain, told)
         if isinstance(view.rig, StereoRig):
             of_motion = of_shapes, moved, view.turned
             shapes = shape_phasors(time_s, frequency_hz, view.deformed, exposure.length_s, *of_motion)
@@ -186,7 +186,7 @@ def stereo_phasors(
         face_m=np.asarray(np.nanmean(next(iter(measured.deformation)).reference_m, axis=0)),
         through_surface=effects.pop(THROUGH, None),
     )
-    own = [*(n for n in fit.notices if n.severity == "warning"), *steps, *(shapes.notices() if shapes else ())]
+    own = [*(n for n in fit.notices if n.severity == "warning"), *told, *(shapes.notices() if shapes else ())]
     own += _short_notices(lines, usable, sight.time_s, reading) + _jitter_notices(base, sight, lines, usable, reading)
     pose = from_mean.pose.copy()
     pose[fit.spikes] = np.nan

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Collection, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -12,11 +13,11 @@ import numpy as np
 
 from fusion.base import AnyNotice, ComputeError, InputError, rounded
 from fusion.instruments.channel import errors_are_stated, scale_is_stated
-from fusion.instruments.stereo import GEOMETRY, carrier_of
-from fusion.instruments.transducer import ROOM, TRANSDUCERS, Beams, carrier, chain_name, main_direction, placed_at
+from fusion.instruments.transducer import TRANSDUCERS, Beams, chain_name
 from fusion.instruments.vibrometer import beam_notices
 from fusion.phasors.channels import folding, folds_told
 from fusion.phasors.timing import no_pulse_width
+from fusion.planning.observability import BODIES, TOGETHER, Observability, no_rig, observable, observed_by, told_alone
 from fusion.recording.excitation import KINDS, Recorded
 from fusion.recording.files import AlreadyRead, read_set_ups, recorded_channels, scanned_points, split_scan
 from fusion.recording.load import Manifest
@@ -27,35 +28,12 @@ from fusion.recording.rig import Rig, Stereo
 from fusion.recording.toml import quoted
 from fusion.recording.units import unit_doubts
 from fusion.recording.values import PULSE
-from photogram.images.sequence import ImageSequence
-from shaker.arrays import BoolArray, FloatArray
 from shaker.frf.chain import ChainResponse
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
 
-BODIES = ("load", "base")
-NO_REFERENCE, TOGETHER = "no channel", "all together"
-EXACT, FEWEST_SUBSETS = 1e-4, 6
+RIG, NO_REFERENCE = "rig.toml", "no channel"
 REFERENCE_HZ = 160.0
 """At which responses are read where no lines are stated (ISO 16063-21)."""
-ROW_TOLERANCE = 1e-9
-"""Relative singular value below which instruments do not tell two motions apart."""
-
-
-@dataclass(frozen=True)
-class Observability:
-    """Which of the six motion components of a body an instrument determines by its place and direction alone."""
-
-    body: str
-    instrument: str
-    rows: FloatArray
-
-    @property
-    def components(self) -> tuple[str, ...]:
-        """Names of the components determined."""
-        return tuple(name for name, seen in zip(MOTION_COMPONENTS, observable(self.rows), strict=True) if seen)
-
-    def __str__(self) -> str:
-        return f"{self.body}: {self.instrument}: {' '.join(self.components) or 'no component by itself'}"
 
 
 @dataclass(frozen=True)
@@ -74,6 +52,21 @@ class CheckReport:
     observed: tuple[Observability, ...]
     remarks: tuple[str, ...]
     problems: tuple[str, ...]
+
+    def beyond(self, shown: set[str]) -> CheckReport:
+        """Return the report without what other recordings `shown` before have of files outside their folders.
+
+        Such are those of the rig, which a campaign shows once; what this report has of them is added.
+        """
+        folder, above = f"{self.path.parent}{os.sep}", str(self.path.parent.parent)
+
+        def new(texts: tuple[str, ...]) -> tuple[str, ...]:
+            shared = {text for text in texts if text.startswith((RIG, above)) and not text.startswith(folder)}
+            kept = tuple(text for text in texts if text not in shared or text not in shown)
+            shown.update(shared)
+            return kept
+
+        return replace(self, remarks=new(self.remarks), problems=new(self.problems))
 
     def parts(self) -> dict[str, Any]:
         """Return everything that is told by its name, as JSON knows it."""
@@ -96,20 +89,6 @@ class CheckReport:
         return "\n".join(lines)
 
 
-def observable(rows: FloatArray) -> BoolArray:
-    """Which unit motions (6,) lie in the row space of geometric rows (M, 6) = [d, r×d], hence are determined.
-
-    Lever arms are measured in units of the longest one, so that the tolerance knows no length.
-    """
-    if len(rows) == 0:
-        return np.zeros(6, dtype=bool)
-    longest = float(np.abs(rows[:, 3:]).max())
-    scaled = rows / np.repeat([1.0, longest if longest > 0 else 1.0], 3)
-    _, singular, directions = np.linalg.svd(scaled, full_matrices=False)
-    basis = directions[singular > ROW_TOLERANCE * max(singular[0], 1e-300)]
-    return np.asarray(np.sum(basis**2, axis=0) > 1 - 1e-6)
-
-
 def check(manifest: Manifest) -> CheckReport:
     """Read what a manifest names as the command that evaluates it does, up to where images would be followed.
 
@@ -120,6 +99,17 @@ def check(manifest: Manifest) -> CheckReport:
         excitation: sine at 80 Hz
     ...
     """
+    already = AlreadyRead()
+    report = inspect(manifest, already)
+    if report.problems:
+        return report
+    problems, notices = refused(manifest, already)
+    warned = [f"{notice.where}: {notice.text}" for notice in notices if notice.severity == "warning"]
+    return replace(report, problems=tuple(problems), remarks=(*report.remarks, *warned))
+
+
+def inspect(manifest: Manifest, already: AlreadyRead) -> CheckReport:
+    """Return contents, what can be observed, and the problems of single files; what is read of these is `already`."""
     kind, excitation = KINDS[manifest.excitation.kind], manifest.excitation
     remarks = [
         *kind.command_remark,
@@ -127,16 +117,14 @@ def check(manifest: Manifest) -> CheckReport:
     ]
     if kind.tabled and excitation.file is not None:
         contents, problems = _table(manifest, excitation.file)
-        problems += _refused(manifest, AlreadyRead())[0] if not problems else []
         return CheckReport(manifest.name, manifest.path, tuple(contents), (), tuple(remarks), tuple(problems))
-    already = AlreadyRead()
     takes = [take for _, block in manifest.set_ups for take in _takes(block)]
     contents, problems = _contents(manifest, takes, already)
     named = {(where, daq.name): (block, daq) for where, block in manifest.set_ups for daq in block.daq}
     doubted = [unit_doubts(*named[place], raw) for place, raw in already.channels.items()]
     remarks += [f"{notice.where}: {notice.text}" for notices in doubted for notice in notices]
-    observed = _observed(manifest.rig, takes)
-    told_alone = _alone(manifest.rig, takes, observed, already)
+    observed = observed_by(manifest.rig, takes)
+    alone = told_alone(manifest.rig, takes, observed, already)
     blank = _blank(takes, already)
     seen = {item.instrument for item in observed} - {TOGETHER} - {f"stereo {name}" for name, _ in blank}
     (remarks if seen else problems).extend(text for _, text in blank)
@@ -146,7 +134,7 @@ def check(manifest: Manifest) -> CheckReport:
     contents += _heads(placed)
     if kind.remarks is None:
         remarks += [f"{notice.where}: {notice.text}" for notice in beam_notices(placed)]
-        remarks += told_alone
+        remarks += alone
         remarks += _motion_remarks(manifest.rig, excitation.direction or (), entries, observed)
         seen = {manifest.rig.stereo[one.stereo].body for take in takes for one in (*take.images, *take.points)}
         remarks += _unstated(manifest, entries, seen)
@@ -156,46 +144,43 @@ def check(manifest: Manifest) -> CheckReport:
         outputs = tuple(entry.channel for entry in entries if entry.quantity == "output")
         forces = tuple(entry.name for entry in entries if entry.quantity == "force")
         remarks += kind.remarks(excitation, Recorded(outputs, forces, len(takes)))
-    refused, warned = _refused(manifest, already) if not problems else ([], [])
-    problems, remarks = [*problems, *refused], [*remarks, *warned]
     return CheckReport(manifest.name, manifest.path, tuple(contents), tuple(observed), tuple(remarks), tuple(problems))
 
 
-def _refused(manifest: Manifest, already: AlreadyRead) -> tuple[list[str], list[str]]:
-    """What the command that evaluates a recording refuses of its files, and what it warns of in its images.
+def refused(manifest: Manifest, already: AlreadyRead) -> tuple[list[str], list[AnyNotice]]:
+    """What the command that evaluates a recording refuses of its files, and what it says of them.
 
     An image beyond the first is not looked at.
     """
     command = KINDS[manifest.excitation.kind].commands[0]
     try:
         manifest.check_command(command)
-        notices = _read_as(command, manifest, already)
+        return [], _read_as(command, manifest, already)
     except InputError as error:
         return [str(error)], []
     except ComputeError:  # the files are as they should be
         return [], []
-    return [], [f"{notice.where}: {notice.text}" for notice in notices if notice.severity == "warning"]
 
 
 def _read_as(command: str, manifest: Manifest, already: AlreadyRead) -> list[AnyNotice]:
-    """Read what a command reads, and return the notices of its images; its modules are imported for it alone."""
+    """Read what a command reads, and return its notices; its modules are imported for it alone."""
     notices = list[AnyNotice]()
     if command == "run":
         from fusion.phasors.setup import open_set_ups, with_channels
 
         for opened in open_set_ups(manifest, already):
-            with_channels(opened, shown=False)
             notices += [notice for images in opened.images for notice in images.notices]
+            notices += [notice for channel in with_channels(opened, shown=False).channels for notice in channel.notices]
     elif command == "transfer":
         from fusion.sensor.transfer.evaluate import estimated
         from fusion.sensor.transfer.records import TransferSettings, read_together
 
         for together in read_together(manifest):
-            estimated(manifest, together, TransferSettings())
+            notices += estimated(manifest, together, TransferSettings()).notices
     elif command == "step":
         from fusion.sensor.step.releases import read_recording
 
-        read_recording(manifest)
+        notices += read_recording(manifest)[1]
     else:
         from fusion.sensor.rotate.readings import read_rotation
 
@@ -366,7 +351,7 @@ def _read_images(images: Images, pair: Stereo, already: AlreadyRead, highest_hz:
         for _, paths in images.cameras:
             already.images[paths, images.bit_depth] = open_sequence(paths, images.bit_depth)
     except (OSError, ValueError) as error:
-        return told, [f"images {images.stereo}: {' '.join(str(error).split())}", *_no_rig(pair, ())]
+        return told, [f"images {images.stereo}: {' '.join(str(error).split())}", *no_rig(pair, ())]
     sequences = [already.images[paths, images.bit_depth] for _, paths in images.cameras]
     left = sequences[0]
     told += f", {len(left)} frames of {left.size_px[0]} x {left.size_px[1]} px, grey values up to {left.full_scale:g}"
@@ -375,7 +360,7 @@ def _read_images(images: Images, pair: Stereo, already: AlreadyRead, highest_hz:
         read_s = pair.readout_s(left.size_px[1])
         told += f", rows exposed one after the other over {1e3 * read_s:.4g} ms"
         told += f" ({360.0 * highest_hz * read_s:.3g}° at {highest_hz:g} Hz)" if highest_hz else ""
-    wrong = _no_rig(pair, sequences)
+    wrong = no_rig(pair, sequences)
     if len(left) != len(sequences[-1]):
         wrong.append(f"images {images.stereo}: {len(left)} frames left and {len(sequences[-1])} right")
     if len(left) < 3:
@@ -396,17 +381,6 @@ def _blank(takes: Sequence[Manifest], already: AlreadyRead) -> list[tuple[str, s
                 if why:
                     told.append((images.stereo, f"images {images.stereo}: {side}: no pattern is seen: {why}"))
     return told
-
-
-def _no_rig(pair: Stereo, sequences: Sequence[ImageSequence]) -> list[str]:
-    """Return what is wrong with a pair's calibration, also against the size of its pictures."""
-    from fusion.phasors.stereo_motion import read_rig
-
-    try:
-        read_rig(pair, sequences)
-    except InputError as error:
-        return [str(error)]
-    return []
 
 
 def _exposure(block: Manifest, frames: Frames) -> tuple[str, list[str]]:
@@ -432,103 +406,6 @@ def _size(paths: Sequence[Path]) -> str:
             return f"{size:.3g} {unit}"
         size /= 1000
     return f"{size:.3g} GB"
-
-
-def _observed(rig: Rig, takes: Sequence[Manifest]) -> list[Observability]:
-    """Rows of every instrument, then of all instruments of a body together.
-
-    A stereo pair determines all six components of the body it sees. Channels of one `common` name are one instrument.
-    Of what looks at the room or sits on a head it is the motion of what carries it.
-    """
-    names = dict.fromkeys(entry.stereo for take in takes for entry in (*take.images, *take.points))
-    pairs = [(name, rig.stereo[name]) for name in names]
-    single = [
-        Observability(carrier_of(name, pair) if pair.body == ROOM else pair.body, f"stereo {name}", GEOMETRY)
-        for name, pair in pairs
-    ]
-    groups: dict[tuple[str, str], list[FloatArray]] = {}
-    for daq in (daq for take in takes for daq in take.daq):
-        for entry in daq.channel:
-            if entry.quantity in TRANSDUCERS and entry.body is not None:
-                seen = entry.body if entry.body in BODIES else carrier(entry) or entry.body
-                rows = groups.setdefault((seen, entry.common or f"{daq.name}.{entry.name}"), [])
-                rows.append(TRANSDUCERS[entry.quantity].geometry(placed_at(entry), main_direction(entry)))
-    single += [Observability(body, name, np.stack(rows)) for (body, name), rows in groups.items()]
-    observed = []
-    for body in dict.fromkeys((*BODIES, *(item.body for item in single))):
-        own = [item for item in single if item.body == body]
-        observed += own
-        if len(own) > 1:
-            observed.append(Observability(body, TOGETHER, np.concatenate([item.rows for item in own])))
-    return observed
-
-
-def _alone(rig: Rig, takes: Sequence[Manifest], observed: Sequence[Observability], already: AlreadyRead) -> list[str]:
-    """What each camera alone tells of its body, and what is left open beside the other instruments there."""
-    told = []
-    for images in {images.stereo: images for take in takes for images in take.images}.values():
-        name, pair, first = (
-            images.stereo,
-            rig.stereo[images.stereo],
-            already.images.get((images.left, images.bit_depth)),
-        )
-        if pair.surface is None or first is None or _no_rig(pair, (first,)):
-            continue
-        seen = _seen_alone(name, pair, first)
-        if seen is None:
-            continue
-        own, whole = 1e6 * np.sqrt(np.diagonal(seen[0])), seen[1]
-        told.append(
-            f"stereo {name} is one camera; of a frame it tells, by noise alone (standard uncertainty, its own axes, "
-            f"middle of the face), {own[:2].max():.2g} µm across its axis and {own[2]:.2g} µm along it, "
-            f"{own[5]:.2g} µrad about it and {own[3:5].max():.2g} µrad of tilts"
-        )
-        text = f"{pair.body}, at the sensor origin: {_sizes(whole, whole)} by stereo {name} alone"
-        instruments = {item.instrument: item.rows for item in observed if item.body == pair.body}
-        others = {key: rows for key, rows in instruments.items() if key not in (TOGETHER, f"stereo {name}")}
-        if others:
-            rows = np.concatenate(list(others.values()))
-            gain = whole @ rows.T @ np.linalg.pinv(rows @ whole @ rows.T, hermitian=True)
-            text += (
-                f"; {_sizes(np.asarray(whole - gain @ rows @ whole), whole)} beside {', '.join(others)}, taken as exact"
-            )
-        told.append(text)
-    return told
-
-
-def _seen_alone(name: str, pair: Stereo, images: ImageSequence) -> tuple[FloatArray, FloatArray] | None:
-    """Covariance (6, 6) of one frame's motion by the noise of the first image; None where that is of no use.
-
-    (Σ JᵀJ/σ²)⁻¹ over the subsets, J the rates of their pixels: about the middle of the face in the camera's axes, and
-    about the sensor origin in those of the sensor.
-    """
-    from fusion.phasors.stereo_motion import read_rig, sensor_from_camera
-    from fusion.planning.look.pictures import look_at_camera
-    from photogram.camera import FaceCamera, locate
-    from photogram.direct.surface import PlacedCamera, see_points
-    from photogram.geometry import RigidTransform
-
-    face, (_, look) = read_rig(pair, (images,)), look_at_camera(name, images)
-    if look is None or len(look.points_px) < FEWEST_SUBSETS or not isinstance(face, FaceCamera):
-        return None
-    points = locate(face, [look.points_px[None]]).position_m[0]
-
-    def covariance(camera_from_body: RigidTransform) -> FloatArray:
-        seen = see_points(PlacedCamera(face.camera, camera_from_body), camera_from_body.inverse().apply(points))
-        rates = seen.rates.reshape(-1, 6)
-        return np.asarray(np.linalg.inv(rates.T @ rates / look.sigma_px**2), dtype=np.float64)
-
-    middle = RigidTransform(np.eye(3), points.mean(axis=0))
-    return covariance(middle), covariance(sensor_from_camera(pair).inverse())
-
-
-def _sizes(covariance: FloatArray, before: FloatArray) -> str:
-    """Standard uncertainties of the six components, without those that are exact beside what they were `before`."""
-    u = 1e6 * np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-    open_ = u > EXACT * 1e6 * np.sqrt(np.diagonal(before))
-    units = ("µm",) * 3 + ("µrad",) * 3
-    sizes = [f"{MOTION_COMPONENTS[i]} {u[i]:.2g} {units[i]}" for i in np.flatnonzero(open_)]
-    return ", ".join(sizes) or "nothing left open"
 
 
 def _motion_remarks(

@@ -31,6 +31,7 @@ from fusion.recording.manifest import (
     SetUpFiles,
     Take,
 )
+from fusion.recording.repair import AnyBlock, Repair, doubted
 from fusion.recording.rig import Head, Part, Rig, Shaker, Stereo
 from fusion.recording.toml import (
     UncertainInput,
@@ -39,7 +40,6 @@ from fusion.recording.toml import (
     read_toml,
     uncertain_inputs,
     unfilled,
-    validate,
 )
 from fusion.recording.values import Context, PathScope, describe, repeated_name
 from shaker.arrays import Notice
@@ -226,13 +226,16 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
     path = path if path.is_file() else path / RECORDING_NAME
     at_first = {path.resolve(): Identity.of(path)}
     text = read_toml(path)
-    rig_path = _rig_path(path, text)
+    try:
+        rig_path = _rig_path(path, text)
+        rig_text = read_toml(rig_path)
+    except InputError as error:
+        raise InputError.together([error, *_without_rig(path, text)]) from error
     at_first[rig_path.resolve()] = Identity.of(rig_path)
     root, folder = rig_path.parent.resolve(), path.parent.resolve()
     if not allow_outside and not folder.is_relative_to(root):
         expected = "a rig.toml in a folder above the recording (--allow-outside permits others)"
         raise InputError(path, "rig", f'"{text["rig"]}"', expected)
-    rig_text = read_toml(rig_path)
     folders = PathScope(folder, root, allow_outside), PathScope(root, root, allow_outside)
     of_certificates = _certificates((path, text), (rig_path, rig_text), folders)
     text, rig_text = (found.text for found in of_certificates)
@@ -296,24 +299,70 @@ def _checked_files(
     """
     (path, text), (rig_path, rig_text) = of_recording, of_rig
     unknown, wrong = [*unfilled(text, path), *unfilled(rig_text, rig_path)], list[InputError]()
-    rig, record = None, None
+    rig, record, doubtful = None, None, dict[Path, set[str]]()
     with _added_to(wrong):
-        rig = validate(Rig, rig_text, rig_path, Context(folders[1], {}))
+        rig = _validated(
+            Rig, expand_statements(rig_text, rig_path)[0], rig_path, Context(folders[1], {}), wrong, doubtful
+        )
     with _added_to(wrong):
         values = expand_statements(text, path)[0]
         around = values.get("environment")
         if isinstance(around, dict):
             # What the recording states takes the place of what the rig does: together they must be as valid as one.
             values["environment"] = expand_statements(rig_text, rig_path)[0].get("environment", {}) | around
-        known = (rig.stereo, rig.head) if rig is not None else _named_in(rig_text)
-        record = validate(RecordingFile, values, path, Context(folders[0], *known))
+        stereo, head = _named_in(rig_text)
+        if rig is not None:
+            stereo |= {name: pair for name, pair in rig.stereo.items() if name not in doubtful[rig_path]}
+            head |= {name: stated for name, stated in rig.head.items() if name not in doubtful[rig_path]}
+        record = _validated(RecordingFile, values, path, Context(folders[0], stereo, head), wrong, doubtful)
     if rig is not None and record is not None:
         with _added_to(wrong):
-            wrong += _contradictions(rig, rig_path, record, path)
+            told = {(error.file, error.key) for error in wrong}
+            for one in _contradictions(rig, rig_path, record, path):
+                wrong += [one] if (one.file, one.key) not in told and not doubted(one, doubtful) else []
     wrong = [*unknown, *(error for error in wrong if (error.file, error.key) not in {(e.file, e.key) for e in unknown})]
     if rig is None or record is None or wrong:
         raise InputError.together(wrong)
     return rig, record
+
+
+def _without_rig(path: Path, text: dict[str, Any]) -> list[InputError]:
+    """Return the mistakes of a recording whose rig cannot be read."""
+    found = list[InputError]()
+    with _added_to(found):
+        values = expand_statements(text, path)[0]
+        blocks = [
+            block for part in (values, *_tables(values, "take")) for block in _tables(part, "daq", "images", "points")
+        ]
+        channels = [channel for block in blocks for channel in _tables(block, "channel")]
+        named: dict[str, Any] = {"stereo": {str(block.get("stereo")): {} for block in blocks}}
+        named["head"] = {str(channel.get("head")): {} for channel in channels}
+        folder = path.parent.resolve()
+        context = Context(PathScope(folder, folder, allow_outside=True), *_named_in(named))
+        _validated(RecordingFile, values, path, context, found, {})
+    return [*unfilled(text, path), *(error for error in found if error.key != "rig")]
+
+
+def _tables(values: Any, *keys: str) -> Iterator[dict[str, Any]]:
+    """Yield the tables in the lists at some keys of a table."""
+    for key in keys:
+        items = values.get(key) if isinstance(values, dict) else None
+        yield from (item for item in items if isinstance(item, dict)) if isinstance(items, list) else ()
+
+
+def _validated(
+    model: type[AnyBlock],
+    values: dict[str, Any],
+    path: Path,
+    context: Context,
+    wrong: list[InputError],
+    doubtful: dict[Path, set[str]],
+) -> AnyBlock | None:
+    """Return a valid block, placeholders in the place of mistakes; add these, and the names of blocks that have one."""
+    found = Repair(model, values, path, context)
+    wrong += found.wrong
+    doubtful[path] = found.names
+    return found.block
 
 
 @contextmanager

@@ -147,7 +147,7 @@ def checked_table(
 
         def told(problem: ErrorDetails) -> InputError:
             place, own = [*start, *problem["loc"]], problem.get("ctx", {}).get("key")
-            expected, found = _phrases(model, problem)
+            expected, found = phrases(model, problem)
             return InputError(path, key_path(whole, [*place, *own.split(".")] if own else place), found, expected)
 
         # An unknown key comes before the key that is missing in its stead.
@@ -383,7 +383,7 @@ def _block_name(siblings: Any, block: Any) -> str:
     return ""
 
 
-def _phrases(model: type[Block], problem: ErrorDetails) -> tuple[str, str]:
+def phrases(model: type[Block], problem: ErrorDetails) -> tuple[str, str]:
     """What was expected and what was found, for any error of pydantic's."""
     kind, context = problem["type"], problem.get("ctx", {})
     if kind == "refused":
@@ -415,19 +415,19 @@ def _known_keys(model: type[BaseModel], place: tuple[int | str, ...]) -> str:
     """Which key of the table at a place below a model was probably meant, else all its keys."""
     for step in place[:-1]:
         field = model.model_fields.get(step) if isinstance(step, str) else None
-        below = next(_models_in(field.annotation), None) if field is not None else None
+        below = next(models_in(field.annotation), None) if field is not None else None
         model = below or model
     known = list(model.model_fields)
     close = get_close_matches(str(place[-1]), known, n=1)
     return f'a known key, probably "{close[0]}"' if close else "one of the keys " + ", ".join(known)
 
 
-def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
+def models_in(annotation: Any) -> Iterator[type[BaseModel]]:
     """The models that an annotation such as tuple[Daq, ...] names."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
     for argument in get_args(annotation):
-        yield from _models_in(argument)
+        yield from models_in(argument)
 
 
 # Tables to TOML text.

@@ -164,6 +164,8 @@ def not_assessed(
 
 TURNED_RAD, TURNED_U = 5e-3, 3.0
 """Phase from which on a measuring chain of which nothing is stated is asked for; the same in standard uncertainties."""
+MOST_LAG_RAD = 0.2
+"""Lag beyond which it is doubtful that a measuring chain causes it; no chain causes a lead."""
 
 
 def unstated_chain(found: Sensitivity | None, entries: Sequence[ChannelEntry], component: int) -> Iterator[Notice]:
@@ -194,4 +196,4 @@ def unstated_chain(found: Sensitivity | None, entries: Sequence[ChannelEntry], c
             f"{hertz:.6g} Hz, as much as {lag_us:.3g} us, and neither delay nor response of its measuring chain is "
             "stated: does its amplifier have one?"
         )
-        yield Notice("info", text, "sensitivity")
+        yield Notice("info" if -MOST_LAG_RAD < turn < 0.0 else "warning", text, "sensitivity")

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import numpy as np
 from fusion.base import Executor, Keeper, ProgressCallback, Settings, no_progress, versions
 from fusion.instruments.channel import sensor_outputs
 from fusion.instruments.vibrometer import beam_notices, point_spreads
-from fusion.phasors.setup import measure_set_ups, open_set_ups
+from fusion.phasors.setup import SetUp, measure_set_ups, open_set_ups
 from fusion.phasors.setups import join_set_ups
 from fusion.phasors.stereo_phasors import unseen_fundamentals
 from fusion.recording.load import Manifest, load_manifest, only_recording
@@ -52,6 +53,17 @@ def evaluate_recording(
     """
     started, settings, manifest = time.monotonic(), settings or Settings(), _checked(recording)
     set_ups = measure_set_ups(open_set_ups(manifest), settings, progress, executor, kept)
+    evaluation = evaluate_set_ups(manifest, set_ups, settings, progress)
+    return replace(evaluation, input_hashes=dict(input_hashes or {}), duration_s=time.monotonic() - started)
+
+
+def evaluate_set_ups(
+    manifest: Manifest,
+    set_ups: Sequence[SetUp],
+    settings: Settings,
+    progress: ProgressCallback = no_progress,
+) -> Evaluation:
+    """Evaluate a recording whose instruments have phasors: fuse, apply the mass matrix, divide the outputs."""
     joined = join_set_ups(set_ups)
     sensor, surroundings, body = manifest.rig.sensor, manifest.rig.surroundings, load_body(manifest.rig, manifest.part)
     observations = joined.observed(surroundings.free_fall_mps2[0])
@@ -92,8 +104,7 @@ def evaluate_recording(
         notices=tuple(dict.fromkeys(told)),
         settings=settings.as_dict(),
         versions=versions(),
-        input_hashes=dict(input_hashes or {}),
-        duration_s=time.monotonic() - started,
+        input_hashes={},
         set_ups=joined.set_ups,
         points=points,
         monte_carlo=drawn,

@@ -558,7 +558,7 @@ def mass_doubted(element: str, course: complex, frequency_hz: float) -> Iterator
     text = (
         f"the {element} is {size:.3g} times its static value at {frequency_hz:.6g} Hz, {told}: are {masses}, and scale"
     )
-    yield Notice("info", f"{text} and response of the output right?", "sensitivity")
+    yield Notice("warning", f"{text} and response of the output right?", "sensitivity")
 
 
 # The ratio point by point, where several vibrometer points look along the force that was driven.

@@ -161,6 +161,18 @@ LASER_ONLY = (
 )
 
 
+def test_the_rig_is_told_once_per_campaign(make_campaign, capsys):
+    folder = make_campaign()
+    for number in (2, 3):
+        shutil.copytree(folder, folder.parent / f"again-{number}")
+    edit(folder / "recording.toml", "scale = 0.125", "scale = 0")
+    edit(folder.parent / "rig.toml", "temperature = 23.0", "temperature = 300.0")
+    edit(folder.parent / "rig.toml", "mass = 6.9605", "mass = -1.0")
+    assert main(["check", str(folder.parent)]) == 2
+    told = capsys.readouterr().err
+    assert [told.count(key) for key in ("environment.temperature", "load.mass", "velocity.scale")] == [1, 1, 1]
+
+
 def test_what_will_be_missing_is_remarked(make_campaign):
     folder = make_campaign(rig='format = 1\nname = "bare"\n', recording=LASER_ONLY)
     remarks = check(load_manifest(folder)).remarks

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import tomllib
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -14,12 +16,13 @@ import numpy as np
 import pytest
 from support import edit, refusals, rows
 
-from fusion import look
+from fusion import check, load_manifest, look
 from fusion.base import InputError
 from fusion.cli import main
 from fusion.planning.look.look import look_page
 from fusion.planning.look.pictures import _sigma_px
 from fusion.planning.look.signals import _clipping
+from fusion.recording.toml import to_toml
 from fusion.simulate import simulate
 from photogram.subsets.texture import textured_area
 from shaker.io.channel import RawChannel
@@ -158,6 +161,96 @@ FAULTS = [
 ]
 
 
+# Mistakes of the manifests: the data are those of the sound recording.
+
+
+def _scale(folder: Path) -> None:
+    edit(folder / "Fz-0080" / "recording.toml", "scale = 0.1\n", "scale = 1.0\n")
+
+
+def _in_g(folder: Path) -> None:
+    edit(folder / "Fz-0080" / "recording.toml", "scale = 100.0", f"scale = {100 / 9.80665}")
+
+
+def _another_quantity(folder: Path) -> None:
+    edit(folder / "Fz-0080" / "recording.toml", '"velocity"', '"displacement"')
+
+
+def _aimed_along_x(folder: Path) -> None:
+    text = "point = [0.033, 0.0, 0.069]\ndirection = [{}, 0.0, {}]"
+    edit(folder / "Fz-0080" / "recording.toml", text.format("0.0", "1.0"), text.format("1.0", "0.0"))
+
+
+def _driven_along_x(folder: Path) -> None:
+    edit(folder / "Fz-0080" / "recording.toml", "direction = [0.0, 0.0, 1.0]\nf", "direction = [1.0, 0.0, 0.0]\nf")
+
+
+def _pose(folder: Path, name: str, change: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]) -> None:
+    path = folder / "rig.toml"
+    rig = tomllib.loads(path.read_text())
+    pair = rig["stereo"][name]
+    rotation, translation = change(np.array(pair["rotation"]), np.array(pair["translation"]))
+    pair |= {"rotation": rotation.tolist(), "translation": translation.tolist()}
+    path.write_text(to_toml(rig))
+
+
+def _transposed(folder: Path) -> None:
+    _pose(folder, "top", lambda rotation, translation: (rotation.T, translation))
+
+
+def _base_inverse(folder: Path) -> None:
+    _pose(folder, "base", lambda rotation, translation: (rotation.T, -rotation.T @ translation))
+
+
+def _axes_exchanged(folder: Path) -> None:
+    turn = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+    _pose(folder, "top", lambda rotation, translation: (turn @ rotation, turn @ translation))
+
+
+def _late_pair(folder: Path) -> None:
+    for side in ("left", "right"):
+        (folder / "Fz-0080" / f"top-{side}" / "0000.tif").unlink()
+    edit(folder / "Fz-0080" / "recording.toml", 'stereo = "top"', 'stereo = "top"\nfirst_edge = 0')
+
+
+def _late_camera(folder: Path) -> None:
+    files = sorted((folder / "Fz-0080" / "top-right").glob("*.tif"))
+    for earlier, later in reversed(list(pairwise(files))):
+        shutil.copy(earlier, later)
+
+
+MISTAKES = [
+    (_scale, "FIX MANIFEST", "laser as a whole reads 10.0", "ten times too large (laser as a whole)"),
+    (_in_g, "FIX MANIFEST", "base_acceleration reads 0.10", "g were taken for m/s² (base_acceleration)"),
+    (_another_quantity, "FIX MANIFEST", "turned by 1.57 rad", "another quantity than displacement"),
+    (_aimed_along_x, "FIX MANIFEST", "velocity_1", "the direction of velocity_1 were (0, 0, 1)"),
+    (_driven_along_x, "FIX MANIFEST", "moves along z at 80", "excitation.direction = [1.0, 0.0, 0.0]"),
+    (_transposed, "FIX MANIFEST", "stereo top", "as if stereo.top.rotation were stated from sensor to camera"),
+    (_base_inverse, "FIX MANIFEST", "stereo base", "stereo.base.rotation and translation were stated from sensor"),
+    (_axes_exchanged, "FIX MANIFEST", "stereo top", "stereo.top.rotation were turned by 90° about (-1, 0, 0)"),
+    (_late_pair, "FIX MANIFEST", "stereo top", "the frames of top belonged to trigger edges 1 edge later"),
+    (_late_camera, "CHECK", "top", "the right camera is 1 frame (26.08 ms) late compared with the left one"),
+]
+
+
+@pytest.mark.parametrize(("mistake", "verdict", "where", "cause"), MISTAKES, ids=[one[0].__name__ for one in MISTAKES])
+def test_a_mistake_in_a_manifest_is_named_with_its_cause(campaign, mistake, verdict, where, cause):
+    mistake(campaign)
+    found = look(campaign / "Fz-0080")
+    assert found.verdict == verdict, found.findings
+    assert any(where in f.text and cause in f.text for f in found.findings), found.findings
+
+
+def test_other_kinds_are_judged_by_what_their_command_refuses(tmp_path):
+    folder = simulate(tmp_path / "chirp", "chirp", 1)
+    assert look(folder).verdict == "KEEP"
+    manifest = folder / "recording.toml"
+    manifest.write_text(re.sub(r"(?m)^band = .*", "band = [5000.0, 9000.0]", manifest.read_text()))
+    (finding,) = look(folder).findings
+    assert (finding.verdict, "excitation." in finding.text) == ("FIX MANIFEST", True)
+    assert str(check(load_manifest(folder)).problems[0]).endswith(finding.text.partition(": ")[2])
+
+
 @pytest.mark.parametrize(("damage", "level", "where", "text"), FAULTS, ids=[fault[0].__name__ for fault in FAULTS])
 def test_a_fault_is_named(campaign, damage, level, where, text):
     damage(campaign)
@@ -169,7 +262,7 @@ def test_a_fault_is_named(campaign, damage, level, where, text):
 def test_a_good_recording_is_green_and_its_uncertainty_is_foreseen(demo_recording, tmp_path, capsys):
     assert main(["look", str(demo_recording)]) == 0
     told = capsys.readouterr().out
-    assert told.startswith("GREEN   Fz 80.0 Hz, simulated\n")
+    assert told.startswith("GREEN   Fz 80.0 Hz, simulated\nKEEP: ")
     (share,) = re.findall(r"about ([0-9.]+) %", told)
     assert main(["run", str(demo_recording), "-o", str(tmp_path / "r"), "-q"]) == 0
     (row,) = (
@@ -193,10 +286,10 @@ def test_the_light_is_the_status_and_a_page(campaign, capsys):
     page = campaign.parent / "light.html"
     assert main(["look", str(campaign), "--page", str(page), "--aim", "0.01"]) == 1
     told = capsys.readouterr().out
-    assert told.startswith("RED   Fz 80.0 Hz, simulated\nrecord again")
-    assert "yellow: U (k = 2) of Fz per Fz at 80 Hz will be about" in told
+    assert told.startswith("RED   Fz 80.0 Hz, simulated\nREPEAT: ")
+    assert "CHECK: U (k = 2) of Fz per Fz at 80 Hz will be about" in told
     text = page.read_text(encoding="utf-8")
-    assert '<header class="light wrong"><strong>RED</strong>' in text
+    assert '<header class="light wrong"><strong>REPEAT</strong>' in text
     assert "is clipped" in text
     assert "refresh" not in text
     assert '<meta http-equiv="refresh" content="2">' in look_page([look(campaign / "Fz-0080")], 2.0)
@@ -250,5 +343,5 @@ def test_a_folder_that_fills_is_looked_at_again(campaign, monkeypatch, capsys):
     assert main(["look", str(campaign), "--watch"]) == 130
     told = capsys.readouterr().out
     assert told.count("RED") == 1
-    assert "red: not complete yet: " in told
+    assert "REPEAT: not complete yet: " in told
     assert told.count("GREEN") == 1

@@ -3,41 +3,45 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from fusion.base import Identity, InputError
+from fusion.base import ComputeError, Identity, InputError
 from fusion.instruments.transducer import TRANSDUCERS, main_direction
+from fusion.phasors.setup import OpenSetUp, open_set_ups
 from fusion.phasors.stereo_motion import read_rig
+from fusion.planning.check import inspect, refused
+from fusion.planning.look.finding import LEVEL_OF, VERDICTS, Finding, Level, Verdict, problem, refusal, worst
 from fusion.planning.look.pictures import PairLook, look_at_camera, look_at_pair
+from fusion.planning.look.rehearsal import doubted, rehearse
 from fusion.planning.look.signals import (
-    LEVELS,
-    Finding,
-    Level,
     Strength,
     look_at_beat,
     look_at_channels,
     look_at_trigger,
     trigger_of,
 )
-from fusion.recording.files import recorded_channels
+from fusion.recording.excitation import KINDS
+from fusion.recording.files import AlreadyRead, DaqRecord
 from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.recording.manifest import Images
+from fusion.recording.plausible import doubts
 from fusion.report.files import write_whole
 from fusion.report.terminal import say, stdout_console
 from photogram.camera import StereoRig
-from photogram.images.files import open_sequence
 from shaker.timebase.trigger import TriggerFit
 
 COLOURS = {"good": "GREEN", "look": "YELLOW", "wrong": "RED"}
-SAID = {
-    "good": "nothing speaks against this recording",
-    "look": "look at what is below before the load comes down",
-    "wrong": "record again: this cannot give a good result",
+SAID: dict[Verdict, str] = {
+    "KEEP": "nothing speaks against this recording",
+    "CHECK": "look at what is below before the load comes down",
+    "FIX MANIFEST": "a statement of recording.toml or rig.toml contradicts the data",
+    "REPEAT": "record again: this cannot give a good result",
 }
 K2 = 2.0
 WATCHED_S = 2.0
@@ -60,8 +64,8 @@ class Look:
 
     >>> from fusion import Look, look
     >>> found = look("sample_images/demo/Fz-0080")
-    >>> isinstance(found, Look), found.level
-    (True, 'good')
+    >>> isinstance(found, Look), found.verdict, found.level
+    (True, 'KEEP', 'good')
     """
 
     name: str
@@ -70,13 +74,18 @@ class Look:
     expected: tuple[Expected, ...]
 
     @property
+    def verdict(self) -> Verdict:
+        """Return the worst of all findings: KEEP, CHECK, FIX MANIFEST or REPEAT."""
+        return worst(self.findings)
+
+    @property
     def level(self) -> Level:
-        """Return the worst of all findings: good, look (yellow) or wrong (red)."""
-        return max((finding.level for finding in self.findings), key=LEVELS.index, default="good")
+        """Return the colour of the verdict: good, look (yellow) or wrong (red)."""
+        return LEVEL_OF[self.verdict]
 
 
 def look(recording: str | Path, aim: float | None = None, *, allow_outside: bool = False) -> Look:
-    """Look at a recording without following an image: every channel, some pictures of every camera.
+    """Look at a recording: every channel, some pictures of every camera, and what its command will say of it.
 
     `aim`: relative expanded uncertainty (k = 2) that the result shall have. What cannot be read is a finding, too; only
     a manifest with mistakes raises `InputError`.
@@ -85,23 +94,50 @@ def look(recording: str | Path, aim: float | None = None, *, allow_outside: bool
     >>> [finding.text for finding in look("sample_images/demo/Fz-0080", aim=1e-4).findings]  # doctest: +ELLIPSIS
     ['U (k = 2) of Fz per Fz at 80 Hz will be about 0.07... %, more than the 0.01 % aimed at']
     """
-    manifest = load_manifest(recording, allow_outside=allow_outside)
+    manifest, already = load_manifest(recording, allow_outside=allow_outside), AlreadyRead()
+    problems, opened = _opened(manifest, already)
+    records = {(one.where, record.entry.name): record for one in opened for record in one.base.records}
     findings: list[Finding] = []
     expected: list[Expected] = []
     for where, block in manifest.set_ups:
-        found, strengths, pairs = _look_at(block)
+        found, strengths, pairs = _look_at(block, where, already, records)
         prefix = where.rstrip(".") + " " if len(manifest.set_ups) > 1 else ""
-        findings += [Finding(item.level, prefix + item.where, item.text) for item in found]
+        findings += [replace(item, where=prefix + item.where) for item in found]
         expected += _expected(block, strengths, pairs)
+    if opened and worst(findings) != "REPEAT":
+        problems += rehearse(manifest, opened)
+    known = " ".join(finding.text for finding in findings)
+    findings += (finding for finding in problems if finding.text.rpartition(": ")[2] not in known)
     for item in expected:
         if aim is not None and aim < item.U:
             text = f"will be about {100 * item.U:.2g} %, more than the {100 * aim:.2g} % aimed at"
-            findings.append(Finding("look", "", f"U (k = 2) of {item.channel} at {item.frequency_hz:g} Hz {text}"))
-    findings.sort(key=lambda finding: -LEVELS.index(finding.level))
+            findings.append(Finding("CHECK", "", f"U (k = 2) of {item.channel} at {item.frequency_hz:g} Hz {text}"))
+    findings.sort(key=lambda finding: -VERDICTS.index(finding.verdict))
     return Look(manifest.name, manifest.path, tuple(findings), tuple(expected))
 
 
-def _look_at(block: Manifest) -> tuple[list[Finding], list[Strength], dict[str, tuple[PairLook, int]]]:
+def _opened(manifest: Manifest, already: AlreadyRead) -> tuple[list[Finding], tuple[OpenSetUp, ...]]:
+    """Open a recording as the command that evaluates it does: what that refuses, and what `run` has opened."""
+    report, kind = inspect(manifest, already), KINDS[manifest.excitation.kind]
+    if report.problems:
+        return [problem(text) for text in report.problems], ()
+    if kind.commands[0] != "run":
+        problems, notices = refused(manifest, already)
+        told = [problem(text) for text in problems]
+        if kind.remarks is None:  # else doubts are among the remarks
+            notices = [*manifest.certified, *doubts(manifest), *notices]
+        else:
+            told += [Finding("CHECK", "", text) for text in report.remarks if text not in kind.command_remark]
+        return [*told, *doubted(notices)], ()
+    try:
+        return [], open_set_ups(manifest, already)
+    except (InputError, ComputeError) as error:
+        return [refusal(error)], ()
+
+
+def _look_at(
+    block: Manifest, where: str, already: AlreadyRead, records: Mapping[tuple[str, str], DaqRecord]
+) -> tuple[list[Finding], list[Strength], dict[str, tuple[PairLook, int]]]:
     """Look at what was recorded at once: findings, driven lines by channel, pairs with their number of frames.
 
     Pictures are looked at beside the channels: the libraries that decode and filter them let other threads work.
@@ -111,19 +147,18 @@ def _look_at(block: Manifest) -> tuple[list[Finding], list[Strength], dict[str, 
     triggers: dict[str, TriggerFit] = {}
     pairs = {}
     with ThreadPoolExecutor(THREADS) as threads:
-        pictures = [threads.submit(_look_at_images, block, images) for images in block.images]
+        pictures = [threads.submit(_look_at_images, block, images, already) for images in block.images]
         for daq in block.daq:
-            try:
-                raw = recorded_channels(block, daq)
-            except (OSError, ValueError, InputError) as error:
-                found.append(Finding("wrong", daq.name, _short(error)))
+            raw = already.channels.get((where, daq.name), {})
+            if not raw:  # what is wrong with the file is among the problems of `inspect`
                 continue
             own, strong = look_at_channels(block, daq, raw)
             found += own
             strengths += strong
             for entry in daq.channel:
                 if entry.quantity == "trigger" and np.ptp(raw[entry.name].samples) > 0.0:
-                    fit = trigger_of(entry, raw[entry.name])
+                    record = records.get((where, daq.name)) or DaqRecord(daq, raw, 0.0)
+                    fit = trigger_of(record, entry)
                     found += look_at_trigger(f"{daq.name}.{entry.name}", fit)
                     if isinstance(fit, TriggerFit):
                         triggers.setdefault(entry.name, fit)
@@ -137,20 +172,24 @@ def _look_at(block: Manifest) -> tuple[list[Finding], list[Strength], dict[str, 
     return found, strengths, pairs
 
 
-def _look_at_images(block: Manifest, images: Images) -> tuple[list[Finding], PairLook | None, int]:
+def _look_at_images(
+    block: Manifest, images: Images, already: AlreadyRead
+) -> tuple[list[Finding], PairLook | None, int]:
     """Look at the pictures of a stereo pair, and count its frames; of a camera alone there is nothing to compare."""
     where, pair = images.stereo, block.rig.stereo[images.stereo]
     try:
-        sequences = [open_sequence(paths, images.bit_depth) for _, paths in images.cameras]
+        sequences = [already.images[paths, images.bit_depth] for _, paths in images.cameras]
         rig = read_rig(pair, sequences)
         named = zip(images.cameras, sequences, strict=True)
         looks = [look_at_camera(f"{where} {side}", sequence) for (side, _), sequence in named]
+    except KeyError:  # what is wrong with the files is among the problems of `inspect`
+        return [], None, 0
     except (OSError, ValueError, InputError) as error:
-        return [Finding("wrong", where, _short(error))], None, 0
+        return [refusal(error, where)], None, 0
     found = [finding for own, _ in looks for finding in own]
     counts, seen_by = [len(sequence) for sequence in sequences], [seen for _, seen in looks if seen is not None]
     if counts[0] != counts[-1]:
-        found.append(Finding("wrong", where, f"{counts[0]} frames left and {counts[1]} right"))
+        found.append(Finding("REPEAT", where, f"{counts[0]} frames left and {counts[1]} right"))
     if not isinstance(rig, StereoRig) or len(seen_by) < len(looks):
         return found, None, counts[0]
     left, right = seen_by
@@ -162,18 +201,11 @@ def _edges(block: Manifest, images: Images, trigger: TriggerFit, frames: int) ->
     """Yield where frames and edges do not fit each other, and what the cameras' rate does to the driven lines."""
     where = images.stereo
     if trigger.edges < frames + (images.first_edge or 0):
-        yield Finding("wrong", where, f"{frames} frames and only {trigger.edges} trigger edges")
+        yield Finding("REPEAT", where, f"{frames} frames and only {trigger.edges} trigger edges")
     elif trigger.edges > frames and images.first_edge is None:
         text = f"{frames} frames and {trigger.edges} trigger edges: first_edge must say which are the frames'"
-        yield Finding("wrong", where, text)
+        yield Finding("FIX MANIFEST", where, text)
     yield from look_at_beat(where, block.excitation.frequencies or (), trigger, frames)
-
-
-def _short(error: Exception) -> str:
-    """Return what a reader says, without the folders."""
-    text = " ".join(str(error).split())
-    path, colon, rest = text.partition(": ")
-    return f"{Path(path).name}: {rest}" if colon and "/" in path else text
 
 
 def _expected(block: Manifest, strengths: list[Strength], pairs: dict[str, tuple[PairLook, int]]) -> Iterator[Expected]:
@@ -240,13 +272,16 @@ def print_look(found: Look) -> None:
 
     console = stdout_console()
     colour = COLOURS[found.level]
-    banner = Text(f"{colour}   {found.name}\n{SAID[found.level]}", style=f"bold black on {colour.lower()}")
+    banner = Text(
+        f"{colour}   {found.name}\n{found.verdict}: {SAID[found.verdict]}", style=f"bold black on {colour.lower()}"
+    )
     console.print(
         Padding(banner, (1, 4), style=f"black on {colour.lower()}", expand=False) if console.is_terminal else banner
     )
     for finding in found.findings:
         where = f"{finding.where}: " if finding.where else ""
-        say(f"  {COLOURS[finding.level].lower()}: {where}{finding.text}")
+        label = "note" if finding.verdict == "KEEP" else finding.verdict
+        say(f"  {label}: {where}{finding.text}")
     for item in found.expected:
         shares = ", ".join(f"{name} {100 * share:.2g} %" for name, share in item.shares)
         text = (
@@ -259,8 +294,15 @@ def look_page(found: list[Look], reload_s: float | None) -> str:
     """Return a page whose colour is read from two metres; `reload_s`: how often it loads itself again."""
     from fusion.report.folder import render_page
 
-    worst = max((look.level for look in found), key=LEVELS.index, default="good")
-    values = {"looks": found, "worst": worst, "colours": COLOURS, "said": SAID, "reload_s": reload_s}
+    verdict = worst([finding for one in found for finding in one.findings])
+    values: dict[str, Any] = {
+        "looks": found,
+        "verdict": verdict,
+        "level": LEVEL_OF[verdict],
+        "colours": COLOURS,
+        "said": SAID,
+    }
+    values["reload_s"] = reload_s
     return render_page("look.html", values)
 
 
@@ -278,7 +320,7 @@ def run_look(path: Path, aim: float | None, page: Path | None, *, watch: bool, a
             if page is not None:
                 write_whole(page, look_page(found, WATCHED_S if watch else None))
         if not watch:
-            return max((item.level for item in found), key=LEVELS.index)
+            return LEVEL_OF[worst([finding for item in found for finding in item.findings])]
         before = state
         time.sleep(WATCHED_S)
 
@@ -290,7 +332,7 @@ def _one(recording: Path, aim: float | None, *, watch: bool, allow_outside: bool
     except InputError as error:
         if not watch:
             raise
-        return Look(recording.parent.name, recording, (Finding("wrong", "", f"not complete yet: {error}"),), ())
+        return Look(recording.parent.name, recording, (Finding("REPEAT", "", f"not complete yet: {error}"),), ())
 
 
 def _state(recordings: list[Path]) -> object:

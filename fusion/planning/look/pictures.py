@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.planning.look.signals import Finding, Level
+from fusion.planning.look.finding import Finding, Verdict
 from photogram.arrays import BoolArray, FloatArray
 from photogram.camera import StereoRig, epipolar_residual, triangulate
 from photogram.images.exposure import clip_level, without_pattern
@@ -47,35 +47,34 @@ def look_at_camera(where: str, images: ImageSequence) -> tuple[list[Finding], Ca
     chosen = sorted({round(i * (len(images) - 1) / (FRAMES - 1)) for i in range(FRAMES)})
     first = images.read(chosen[0])
     others = {i: images.read(i)[::EVERY, ::EVERY] for i in chosen[1:]}
-    found = [Finding("look", where, notice.text) for notice in images.notices if notice.severity == "warning"]
+    found = [Finding("CHECK", where, notice.text) for notice in images.notices if notice.severity == "warning"]
     blank = without_pattern(first, images.full_scale)
     if blank:
-        return [*found, Finding("wrong", where, f"no speckled body is seen: {blank}")], None
+        return [*found, Finding("REPEAT", where, f"no speckled body is seen: {blank}")], None
     found += _brightness(where, first, others, images.full_scale)
     area = textured_area(first)
     if any(finding.level == "wrong" and "dark" in finding.text for finding in found):
         return found, None
     inside = first[area]
     if area.mean() < SMALL_AREA or len(inside) < 1000:
-        found.append(Finding("wrong", where, "no speckled body is seen"))
+        found.append(Finding("REPEAT", where, "no speckled body is seen"))
         return found, None
     clipped = clip_level(first)
     limit = images.full_scale if clipped is None else clipped
     full, where_cut = float(np.mean(inside >= limit)), "" if clipped is None else f" at {limit} of {images.full_scale}"
     if full > SATURATED:
-        level: Level = "wrong" if full > MUCH_SATURATED else "look"
-        found.append(
-            Finding(level, where, f"overexposed: {100 * full:.2g} % of the body's pixels are saturated{where_cut}")
-        )
+        verdict: Verdict = "REPEAT" if full > MUCH_SATURATED else "CHECK"
+        share = f"{100 * full:.2g} % of the body's pixels are saturated{where_cut}"
+        found.append(Finding(verdict, where, f"overexposed: {share}"))
     if float(inside.std()) < LOW_CONTRAST * images.full_scale:
         share = 100 * float(inside.std()) / images.full_scale
-        found.append(Finding("look", where, f"low contrast: speckle is {share:.2g} % of full scale (rms)"))
+        found.append(Finding("CHECK", where, f"low contrast: speckle is {share:.2g} % of full scale (rms)"))
     speckle = speckle_size(first, area)
     if speckle < FINE_PX:
-        found.append(Finding("look", where, f"speckle too fine: {speckle:.2g} px, 3 to 6 px are best"))
+        found.append(Finding("CHECK", where, f"speckle too fine: {speckle:.2g} px, 3 to 6 px are best"))
     if speckle > COARSE_PX:
         text = f"out of focus, or speckle too coarse: {speckle:.2g} px, 3 to 6 px are best"
-        found.append(Finding("look", where, text))
+        found.append(Finding("CHECK", where, text))
     radius = default_radius_px(speckle)
     points = lay_grid(area, radius, 2 * radius + 1)
     return found, CameraLook(first, area, speckle, points, radius, _sigma_px(first, area, radius))
@@ -86,12 +85,12 @@ def _brightness(
 ) -> Iterator[Finding]:
     """Yield frames that are dark, alone or all of them."""
     if float(first.max()) < DARK * full_scale:
-        yield Finding("wrong", where, f"dark: the brightest pixel is {int(first.max())} of {full_scale}")
+        yield Finding("REPEAT", where, f"dark: the brightest pixel is {int(first.max())} of {full_scale}")
         return
     level = float(np.mean(first[::EVERY, ::EVERY]))
     black = [i for i, image in others.items() if float(np.mean(image)) < BLACK * level]
     if black:
-        yield Finding("wrong", where, f"dark frames: {len(black)} of {len(others) + 1} looked at, such as {black[0]}")
+        yield Finding("REPEAT", where, f"dark frames: {len(black)} of {len(others) + 1} looked at, such as {black[0]}")
 
 
 def _sigma_px(image: GreyImage, area: BoolArray, radius_px: int) -> float:
@@ -128,32 +127,32 @@ def look_at_pair(
     if max(left.speckle_px, right.speckle_px) > UNLIKE * min(left.speckle_px, right.speckle_px):
         side = "left" if left.speckle_px > right.speckle_px else "right"
         sizes = f"{left.speckle_px:.2g} px left, {right.speckle_px:.2g} px right"
-        found.append(Finding("look", where, f"the {side} camera is out of focus: speckle of {sizes}"))
+        found.append(Finding("CHECK", where, f"the {side} camera is out of focus: speckle of {sizes}"))
     period = repeat_px(left.image, left.points_px, left.radius_px)
     if np.isfinite(period):
         found.append(
-            Finding("look", where, f"the speckle foil repeats every {period:.3g} px: matches may be ambiguous")
+            Finding("CHECK", where, f"the speckle foil repeats every {period:.3g} px: matches may be ambiguous")
         )
     matches = _matches(left.image, right.image)
     if len(matches[0]) < FEWEST_MATCHES:
-        found.append(Finding("look", where, f"only {len(matches[0])} features are alike left and right"))
+        found.append(Finding("CHECK", where, f"only {len(matches[0])} features are alike left and right"))
         return found, None
     straight, swapped = (np.abs(epipolar_residual(rig, *order)[0]) for order in (matches, matches[::-1]))
     share, other = (float(np.mean(residual < INLIER_PX)) for residual in (straight, swapped))
     if other > 0.5 and np.median(swapped) < np.median(straight) / 3.0:
         text = "left and right are exchanged: features lie on the epipolar lines of the other order"
-        found.append(Finding("wrong", where, text))
+        found.append(Finding("FIX MANIFEST", where, text))
         return found, None
     if share < FEWEST_ON_LINES:
         told = f"{100 * share:.2g} % of {len(matches[0])} features lie on their epipolar lines"
-        found.append(Finding("wrong", where, f"is not what was calibrated, or sees two things: {told}"))
+        found.append(Finding("FIX MANIFEST", where, f"is not what was calibrated, or sees two things: {told}"))
         return found, None
     near = straight < INLIER_PX
     off = float(np.median(straight[near]))
     if off > OFF_PX:
-        level: Level = "wrong" if off > FAR_OFF_PX else "look"
+        verdict: Verdict = "FIX MANIFEST" if off > FAR_OFF_PX else "CHECK"
         found.append(
-            Finding(level, where, f"features lie {off:.2g} px off their epipolar lines: was a camera touched?")
+            Finding(verdict, where, f"features lie {off:.2g} px off their epipolar lines: was a camera touched?")
         )
     sigma = [np.eye(2) * camera.sigma_px**2 for camera in (left, right)]
     points = triangulate(rig, matches[0][None, near], matches[1][None, near], *sigma)

@@ -4,23 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from fusion.instruments.transducer import TRANSDUCERS, main_direction
 from fusion.phasors.channels import folding, folds_told
+from fusion.planning.look.finding import Finding
+from fusion.recording.files import DaqRecord
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry, Daq
 from shaker.arrays import FloatArray
 from shaker.io.channel import RawChannel
-from shaker.lines.detection import survey_lines
+from shaker.lines.detection import Survey, survey_lines
 from shaker.sine.aliasing import alias_frequency, nearest_clear_rate, separation_bins
-from shaker.timebase.edges import find_edges
-from shaker.timebase.trigger import TriggerFit, fit_trigger
+from shaker.timebase.trigger import TriggerFit
 
-Level = Literal["good", "look", "wrong"]
-LEVELS: tuple[Level, ...] = ("good", "look", "wrong")
 LOOKED_AT = 1 << 16  # samples in which lines are looked for
 FEWEST = 64
 CLIPPED, FEWEST_CLIPPED = 3.0, 8  # samples at an extreme over those of the three levels below it; how many at least
@@ -28,15 +26,6 @@ FEWEST_STEPS = 30  # of the converter, in the amplitude of a driven line
 DRIFTS, MAINS = 0.2, 0.05  # over the amplitude of the driven line
 DRIVEN_SHARE = 0.7  # of the driven direction along a channel's, from which on it must see the line
 APART_BINS = 1.0
-
-
-@dataclass(frozen=True)
-class Finding:
-    """Something that a look has found: how bad, of which channel, trigger or camera, in words."""
-
-    level: Level
-    where: str
-    text: str
 
 
 @dataclass(frozen=True)
@@ -60,20 +49,21 @@ def look_at_channels(
         channel = raw[entry.name]
         where = f"{daq.name}.{entry.name}"
         if not np.isfinite(channel.samples).all():
-            found.append(Finding("wrong", where, "has samples that are no finite numbers"))
+            found.append(Finding("REPEAT", where, "has samples that are no finite numbers"))
         elif np.ptp(channel.samples) == 0.0:
-            found.append(Finding("wrong", where, f"is dead: {channel.samples[0]:.4g} {channel.unit} throughout"))
+            found.append(Finding("REPEAT", where, f"is dead: {channel.samples[0]:.4g} {channel.unit} throughout"))
         elif entry.quantity != "trigger":
             found += _clipping(where, channel)
-            groups.setdefault((channel.sample_rate_hz, len(channel.samples)), []).append(entry)
+            if channel.stamp_s is None:  # lines at other times are found by the evaluation alone
+                groups.setdefault((channel.sample_rate_hz, len(channel.samples)), []).append(entry)
     for (rate_hz, samples), entries in groups.items():
         if samples < FEWEST:
-            found.append(Finding("wrong", daq.name, f"only {samples} samples"))
+            found.append(Finding("REPEAT", daq.name, f"only {samples} samples"))
             continue
         folds = folding(manifest.excitation.frequencies or (), rate_hz, samples)
         if folds and not all(entry.response for entry in entries):
             told = f"{folds_told(folds)} at {rate_hz:g} samples/s, unless an anti-aliasing filter keeps it off"
-            found.append(Finding("look", daq.name, told))
+            found.append(Finding("CHECK", daq.name, told))
         for finding, strength in _lines(manifest, daq, entries, raw):
             found += finding
             strengths += strength
@@ -96,7 +86,7 @@ def _clipping(where: str, channel: RawChannel) -> Iterator[Finding]:
         if ends[0] >= FEWEST_CLIPPED and ends[0] > CLIPPED * ends[1:].sum():
             level = levels[-1] if name == "top" else levels[0]
             told = f"is clipped: {ends[0]} samples at its {name}, {level:.5g} {channel.unit}"
-            yield Finding("wrong", where, told.rstrip())
+            yield Finding("REPEAT", where, told.rstrip())
             return
 
 
@@ -124,7 +114,7 @@ def _lines(
                 u = float(survey.u_amplitude[i, c]) / amplitude * np.sqrt(length / samples)
                 strengths.append(Strength(entry, frequency, abs(entry.scale) * amplitude, u))
             elif _must_see(manifest, entry):
-                found.append(Finding("wrong", where, f"shows nothing at {frequency:g} Hz, which it should see"))
+                found.append(_unseen(where, frequency, survey, c))
         strongest = max((s.amplitude / abs(entry.scale) for s in strengths), default=0.0)
         if strongest > 0.0:
             found += _beside_the_line(where, raw[entry.name], strongest, driven=_must_see(manifest, entry))
@@ -135,8 +125,21 @@ def _lines(
             ]
             if mains and max(mains)[0] > MAINS * strongest:
                 share = f"{100 * max(mains)[0] / strongest:.2g} % of the driven line"
-                found.append(Finding("look", where, f"picks up mains: {max(mains)[1]:.4g} Hz with {share}"))
+                found.append(Finding("CHECK", where, f"picks up mains: {max(mains)[1]:.4g} Hz with {share}"))
         yield found, strengths
+
+
+def _unseen(where: str, frequency_hz: float, survey: Survey, c: int) -> Finding:
+    """Say that a channel lacks a driven line: another line that it shows instead is a mistake of the manifest."""
+    text = f"shows nothing at {frequency_hz:g} Hz, which it should see"
+    driven = [
+        (float(survey.amplitude[i, c]), float(survey.frequency_hz[i]))
+        for i, origin in enumerate(survey.origin)
+        if origin.kind != "mains" and np.isfinite(survey.amplitude[i, c])
+    ]
+    if not driven:
+        return Finding("REPEAT", where, text)
+    return Finding("FIX MANIFEST", where, f"{text}; its strongest line lies at {max(driven)[1]:.6g} Hz")
 
 
 def _beside_the_line(where: str, channel: RawChannel, amplitude: float, *, driven: bool) -> Iterator[Finding]:
@@ -145,10 +148,10 @@ def _beside_the_line(where: str, channel: RawChannel, amplitude: float, *, drive
     drift = abs(float(np.mean(channel.samples[-tenth:]) - np.mean(channel.samples[:tenth])))
     if drift > DRIFTS * amplitude:
         told = f"drifts by {drift:.3g} {channel.unit}, {100 * drift / amplitude:.2g} % of its driven line"
-        yield Finding("look", where, " ".join(told.split()))
+        yield Finding("CHECK", where, " ".join(told.split()))
     steps = np.diff(np.unique(channel.samples[:LOOKED_AT])) if driven else np.empty(0)
     if 0 < len(steps) < LOOKED_AT // 8 and amplitude < FEWEST_STEPS * float(steps.min()):
-        yield Finding("look", where, f"its driven line is only {amplitude / float(steps.min()):.2g} converter steps")
+        yield Finding("CHECK", where, f"its driven line is only {amplitude / float(steps.min()):.2g} converter steps")
 
 
 def _must_see(manifest: Manifest, entry: ChannelEntry) -> bool:
@@ -166,10 +169,10 @@ def _must_see(manifest: Manifest, entry: ChannelEntry) -> bool:
 # Triggers, and what they make of the driven lines.
 
 
-def trigger_of(entry: ChannelEntry, channel: RawChannel) -> TriggerFit | str:
+def trigger_of(record: DaqRecord, entry: ChannelEntry) -> TriggerFit | str:
     """Return the periodic model of a trigger channel, or why there is none."""
     try:
-        return fit_trigger(find_edges(channel.samples, channel.sample_rate_hz, entry.threshold, entry.edge))
+        return record.fit_trigger(entry)
     except ValueError as error:
         return str(error).partition(": ")[2] or str(error)
 
@@ -177,15 +180,15 @@ def trigger_of(entry: ChannelEntry, channel: RawChannel) -> TriggerFit | str:
 def look_at_trigger(where: str, fit: TriggerFit | str) -> Iterator[Finding]:
     """Yield what is wrong with the edges of a trigger."""
     if isinstance(fit, str):
-        yield Finding("wrong", where, f"is no periodic trigger: {fit}")
+        yield Finding("REPEAT", where, f"is no periodic trigger: {fit}")
         return
     if fit.missing:
         told = ", ".join(map(str, fit.missing[:5])) + (" …" if len(fit.missing) > 5 else "")
-        yield Finding("wrong", where, f"{len(fit.missing)} of {fit.edges} trigger edges are lost (number {told})")
+        yield Finding("REPEAT", where, f"{len(fit.missing)} of {fit.edges} trigger edges are lost (number {told})")
     if fit.doubled or fit.spurious:
-        yield Finding("look", where, f"{fit.doubled + fit.spurious} edges are doubled or stray")
+        yield Finding("CHECK", where, f"{fit.doubled + fit.spurious} edges are doubled or stray")
     if fit.scatters:
-        yield Finding("look", where, f"its edges scatter by {1e6 * fit.jitter_s:.2g} µs")
+        yield Finding("CHECK", where, f"its edges scatter by {1e6 * fit.jitter_s:.2g} µs")
 
 
 def look_at_beat(where: str, frequencies_hz: Sequence[float], fit: TriggerFit, frames: int) -> Iterator[Finding]:
@@ -200,8 +203,8 @@ def look_at_beat(where: str, frequencies_hz: Sequence[float], fit: TriggerFit, f
         text = (
             f"at {rate_hz:.6g} frames/s driven lines fold to within {bins:.2g} of a bin of each other or of standstill"
         )
-        yield Finding("wrong", where, f"{text} ({told}){advice}")
+        yield Finding("REPEAT", where, f"{text} ({told}){advice}")
         return
     harmonics: FloatArray = np.outer(lines, (1.0, 2.0, 3.0)).ravel()
     if len(lines) <= 5 and separation_bins(harmonics, rate_hz, frames) < APART_BINS:
-        yield Finding("look", where, f"at {rate_hz:.6g} frames/s a harmonic up to the third folds onto a driven line")
+        yield Finding("CHECK", where, f"at {rate_hz:.6g} frames/s a harmonic up to the third folds onto a driven line")

@@ -16,6 +16,7 @@ from fusion.phasors.stereo_motion import sensor_from_camera
 from fusion.planning.look.signals import trigger_of
 from fusion.planning.view.opened import Opened, Pair
 from fusion.planning.view.server import table
+from fusion.recording.files import DaqRecord
 from fusion.report.folder import RESULT_FILE
 from fusion.report.h5 import opened_results
 from fusion.report.motion_figures import neighbour_distance
@@ -130,7 +131,8 @@ class Subsets:
         for number, channel in enumerate(self.opened.channels):
             if channel.entry.name == pair.entry.trigger and channel.daq in pair.manifest.daq:
                 try:
-                    fit = trigger_of(channel.entry, self.opened.raw(number))
+                    raw = {channel.entry.name: self.opened.raw(number)}
+                    fit = trigger_of(DaqRecord(channel.daq, raw, 0.0), channel.entry)
                 except (OSError, ValueError, InputError):
                     return None
                 if isinstance(fit, TriggerFit):

@@ -1,0 +1,188 @@
+"""Contradictions between instruments, and the mistakes in a manifest that would explain them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import permutations, product
+
+import numpy as np
+
+from fusion.estimation.consistency import Consistency, exchanged, likely_mistake, suspicions
+from fusion.estimation.fuse import Acceleration
+from fusion.estimation.least_squares import Solution, System, build_system, solve
+from fusion.estimation.measurement_model import SCALE, Observation
+from fusion.instruments.channel import ChannelGeometry
+from fusion.instruments.stereo import StereoReading
+from fusion.instruments.transducer import main_direction, placed_at
+from fusion.phasors.setup import SetUp
+from fusion.planning.look.finding import Finding
+from photogram.geometry import skew, vector_from_rotation
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from shaker.sine.phasor import derivative_factor
+
+EXPLAINS = 0.01
+"""Share of chi-square that may be left where a mistake explains a contradiction."""
+ALIKE = 0.03
+"""Relative distance within which a reading is what another direction or quantity would give."""
+STATED = 0.9
+"""Cosine to the stated direction from which on an axis is no other one."""
+TRIED = 4
+"""Poses and edges, those that look best at first sight, with which a pair is compared anew."""
+LATEST = 3
+"""Edges of the trigger by which frames may be late."""
+
+
+def contradictions(
+    fused: Sequence[Acceleration], observations: Sequence[Observation], set_ups: Sequence[SetUp]
+) -> Iterator[Finding]:
+    """Yield for each body the readings that contradict the others, with what would make them agree."""
+    for acceleration in fused:
+        blamed = [test for test in acceleration.consistency if test.suspect or test.left_out]
+        if not blamed:
+            continue
+        own = [one for one in observations if one.body == acceleration.body]
+        gross = any(test.left_out for test in blamed) or any(one.gross for one in acceleration.explanations)
+        causes = list(dict.fromkeys(_causes(acceleration, blamed, own, set_ups))) if gross else []
+        text = " or ".join(map(_reading, blamed[:3])) + (f" or {len(blamed) - 3} more" if blamed[3:] else "")
+        text += "".join(f"; as if {cause}" for cause in causes)
+        where = f"instruments of the {acceleration.body}"
+        yield Finding("FIX MANIFEST" if causes or acceleration.disputed is not None else "CHECK", where, text)
+
+
+def _reading(test: Consistency) -> str:
+    """Return by how much readings differ from what the others predict."""
+    if not np.isfinite(test.ratio):
+        return f"{test.instrument} contradicts the others by {test.normalised_deviation:.3g} standard uncertainties"
+    turned = f", turned by {np.angle(test.ratio):.3g} rad" if abs(np.angle(test.ratio)) > ALIKE else ""
+    return f"{test.instrument} reads {abs(test.ratio):.4g} times what the others predict{turned}"
+
+
+def _causes(
+    acceleration: Acceleration,
+    blamed: Sequence[Consistency],
+    observations: Sequence[Observation],
+    set_ups: Sequence[SetUp],
+) -> Iterator[str]:
+    """Yield the mistakes that would explain a contradiction: the plain ones, else other poses and edges of a pair."""
+    system = build_system(observations, acceleration.unseen)
+    first = solve(system)
+    plain = list(_plain(acceleration, blamed, system, first))
+    yield from plain
+    names = {test.instrument for test in blamed}
+    for place, one in enumerate(observations):
+        if not plain and isinstance(one.geometry, StereoReading) and one.title in names:
+            yield from _of_pair(one.geometry, place, system, first, set_ups)
+
+
+def _plain(acceleration: Acceleration, blamed: Sequence[Consistency], system: System, first: Solution) -> Iterator[str]:
+    """Yield factors of a scale, exchanged channels, other quantities and directions of channels."""
+    without = {one.suspect: one.value for one in acceleration.explanations}
+    for test in blamed:
+        name, whole, _ = test.instrument.partition(" as a whole")
+        own = [place for place, one in enumerate(system.observations) if whole and one.title == name]
+        rows = np.flatnonzero(np.isin(system.observation, own) if whole else _of_member(system, name))
+        mistake = likely_mistake(test.ratio) if np.isfinite(test.ratio) else ""
+        if mistake:
+            readings = system.readings.copy()
+            readings[rows] /= test.ratio.real
+            if solve(replace(system, readings=readings)).chi2 < EXPLAINS * first.chi2:
+                yield f"{mistake} ({test.instrument})"
+        value = np.nan_to_num(without.get(test.instrument, acceleration.phasors.value))
+        for place in np.unique(system.observation[rows]).tolist():
+            yield from _of_channels(system.observations[place], np.unique(system.channel[rows]), value, test.instrument)
+    for a, b in exchanged(system, first, suspicions(system, first)):
+        yield f"{a} and {b} were exchanged"
+
+
+def _of_channels(one: Observation, channels: IntArray, value: ComplexArray, name: str) -> Iterator[str]:
+    """Yield another quantity of some channels, or direction of one, by which their strongest line is as predicted.
+
+    `value` (K, 6): the acceleration without them.
+    """
+    geometry, line = one.geometry, int(np.argmax(np.linalg.norm(value / SCALE, axis=1)))
+    if not isinstance(geometry, ChannelGeometry) or not len(channels):
+        return
+    frequency_hz = one.phasors.frequency_hz[line : line + 1]
+    reading, predicted = one.phasors.value[line, channels], one.design[line, channels] @ value[line]
+    for order in (-2, -1, 1, 2):
+        other = complex(derivative_factor(frequency_hz, order)[0]) * predicted
+        if np.all(np.abs(reading - other) < ALIKE * np.abs(reading)):
+            yield f"{name} measured another quantity than {geometry.transducer.quantity}"
+    entry = geometry.entries[channels[0]]
+    for direction in np.vstack([np.eye(3), -np.eye(3)]) if len(channels) == 1 else ():
+        along = geometry.transducer.geometry(placed_at(entry), direction)
+        row = geometry.transducer.rows(along, frequency_hz, geometry.gravity_mps2)[0]
+        stated = abs(float(np.asarray(main_direction(entry)) @ direction)) > STATED
+        if not stated and abs(row @ value[line] - reading[0]) < ALIKE * abs(reading[0]):
+            yield f"the direction of {name} were ({', '.join(f'{x:g}' for x in direction)})"
+
+
+def _of_member(system: System, name: str) -> BoolArray:
+    """Which rows (N,) belong to a channel or stereo pair."""
+    return np.asarray(system.member == (system.member_names.index(name) if name in system.member_names else -1))
+
+
+def _of_pair(
+    reading: StereoReading, place: int, system: System, first: Solution, set_ups: Sequence[SetUp]
+) -> Iterator[str]:
+    """Yield the pose, or the edge of the trigger, with which a pair agrees with the other instruments best."""
+    rows, tried = np.flatnonzero(system.observation == place), list[tuple[float, str, StereoReading]]()
+    where, imaginary = (system.line[rows], system.channel[rows]), np.isin(rows, system.pairs[:, 1])
+    for text, factor in (*_poses(reading), *_edges(reading, set_ups)):
+        phasors = reading.phasors.combined(factor, reading.phasors.channels, reading.phasors.unit)
+        effects = {name: np.einsum("kij,pkj->pki", factor, effect) for name, effect in reading.effects.items()}
+        readings = system.readings.copy()
+        readings[rows] = np.where(imaginary, phasors.value[where].imag, phasors.value[where].real)
+        chi2 = float(readings @ first.projector @ readings)
+        tried.append((chi2, text, replace(reading, phasors=phasors, effects=effects)))
+    others = system.observations
+    best, told = EXPLAINS * first.chi2, ""
+    for _, text, other in sorted(tried, key=lambda item: item[0])[:TRIED]:
+        chi2 = solve(build_system([*others[:place], other.observed(), *others[place + 1 :]], system.unseen)).chi2
+        if chi2 < best:
+            best, told = chi2, text
+    if told:
+        yield told
+
+
+def _poses(reading: StereoReading) -> Iterator[tuple[str, ComplexArray]]:
+    """Yield other poses of a pair, the inverse first, and what its displacement phasors (K, 6) are by them."""
+    rotation, place = np.array(reading.pair.rotation), np.array(reading.pair.translation)
+    key = f"stereo.{reading.name}.rotation"
+    yield f"{key} were stated from sensor to camera", _moved(reading, rotation.T, place)
+    yield f"{key} and translation were stated from sensor to camera", _moved(reading, rotation.T, -rotation.T @ place)
+    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
+        turn = np.diag(signs)[:, order]
+        if np.linalg.det(turn) > 0.0 and np.trace(turn) < 3.0:
+            vector = vector_from_rotation(turn)
+            angle = float(np.linalg.norm(vector))
+            axis = ", ".join(f"{x:.2g}" for x in vector / angle)
+            text = f"{key} were turned by {np.degrees(angle):.0f}° about ({axis}) of the sensor's axes"
+            yield text, _moved(reading, turn @ rotation, turn @ place)
+
+
+def _moved(reading: StereoReading, rotation: FloatArray, place: FloatArray) -> ComplexArray:
+    """Return the matrices (K, 6, 6) of displacement phasors by another pose of the camera in the sensor frame.
+
+    What lies at x by the stated pose lies at T·x by the other, T = other · stated⁻¹, whose origin lies at T⁻¹·0 by the
+    stated one.
+    """
+    stated = np.array(reading.pair.rotation)
+    turn = rotation @ stated.T
+    origin = stated @ (rotation.T @ -place) + np.array(reading.pair.translation)
+    matrix = np.block([[turn, -turn @ skew(origin)], [np.zeros((3, 3)), turn]])
+    return np.broadcast_to(matrix, (len(reading.phasors.value), 6, 6)).astype(np.complex128)
+
+
+def _edges(reading: StereoReading, set_ups: Sequence[SetUp]) -> Iterator[tuple[str, ComplexArray]]:
+    """Yield other edges of the trigger that the frames of a pair may belong to."""
+    sights = [
+        (one, images.sight) for one in set_ups for images in one.opened.images if images.sight.name == reading.name
+    ]
+    for one, sight in sights[:1]:
+        period_s = one.opened.base.first_with(sight.exposure.trigger)[1].period_s
+        for late in (n for n in range(-LATEST, LATEST + 1) if n):
+            turn = np.exp(-2j * np.pi * reading.phasors.frequency_hz * late * period_s)
+            side = f"{abs(late)} edge{'s' if abs(late) > 1 else ''} {'later' if late > 0 else 'earlier'}"
+            yield f"the frames of {reading.name} belonged to trigger edges {side}", turn[:, None, None] * np.eye(6)

@@ -1,0 +1,164 @@
+"""What the instruments of a recording can observe by place and direction alone, and what a camera alone shows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fusion.base import InputError
+from fusion.instruments.stereo import GEOMETRY, carrier_of
+from fusion.instruments.transducer import ROOM, TRANSDUCERS, carrier, main_direction, placed_at
+from fusion.recording.files import AlreadyRead
+from fusion.recording.load import Manifest
+from fusion.recording.rig import Rig, Stereo
+from photogram.images.sequence import ImageSequence
+from shaker.arrays import BoolArray, FloatArray
+from shaker.labels import MOTION_COMPONENTS
+
+BODIES, TOGETHER = ("load", "base"), "all together"
+EXACT, FEWEST_SUBSETS = 1e-4, 6
+ROW_TOLERANCE = 1e-9
+"""Relative singular value below which instruments do not tell two motions apart."""
+
+
+@dataclass(frozen=True)
+class Observability:
+    """Which of the six motion components of a body an instrument determines by its place and direction alone."""
+
+    body: str
+    instrument: str
+    rows: FloatArray
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """Names of the components determined."""
+        return tuple(name for name, seen in zip(MOTION_COMPONENTS, observable(self.rows), strict=True) if seen)
+
+    def __str__(self) -> str:
+        return f"{self.body}: {self.instrument}: {' '.join(self.components) or 'no component by itself'}"
+
+
+def observable(rows: FloatArray) -> BoolArray:
+    """Which unit motions (6,) lie in the row space of geometric rows (M, 6) = [d, r×d], hence are determined.
+
+    Lever arms are measured in units of the longest one, so that the tolerance knows no length.
+    """
+    if len(rows) == 0:
+        return np.zeros(6, dtype=bool)
+    longest = float(np.abs(rows[:, 3:]).max())
+    scaled = rows / np.repeat([1.0, longest if longest > 0 else 1.0], 3)
+    _, singular, directions = np.linalg.svd(scaled, full_matrices=False)
+    basis = directions[singular > ROW_TOLERANCE * max(singular[0], 1e-300)]
+    return np.asarray(np.sum(basis**2, axis=0) > 1 - 1e-6)
+
+
+def observed_by(rig: Rig, takes: Sequence[Manifest]) -> list[Observability]:
+    """Rows of every instrument, then of all instruments of a body together.
+
+    A stereo pair determines all six components of the body it sees. Channels of one `common` name are one instrument.
+    Of what looks at the room or sits on a head it is the motion of what carries it.
+    """
+    names = dict.fromkeys(entry.stereo for take in takes for entry in (*take.images, *take.points))
+    pairs = [(name, rig.stereo[name]) for name in names]
+    single = [
+        Observability(carrier_of(name, pair) if pair.body == ROOM else pair.body, f"stereo {name}", GEOMETRY)
+        for name, pair in pairs
+    ]
+    groups: dict[tuple[str, str], list[FloatArray]] = {}
+    for daq in (daq for take in takes for daq in take.daq):
+        for entry in daq.channel:
+            if entry.quantity in TRANSDUCERS and entry.body is not None:
+                seen = entry.body if entry.body in BODIES else carrier(entry) or entry.body
+                rows = groups.setdefault((seen, entry.common or f"{daq.name}.{entry.name}"), [])
+                rows.append(TRANSDUCERS[entry.quantity].geometry(placed_at(entry), main_direction(entry)))
+    single += [Observability(body, name, np.stack(rows)) for (body, name), rows in groups.items()]
+    observed = []
+    for body in dict.fromkeys((*BODIES, *(item.body for item in single))):
+        own = [item for item in single if item.body == body]
+        observed += own
+        if len(own) > 1:
+            observed.append(Observability(body, TOGETHER, np.concatenate([item.rows for item in own])))
+    return observed
+
+
+def told_alone(
+    rig: Rig, takes: Sequence[Manifest], observed: Sequence[Observability], already: AlreadyRead
+) -> list[str]:
+    """What each camera alone tells of its body, and what is left open beside the other instruments there."""
+    told = []
+    for images in {images.stereo: images for take in takes for images in take.images}.values():
+        name, pair, first = (
+            images.stereo,
+            rig.stereo[images.stereo],
+            already.images.get((images.left, images.bit_depth)),
+        )
+        if pair.surface is None or first is None or no_rig(pair, (first,)):
+            continue
+        seen = _seen_alone(name, pair, first)
+        if seen is None:
+            continue
+        own, whole = 1e6 * np.sqrt(np.diagonal(seen[0])), seen[1]
+        told.append(
+            f"stereo {name} is one camera; of a frame it tells, by noise alone (standard uncertainty, its own axes, "
+            f"middle of the face), {own[:2].max():.2g} µm across its axis and {own[2]:.2g} µm along it, "
+            f"{own[5]:.2g} µrad about it and {own[3:5].max():.2g} µrad of tilts"
+        )
+        text = f"{pair.body}, at the sensor origin: {_sizes(whole, whole)} by stereo {name} alone"
+        instruments = {item.instrument: item.rows for item in observed if item.body == pair.body}
+        others = {key: rows for key, rows in instruments.items() if key not in (TOGETHER, f"stereo {name}")}
+        if others:
+            rows = np.concatenate(list(others.values()))
+            gain = whole @ rows.T @ np.linalg.pinv(rows @ whole @ rows.T, hermitian=True)
+            text += (
+                f"; {_sizes(np.asarray(whole - gain @ rows @ whole), whole)} beside {', '.join(others)}, taken as exact"
+            )
+        told.append(text)
+    return told
+
+
+def _seen_alone(name: str, pair: Stereo, images: ImageSequence) -> tuple[FloatArray, FloatArray] | None:
+    """Covariance (6, 6) of one frame's motion by the noise of the first image; None where that is of no use.
+
+    (Σ JᵀJ/σ²)⁻¹ over the subsets, J the rates of their pixels: about the middle of the face in the camera's axes, and
+    about the sensor origin in those of the sensor.
+    """
+    from fusion.phasors.stereo_motion import read_rig, sensor_from_camera
+    from fusion.planning.look.pictures import look_at_camera
+    from photogram.camera import FaceCamera, locate
+    from photogram.direct.surface import PlacedCamera, see_points
+    from photogram.geometry import RigidTransform
+
+    face, (_, look) = read_rig(pair, (images,)), look_at_camera(name, images)
+    if look is None or len(look.points_px) < FEWEST_SUBSETS or not isinstance(face, FaceCamera):
+        return None
+    points = locate(face, [look.points_px[None]]).position_m[0]
+
+    def covariance(camera_from_body: RigidTransform) -> FloatArray:
+        seen = see_points(PlacedCamera(face.camera, camera_from_body), camera_from_body.inverse().apply(points))
+        rates = seen.rates.reshape(-1, 6)
+        return np.asarray(np.linalg.inv(rates.T @ rates / look.sigma_px**2), dtype=np.float64)
+
+    middle = RigidTransform(np.eye(3), points.mean(axis=0))
+    return covariance(middle), covariance(sensor_from_camera(pair).inverse())
+
+
+def _sizes(covariance: FloatArray, before: FloatArray) -> str:
+    """Standard uncertainties of the six components, without those that are exact beside what they were `before`."""
+    u = 1e6 * np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    open_ = u > EXACT * 1e6 * np.sqrt(np.diagonal(before))
+    units = ("µm",) * 3 + ("µrad",) * 3
+    sizes = [f"{MOTION_COMPONENTS[i]} {u[i]:.2g} {units[i]}" for i in np.flatnonzero(open_)]
+    return ", ".join(sizes) or "nothing left open"
+
+
+def no_rig(pair: Stereo, sequences: Sequence[ImageSequence]) -> list[str]:
+    """Return what is wrong with a pair's calibration, also against the size of its pictures."""
+    from fusion.phasors.stereo_motion import read_rig
+
+    try:
+        read_rig(pair, sequences)
+    except InputError as error:
+        return [str(error)]
+    return []
