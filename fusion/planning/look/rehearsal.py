@@ -15,7 +15,7 @@ from fusion.phasors.stereo_motion import OpenImages
 from fusion.planning.look.causes import contradictions
 from fusion.planning.look.finding import Finding, refusal
 from fusion.recording.load import Manifest
-from fusion.sensitivity.analyse import Evaluation
+from fusion.sensitivity.analyse import NO_RESULT, Evaluation
 from fusion.sensitivity.evaluate import evaluate_set_ups
 from fusion.sensitivity.ratio import driven_component
 from photogram.arrays import spread_choice
@@ -76,10 +76,10 @@ def _of_evaluation(evaluation: Evaluation, set_ups: Sequence[SetUp]) -> Iterator
     gravity = evaluation.manifest.rig.surroundings.free_fall_mps2[0]
     found = list(contradictions(fused, join_set_ups(set_ups).observed(gravity), set_ups))
     found += _direction(evaluation, fused)
-    found += _missing(evaluation, fused)
+    found += _indistinct(evaluation)
     yield from found
     explained = {notice for acceleration in fused for notice in acceleration.notices} if found else set()
-    if any("no value" in finding.text for finding in found):
+    if any(notice.where == NO_RESULT for notice in evaluation.notices):
         explained |= set(evaluation.sensitivity.notices if evaluation.sensitivity else ())
         explained |= set(evaluation.load.notices if evaluation.load else ())
     yield from doubted(notice for notice in evaluation.notices if notice not in explained)
@@ -92,7 +92,8 @@ def doubted(notices: Iterable[AnyNotice]) -> Iterator[Finding]:
     """
     for notice in notices:
         question, assumed = "?" in notice.text, notice.text.startswith("nothing measures ")
-        if notice.where == "sensitivity" and ("as if " in notice.text or "exchanged" in notice.text):
+        named = notice.where == "sensitivity" and ("as if " in notice.text or "exchanged" in notice.text)
+        if named or notice.where == NO_RESULT:
             yield Finding("FIX MANIFEST", notice.where, notice.text)
         elif (notice.severity == "warning" and not assumed) or (question and notice.where.endswith(".toml")):
             yield Finding("CHECK", notice.where, notice.text)
@@ -125,41 +126,16 @@ def _direction(evaluation: Evaluation, fused: Sequence[Acceleration]) -> Iterato
             yield Finding("FIX MANIFEST" if share < FAR_AWAY else "CHECK", "excitation.direction", text)
 
 
-def _missing(evaluation: Evaluation, fused: Sequence[Acceleration]) -> Iterator[Finding]:
-    """Yield that `run` will give no value of what is driven, line by line, and why."""
-    component, rig = _driven(evaluation), evaluation.manifest.rig
-    load = next((one for one in fused if one.body == "load"), None)
-    if component is None:
+def _indistinct(evaluation: Evaluation) -> Iterator[Finding]:
+    """Yield that a driven sensitivity has a value that cannot be distinguished from zero, line by line."""
+    component, result = _driven(evaluation), evaluation.element or evaluation.sensitivity
+    own = [] if result is None else [e for e, (_, driven) in enumerate(result.elements) if driven == component]
+    if result is None or not own:
         return
-    driven = LOAD_COMPONENTS[component]
     for line in np.flatnonzero(evaluation.lines.multiple == 1).tolist():
-        given = _given(evaluation, fused, component, line)
-        if given:
-            continue
-        if load is None:
-            why = "no instrument of the load sees this line"
-        elif load.disputed is not None and load.disputed[line, component]:
-            why = "instruments contradict each other"
-        elif not load.observed[line, component]:
-            why = f"no instrument of the load observes {MOTION_COMPONENTS[component]}"
-        elif rig.sensor is not None and evaluation.outputs is None:
-            why = "no channel is an output of the sensor"
-        else:
-            why = "it cannot be distinguished from zero"
-        text = f"run will give no value of {driven} at {evaluation.lines.frequency_hz[line]:.6g} Hz: {why}"
-        yield Finding("FIX MANIFEST", "", text)
-
-
-def _given(evaluation: Evaluation, fused: Sequence[Acceleration], component: int, line: int) -> bool:
-    """Whether the driven sensitivity, or where there is no sensor the driven motion, has a value at a line."""
-    rig, result = evaluation.manifest.rig, evaluation.element or evaluation.sensitivity
-    if rig.sensor is None or rig.load is None:
-        return any(bool(one.observed[line, component]) for one in fused)
-    if result is None:
-        return False
-    own = [place for place, (_, driven) in enumerate(result.elements) if driven == component]
-    sizes = [abs(complex(result.value[line, result.elements[place][0], component])) for place in own]
-    if not own or not np.isfinite(sizes).any():
-        return False
-    largest = result.polar[line][own[int(np.nanargmax(sizes))]]
-    return largest is not None and not largest.region.holds_zero
+        sizes = np.abs([result.value[line, result.elements[place][0], result.elements[place][1]] for place in own])
+        main = result.polar[line][own[int(np.argmax(np.nan_to_num(sizes)))]]
+        if main is not None and main.region.holds_zero:
+            hertz = f"{evaluation.lines.frequency_hz[line]:.6g} Hz"
+            text = f"the sensitivity to {LOAD_COMPONENTS[result.elements[own[0]][1]]} at {hertz}"
+            yield Finding("CHECK", "sensitivity", f"{text} cannot be distinguished from zero")
