@@ -331,7 +331,8 @@ def _read_daq(block: Manifest, daq: Daq, where: str, already: AlreadyRead) -> tu
     except (OSError, ValueError, KeyError, InputError) as error:
         return told, [f"daq {daq.name}: {' '.join(str(error).split())}"]
     first = next(iter(channels.values()))
-    holes = [name for name, channel in channels.items() if not np.isfinite(channel.samples).all()]
+    periodic = block.excitation.slowest_hz is not None  # of whose samples some may be missing
+    holes = [name for name, one in channels.items() if not periodic and not np.isfinite(one.samples).all()]
     told += f"; {first.samples.size} samples at {first.sample_rate_hz:g} Hz"
     folds = folding(block.excitation.frequencies or (), first.sample_rate_hz, first.samples.size)
     told += f" ({folds_told(folds)} unless an anti-aliasing filter keeps it off)" if folds else ""

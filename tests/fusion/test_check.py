@@ -112,7 +112,6 @@ def test_what_cannot_be_read_is_wrong(recording):
         "bridge.tdms",
         "result_B1.txt is empty",
         "bridge-response.csv: phase_rad: expected this column",
-        "daq vibrometer: channel velocity holds values that are no finite numbers",
     ):
         assert words in problems
 

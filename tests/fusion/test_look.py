@@ -21,11 +21,9 @@ from fusion.base import InputError
 from fusion.cli import main
 from fusion.planning.look.look import look_page
 from fusion.planning.look.pictures import _sigma_px
-from fusion.planning.look.signals import _clipping
 from fusion.recording.toml import to_toml
 from fusion.simulate import simulate
 from photogram.subsets.texture import textured_area
-from shaker.io.channel import RawChannel
 
 
 @pytest.fixture
@@ -53,6 +51,13 @@ def repaint(folder: Path, camera: str, how: Callable[[np.ndarray, int], np.ndarr
 
 def _clip(folder: Path) -> None:
     change(folder, "vibrometer.h5", "velocity_2", lambda v: np.clip(v, -1.3, 1.3))
+
+
+def _drop_out(folder: Path) -> None:
+    def without(v: np.ndarray) -> np.ndarray:
+        return np.where((np.arange(len(v)) > 8000) & (np.arange(len(v)) < 10000), 0.0, v)
+
+    change(folder, "bridge.h5", "Fz", without)
 
 
 def _kill(folder: Path) -> None:
@@ -142,6 +147,7 @@ def _truncate(folder: Path) -> None:
 
 FAULTS = [
     (_clip, "wrong", "vibrometer.velocity_2", "is clipped"),
+    (_drop_out, "wrong", "bridge.Fz", "has no signal (constant, quiet or no numbers) from 0.4000"),
     (_kill, "wrong", "bridge.Fz", "is dead: 0.25 mV/V throughout"),
     (_silence, "wrong", "vibrometer.velocity_1", "shows nothing at 80 Hz"),
     (_hum, "look", "bridge.Fz", "picks up mains: 50 Hz with"),
@@ -301,18 +307,6 @@ def test_a_manifest_with_mistakes_is_refused(campaign, capsys):
     assert 'load.mass: expected the true mass in kg, found "?", not filled in yet' in told
     with pytest.raises(InputError):
         look(campaign / "Fz-0080")
-
-
-@pytest.mark.parametrize("bits", [8, 12, 16])
-@pytest.mark.parametrize("noise", [0.0, 2.0])
-def test_sines_in_converter_steps_are_not_clipped(bits, noise):
-    # A full sine dwells at its crest: of 8 bits 5 % of the samples stand on the last step.
-    rng = np.random.default_rng(bits)
-    time_s = np.arange(40_000) / 10e3
-    sine = (2 ** (bits - 1) - 5) * np.sin(2 * np.pi * 79.3 * time_s) + noise * rng.normal(size=len(time_s))
-    for samples, clipped in ((np.rint(sine), False), (np.clip(np.rint(sine), -np.inf, 0.9 * 2 ** (bits - 1)), True)):
-        found = list(_clipping("x", RawChannel(np.rint(samples), 10e3)))
-        assert bool(found) == clipped
 
 
 def test_the_noise_of_subsets_is_foreseen():

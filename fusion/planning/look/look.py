@@ -152,12 +152,13 @@ def _look_at(
             raw = already.channels.get((where, daq.name), {})
             if not raw:  # what is wrong with the file is among the problems of `inspect`
                 continue
-            own, strong = look_at_channels(block, daq, raw)
+            slowest_hz = block.excitation.slowest_hz
+            record = records.get((where, daq.name)) or DaqRecord(daq, raw, 0.0, slowest_hz=slowest_hz)
+            own, strong = look_at_channels(block, record)
             found += own
             strengths += strong
             for entry in daq.channel:
                 if entry.quantity == "trigger" and np.ptp(raw[entry.name].samples) > 0.0:
-                    record = records.get((where, daq.name)) or DaqRecord(daq, raw, 0.0)
                     fit = trigger_of(record, entry)
                     found += look_at_trigger(f"{daq.name}.{entry.name}", fit)
                     if isinstance(fit, TriggerFit):

@@ -15,14 +15,13 @@ from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry, Daq
 from shaker.arrays import FloatArray
 from shaker.io.channel import RawChannel
+from shaker.io.condition import FEWEST_STEPS, Defect, converter_step
 from shaker.lines.detection import Survey, survey_lines
 from shaker.sine.aliasing import alias_frequency, nearest_clear_rate, separation_bins
 from shaker.timebase.trigger import TriggerFit
 
 LOOKED_AT = 1 << 16  # samples in which lines are looked for
 FEWEST = 64
-CLIPPED, FEWEST_CLIPPED = 3.0, 8  # samples at an extreme over those of the three levels below it; how many at least
-FEWEST_STEPS = 30  # of the converter, in the amplitude of a driven line
 DRIFTS, MAINS = 0.2, 0.05  # over the amplitude of the driven line
 DRIVEN_SHARE = 0.7  # of the driven direction along a channel's, from which on it must see the line
 APART_BINS = 1.0
@@ -38,23 +37,24 @@ class Strength:
     u_relative: float
 
 
-def look_at_channels(
-    manifest: Manifest, daq: Daq, raw: Mapping[str, RawChannel]
-) -> tuple[list[Finding], list[Strength]]:
+def look_at_channels(manifest: Manifest, record: DaqRecord) -> tuple[list[Finding], list[Strength]]:
     """Look at the channels of a recorder: what is wrong with each, and how strong the driven lines are in it."""
+    daq, raw = record.entry, record.raw
     found: list[Finding] = []
     strengths: list[Strength] = []
     groups: dict[tuple[float, int], list[ChannelEntry]] = {}
     for entry in daq.channel:
         channel = raw[entry.name]
         where = f"{daq.name}.{entry.name}"
-        if not np.isfinite(channel.samples).all():
+        if not np.isfinite(channel.samples).any():
             found.append(Finding("REPEAT", where, "has samples that are no finite numbers"))
-        elif np.ptp(channel.samples) == 0.0:
+        elif np.ptp(channel.samples[np.isfinite(channel.samples)]) == 0.0:
             found.append(Finding("REPEAT", where, f"is dead: {channel.samples[0]:.4g} {channel.unit} throughout"))
         elif entry.quantity != "trigger":
-            found += _clipping(where, channel)
-            if channel.stamp_s is None:  # lines at other times are found by the evaluation alone
+            texts = [defect.text(record.time_s(entry.name), channel.unit) for defect in record.defects(entry)]
+            found += [Finding("REPEAT", where, text) for text in texts]
+            # Lines at stamped times, and of what is left of a record, are found by the evaluation alone.
+            if channel.stamp_s is None and not texts and np.isfinite(channel.samples).all():
                 groups.setdefault((channel.sample_rate_hz, len(channel.samples)), []).append(entry)
     for (rate_hz, samples), entries in groups.items():
         if samples < FEWEST:
@@ -68,26 +68,6 @@ def look_at_channels(
             found += finding
             strengths += strength
     return found, strengths
-
-
-def _clipping(where: str, channel: RawChannel) -> Iterator[Finding]:
-    """Yield a finding where many samples are exactly at an extreme.
-
-    Of a sine read in steps the outermost level holds about as many samples as the next three together, (1 : 0.41 + 0.32
-    + 0.27); one that is cut off holds far more.
-    """
-    limits = channel.samples.max(), channel.samples.min()
-    if max(np.count_nonzero(channel.samples == limit) for limit in limits) < FEWEST_CLIPPED:
-        return
-    levels, counts = np.unique(channel.samples, return_counts=True)
-    if len(levels) < 8:
-        return
-    for name, ends in (("top", counts[::-1][:4]), ("bottom", counts[:4])):
-        if ends[0] >= FEWEST_CLIPPED and ends[0] > CLIPPED * ends[1:].sum():
-            level = levels[-1] if name == "top" else levels[0]
-            told = f"is clipped: {ends[0]} samples at its {name}, {level:.5g} {channel.unit}"
-            yield Finding("REPEAT", where, told.rstrip())
-            return
 
 
 def _lines(
@@ -149,9 +129,10 @@ def _beside_the_line(where: str, channel: RawChannel, amplitude: float, *, drive
     if drift > DRIFTS * amplitude:
         told = f"drifts by {drift:.3g} {channel.unit}, {100 * drift / amplitude:.2g} % of its driven line"
         yield Finding("CHECK", where, " ".join(told.split()))
-    steps = np.diff(np.unique(channel.samples[:LOOKED_AT])) if driven else np.empty(0)
-    if 0 < len(steps) < LOOKED_AT // 8 and amplitude < FEWEST_STEPS * float(steps.min()):
-        yield Finding("CHECK", where, f"its driven line is only {amplitude / float(steps.min()):.2g} converter steps")
+    step = converter_step(channel.samples) if driven else 0.0
+    if step > 0.0 and amplitude < FEWEST_STEPS * step:
+        coarse = Defect("steps", np.zeros((0, 2), dtype=np.int64), (), step, amplitude / step)
+        yield Finding("CHECK", where, coarse.text(channel.time_s, channel.unit))
 
 
 def _must_see(manifest: Manifest, entry: ChannelEntry) -> bool:
