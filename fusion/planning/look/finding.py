@@ -16,6 +16,10 @@ LEVELS: tuple[Level, ...] = ("good", "look", "wrong")
 LEVEL_OF: dict[Verdict, Level] = {"KEEP": "good", "CHECK": "look", "FIX MANIFEST": "wrong", "REPEAT": "wrong"}
 
 
+MENDED = (".toml", ".json")
+"""Suffixes of files that state something and can be corrected: manifests and calibrations."""
+
+
 @dataclass(frozen=True)
 class Finding:
     """A fact about a recording: the `verdict` it leads to, the channel, camera or key it is about, the text."""
@@ -39,7 +43,7 @@ def refusal(error: Exception, where: str = "") -> Finding:
     verdict: Verdict = "REPEAT"
     if isinstance(error, InputError):
         read = re.search(r"(^|\.)(images|points|daq)\.", error.key) and not error.expected
-        verdict = "REPEAT" if read or error.file.suffix != ".toml" else "FIX MANIFEST"
+        verdict = "REPEAT" if read or error.file.suffix not in MENDED else "FIX MANIFEST"
     elif ".toml" in str(error):
         verdict = "FIX MANIFEST"
     return Finding(verdict, where, short(str(error)))

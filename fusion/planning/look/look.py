@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -163,11 +163,14 @@ def _look_at(
                     found += look_at_trigger(f"{daq.name}.{entry.name}", fit)
                     if isinstance(fit, TriggerFit):
                         triggers.setdefault(entry.name, fit)
+        lines = block.excitation.frequencies or ()
+        if any(finding.verdict == "FIX MANIFEST" for finding in found):  # other lines than these were driven
+            lines = tuple({strength.frequency_hz for strength in strengths})
         for images, seen in zip(block.images, pictures, strict=True):
             own, pair, frames = seen.result()
             found += own
             if frames and images.trigger in triggers:
-                found += _edges(block, images, triggers[images.trigger], frames)
+                found += _edges(lines, images, triggers[images.trigger], frames)
             if pair is not None:
                 pairs[images.stereo] = pair, frames
     return found, strengths, pairs
@@ -198,7 +201,7 @@ def _look_at_images(
     return found + own, seen, counts[0]
 
 
-def _edges(block: Manifest, images: Images, trigger: TriggerFit, frames: int) -> Iterator[Finding]:
+def _edges(lines: Sequence[float], images: Images, trigger: TriggerFit, frames: int) -> Iterator[Finding]:
     """Yield where frames and edges do not fit each other, and what the cameras' rate does to the driven lines."""
     where = images.stereo
     if trigger.edges < frames + (images.first_edge or 0):
@@ -206,7 +209,7 @@ def _edges(block: Manifest, images: Images, trigger: TriggerFit, frames: int) ->
     elif trigger.edges > frames and images.first_edge is None:
         text = f"{frames} frames and {trigger.edges} trigger edges: first_edge must say which are the frames'"
         yield Finding("FIX MANIFEST", where, text)
-    yield from look_at_beat(where, block.excitation.frequencies or (), trigger, frames)
+    yield from look_at_beat(where, lines, trigger, frames)
 
 
 def _expected(block: Manifest, strengths: list[Strength], pairs: dict[str, tuple[PairLook, int]]) -> Iterator[Expected]:
