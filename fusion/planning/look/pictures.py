@@ -19,6 +19,7 @@ from photogram.subsets.texture import default_radius_px, lay_grid, repeat_px, sp
 
 FRAMES = 8  # of each camera
 EVERY = 4  # pixel in a direction, of frames beyond the first
+LEVELS = 200  # grey values of a dark picture that show a pattern: its bit depth may be stated too large
 DARK, BLACK = 0.1, 0.3  # brightest pixel over full scale; brightness over that of the first frame
 SATURATED, MUCH_SATURATED = 0.002, 0.02  # share of the body's pixels
 LOW_CONTRAST = 0.03  # standard deviation over full scale
@@ -53,7 +54,7 @@ def look_at_camera(where: str, images: ImageSequence) -> tuple[list[Finding], Ca
         return [*found, Finding("REPEAT", where, f"no speckled body is seen: {blank}")], None
     found += _brightness(where, first, others, images.full_scale)
     area = textured_area(first)
-    if any(finding.level == "wrong" and "dark" in finding.text for finding in found):
+    if any(finding.verdict == "REPEAT" and "dark" in finding.text for finding in found):
         return found, None
     inside = first[area]
     if area.mean() < SMALL_AREA or len(inside) < 1000:
@@ -64,8 +65,8 @@ def look_at_camera(where: str, images: ImageSequence) -> tuple[list[Finding], Ca
     full, where_cut = float(np.mean(inside >= limit)), "" if clipped is None else f" at {limit} of {images.full_scale}"
     if full > SATURATED:
         verdict: Verdict = "REPEAT" if full > MUCH_SATURATED else "CHECK"
-        share = f"{100 * full:.2g} % of the body's pixels are saturated{where_cut}"
-        found.append(Finding(verdict, where, f"overexposed: {share}"))
+        told = f"overexposed: {100 * full:.2g} % of the body's pixels are saturated{where_cut}"
+        found.append(Finding(verdict, where, told))
     if float(inside.std()) < LOW_CONTRAST * images.full_scale:
         share = 100 * float(inside.std()) / images.full_scale
         found.append(Finding("CHECK", where, f"low contrast: speckle is {share:.2g} % of full scale (rms)"))
@@ -85,7 +86,8 @@ def _brightness(
 ) -> Iterator[Finding]:
     """Yield frames that are dark, alone or all of them."""
     if float(first.max()) < DARK * full_scale:
-        yield Finding("REPEAT", where, f"dark: the brightest pixel is {int(first.max())} of {full_scale}")
+        verdict: Verdict = "REPEAT" if first.max() < LEVELS else "CHECK"
+        yield Finding(verdict, where, f"dark: the brightest pixel is {int(first.max())} of {full_scale}")
         return
     level = float(np.mean(first[::EVERY, ::EVERY]))
     black = [i for i, image in others.items() if float(np.mean(image)) < BLACK * level]

@@ -24,7 +24,7 @@ LOOKED_AT = 1 << 16  # samples in which lines are looked for
 FEWEST = 64
 DRIFTS, MAINS = 0.2, 0.05  # over the amplitude of the driven line
 DRIVEN_SHARE = 0.7  # of the driven direction along a channel's, from which on it must see the line
-APART_BINS = 1.0
+APART_BINS, LOST_BINS = 1.0, 0.5  # within which lines disturb each other; cannot be distinguished
 
 
 @dataclass(frozen=True)
@@ -184,7 +184,7 @@ def look_at_beat(where: str, frequencies_hz: Sequence[float], fit: TriggerFit, f
         text = (
             f"at {rate_hz:.6g} frames/s driven lines fold to within {bins:.2g} of a bin of each other or of standstill"
         )
-        yield Finding("REPEAT", where, f"{text} ({told}){advice}")
+        yield Finding("REPEAT" if bins < LOST_BINS else "CHECK", where, f"{text} ({told}){advice}")
         return
     harmonics: FloatArray = np.outer(lines, (1.0, 2.0, 3.0)).ravel()
     if len(lines) <= 5 and separation_bins(harmonics, rate_hz, frames) < APART_BINS:
