@@ -57,9 +57,14 @@ class Seed:
 
 
 def _channels(path: Path) -> None:
-    names = list(read_channels(path, None, 100.0))
+    rate = None
+    try:
+        names = list(read_channels(path))
+    except ValueError:  # not all files state a rate; one that is given must agree with theirs
+        rate = 100.0
+        names = list(read_channels(path, None, rate))
     if names:
-        read_channels(path, names[-1:], 100.0)
+        read_channels(path, names[-1:], rate)
 
 
 def _columns(path: Path) -> None:
@@ -93,19 +98,26 @@ def _hdf5(folder: Path, _: Path) -> None:
         file["daq/Fz"].attrs["unit"] = "N"
         file.create_dataset("table", data=np.stack([Y, Y], axis=1))
         file["link"] = h5py.SoftLink("/table")
-        file.create_dataset("records", data=np.zeros(120, [("time", "f8"), ("a", "i2")]))
+        records = np.zeros(120, [("time", "f8"), ("a", "i2")])
+        records["time"] = np.arange(120) / 100.0
+        file.create_dataset("records", data=records)
     with h5py.File(folder / "b.h5", "w", libver="latest") as file:
         file.create_dataset("Fz", data=Y, chunks=(64,), maxshape=(None,), compression="lzf", shuffle=True)
         file["Fz"].attrs["fs"] = 10.0
 
 
 def _matlab(folder: Path, _: Path) -> None:
-    content = {"Fz": Y, "rec": {"x": Y, "fs": 3.0, "deep": {"unit": "N"}}, "name": "text", "c": np.array(["a"], object)}
+    content = {
+        "Fz": Y,
+        "rec": {"x": Y, "fs": 100.0, "deep": {"unit": "N"}},
+        "name": "text",
+        "c": np.array(["a"], object),
+    }
     for name, options in (("v5", {}), ("v7", {"do_compression": True})):
         scipy.io.savemat(folder / f"{name}.mat", content, **options)
-    scipy.io.savemat(folder / "v4.mat", {"Fz": Y, "fs": 3.0}, format="4")
+    scipy.io.savemat(folder / "v4.mat", {"Fz": Y, "fs": 100.0}, format="4")
     with h5py.File(folder / "v73.mat", "w", userblock_size=512) as file:
-        for name, own in (("Fz", Y[None]), ("rec/x", Y[:, None]), ("rec/fs", np.array([[3.0]]))):
+        for name, own in (("Fz", Y[None]), ("rec/x", Y[:, None]), ("rec/fs", np.array([[100.0]]))):
             file.create_dataset(name, data=own).attrs["MATLAB_class"] = np.bytes_("double")
         text = np.frombuffer("N".encode("utf-16-le"), "<u2")[:, None]
         file.create_dataset("rec/unit", data=text).attrs["MATLAB_class"] = np.bytes_("char")

@@ -229,8 +229,8 @@ def test_a_path_longer_than_windows_takes_is_told(tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(files.os, "open", no_file)
         for path, told in (
-            (place, r"no such .*; its path of \d+ characters may be longer"),
-            (Path("/tmp/a"), r"no such file or directory \(\.a\.[a-z-]+\); what"),
+            (place, r".* takes no files; its path of \d+ characters may be longer"),
+            (Path("/tmp/a"), r"/tmp takes no files; what"),
         ):
             with pytest.raises(ComputeError, match=f"could not be written: {told}"), claimed(path):
                 pass

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import fields
 
 import h5py
@@ -18,6 +20,7 @@ from fusion.estimation.coverage import UNIFORM_PHASE_U, coverage_factor, polar, 
 from fusion.estimation.measurement_model import Deviates
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, element_covariance, polar_elements
 from fusion.report.h5 import read_uncertainty, write_uncertainty
+from fusion.report.stored import Group, write_tree
 from fusion.sensitivity.load import budget
 from shaker.labels import typeset
 
@@ -418,9 +421,18 @@ NUMBER = st.floats(allow_subnormal=True, width=64)
 
 def stored(uncertainty: Uncertainty) -> Uncertainty:
     """Return an uncertainty as it comes back from a file that exists in memory only."""
+    with written(uncertainty) as group:
+        return read_uncertainty(group)
+
+
+@contextmanager
+def written(uncertainty: Uncertainty) -> Iterator[h5py.Group]:
+    """Yield an uncertainty as a group of a file that exists in memory only."""
+    top = Group()
+    write_uncertainty(top.create_group("u"), uncertainty)
     with h5py.File("any.h5", "w", driver="core", backing_store=False) as file:
-        write_uncertainty(file.create_group("uncertainty"), uncertainty)
-        return read_uncertainty(file["uncertainty"])
+        write_tree(file.id, top)
+        yield file["u"]
 
 
 def assert_same(first: Uncertainty, second: Uncertainty) -> None:
@@ -463,9 +475,7 @@ def test_the_covariance_of_everything_stands_beside():
     noise = Contribution("noise", "A", np.tile(np.eye(4), (2, 1, 1)), np.array([7.0, np.inf]))
     clock = Influence("clock", "time", 1e-6, "s", rng.standard_normal((2, 4)), "recording")
     whole = Uncertainty((noise,), (clock,))
-    with h5py.File("any.h5", "w", driver="core", backing_store=False) as file:
-        group = file.create_group("u")
-        write_uncertainty(group, whole)
+    with written(whole) as group:
         assert np.array_equal(group["covariance"][()], whole.covariance)
         effect = group["effect"][()]
         total = group["random/noise/covariance"][()] + np.einsum("eki,ekj->kij", effect, effect)
@@ -476,7 +486,6 @@ def test_the_covariance_of_everything_stands_beside():
 @pytest.mark.parametrize(("field", "found"), [("scope", "planet"), ("type", "C")])
 def test_a_text_that_means_nothing_is_refused(field, found):
     influence = Influence("a", "a", 1.0, "m", np.zeros((1, 2)))
-    with h5py.File("any.h5", "w", driver="core", backing_store=False) as file:
-        write_uncertainty(file.create_group("u"), Uncertainty((Contribution("n", "A", np.eye(2)[None]),), (influence,)))
-        file["u"][field][0] = found
-        refused(f"{field}: expected one of", read_uncertainty, file["u"])
+    with written(Uncertainty((Contribution("n", "A", np.eye(2)[None]),), (influence,))) as group:
+        group[field][0] = found
+        refused(f"{field}: expected one of", read_uncertainty, group)

@@ -202,7 +202,7 @@ def test_charuco_is_the_one_of_opencv(rows, legacy):
 @pytest.mark.parametrize("kind", ["chessboard", "dots"])
 def test_aperture_is_the_mean_over_the_pixel(kind):
     camera, fine = camera_of(300.0, (80, 60)), 5
-    board = chessboard((3, 2)) if kind == "chessboard" else Board(Target("dots", SPACING_M, (4, 3)))
+    board = chessboard((3, 3)) if kind == "chessboard" else Board(Target("dots", SPACING_M, (4, 3)))
     pose = pose_of(board, camera, 12.0, (0.4, -0.3, 0.2))
     k = camera.parameters.copy()
     k[:2] *= fine
