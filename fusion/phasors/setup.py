@@ -99,6 +99,11 @@ class SetUp:
         clocks = [(daq, notice) for (daq, _), fit in base.triggers.items() for notice in fit.notices]
         clocks += [(daq, notice) for daq, tie in base.ties.items() if tie is not None for notice in tie.notices]
         told: list[AnyNotice] = [Notice(n.severity, f"{daq}: {n.text}", daq) for daq, n in clocks]
+        told += [
+            Notice("info", f"{r.entry.name}: {gap}; sines are fitted at the times that the file states", r.entry.name)
+            for r in base.records
+            for gap in r.gaps
+        ]
         told += [doubt for r in base.records for doubt in unit_doubts(self.opened.manifest, r.entry, r.raw)]
         told += [*delay_doubts(self.opened.readings, self.opened.manifest.path), *self.lines.notices, *self.aliased]
         told += [notice for channel in self.opened.channels for notice in channel.notices]

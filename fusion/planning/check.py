@@ -334,6 +334,7 @@ def _read_daq(block: Manifest, daq: Daq, where: str, already: AlreadyRead) -> tu
     periodic = block.excitation.slowest_hz is not None  # of whose samples some may be missing
     holes = [name for name, one in channels.items() if not periodic and not np.isfinite(one.samples).all()]
     told += f"; {first.samples.size} samples at {first.sample_rate_hz:g} Hz"
+    told += "" if first.gap is None else f", not uniform: {first.gap}"
     folds = folding(block.excitation.frequencies or (), first.sample_rate_hz, first.samples.size)
     told += f" ({folds_told(folds)} unless an anti-aliasing filter keeps it off)" if folds else ""
     told += "" if points is None else f", a scan of {len(points)} points, each a take"

@@ -64,6 +64,15 @@ class DaqRecord:
             if gap is not None:
                 raise InputError(self.entry.file, channel.stored_name, found=gap, expected="uniform sampling")
 
+    @property
+    def gaps(self) -> tuple[str, ...]:
+        """Return a sentence for channels that are not sampled uniformly, those with the same times together."""
+        alike: dict[str, list[str]] = {}
+        for name, raw in self.raw.items():
+            if raw.gap is not None:
+                alike.setdefault(raw.gap, []).append(name)
+        return tuple(f"{', '.join(names)}: samples are not uniform, {gap}" for gap, names in alike.items())
+
     def stacked(self, channels: Sequence[ChannelEntry]) -> Stacked:
         """Return channels sampled alike side by side, (S, C), in SI of their quantities."""
         columns = tuple(self.raw[channel.name].samples for channel in channels)
