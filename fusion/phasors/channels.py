@@ -22,7 +22,7 @@ from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, Stacked, 
 from shaker.lines.detection import relative_strength, survey_lines
 from shaker.lines.frequencies import Lines, find_lines
 from shaker.lines.spectrum import Spectrum, amplitude_spectrum
-from shaker.sine.aliasing import CAPTURE, Fold, alias_frequency, folded_harmonics
+from shaker.sine.aliasing import CAPTURE, Fold, alias_frequency, folded_harmonics, nearest_grid, sampling_grid
 from shaker.sine.fit import Stationarity, fit_sines, rows_present, stationarity
 from shaker.sine.phasor import Phasors
 from shaker.sine.solve import SineFit, SineModel
@@ -53,6 +53,7 @@ STEADY = 1e-8
 FEW = 3
 """Fundamentals up to which their harmonics are looked at: a multisine has its own lines there, and intermodulation."""
 _ROBUST = SineModel(robust=True)
+_NO_SPECTRUM = Spectrum(np.empty(0), np.empty((0, 1)))
 # The order in which quantities are preferred for finding the lines: those that show high frequencies best.
 LINE_QUANTITIES = (*sorted(TRANSDUCERS, key=lambda name: -TRANSDUCERS[name].order), "output", "force", "voltage")
 
@@ -436,9 +437,8 @@ def _result(
     phasors = phasors.scaled(correction[:, None])
     place = fit.phasors.channels.index(channel.name)
     first = slice(0, min(len(values), int(EXCERPT_PERIODS * rate_hz / fit.phasors.frequency_hz[0]) + 2))
-    none = Spectrum(np.empty(0), np.empty((0, 1)))
-    uniform = record.raw[channel.name].stamp_s is None
-    spectrum = amplitude_spectrum(gaps_filled(values), rate_hz, MOST_BINS) if shown and uniform else none
+    uneven_s = None if record.raw[channel.name].stamp_s is None else time_s
+    spectrum = _spectrum(gaps_filled(values), uneven_s, rate_hz) if shown else _NO_SPECTRUM
     result = ChannelResult(
         name=channel.name,
         daq=block,
@@ -457,6 +457,18 @@ def _result(
         notices=tuple(Notice(n.severity, f"{block}, {n.where}: {n.text}", block) for n in fit.notices),
     )
     return result, Reading(channel, phasors, chain)
+
+
+def _spectrum(values: FloatArray | Stacked, uneven_s: FloatArray | None, rate_hz: float) -> Spectrum:
+    """Return the spectrum of a channel, of one at uneven times (S,) on the grid nearest to them."""
+    if uneven_s is None:
+        return amplitude_spectrum(values, rate_hz, MOST_BINS)
+    grid = sampling_grid(uneven_s) or nearest_grid(uneven_s)
+    if grid is None:
+        return _NO_SPECTRUM
+    column = values[:]
+    share = len(column) / grid.length  # of the places of the grid, the others are zero
+    return amplitude_spectrum(grid.filled(column - column.mean(axis=0)) / share, grid.rate_hz, MOST_BINS)
 
 
 def gaps_filled(values: Stacked) -> FloatArray | Stacked:

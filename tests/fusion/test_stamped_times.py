@@ -87,6 +87,10 @@ def test_sensitivity_at_the_stamped_times(tmp_path, pattern):
     rng = np.random.default_rng(3)
     evaluation = evaluate_recording(load_manifest(write(tmp_path, times(pattern, rng), rng)))
     assert any(notice.text.startswith("daq: acc, Fz: samples are not uniform") for notice in evaluation.notices)
+    (acc, _) = evaluation.channels
+    peak = int(np.argmax(acc.spectrum))
+    assert acc.spectrum_hz[peak] == pytest.approx(LINE_HZ, abs=0.2 if pattern != "drifting" else 2.0)
+    assert acc.spectrum[peak] == pytest.approx(AMPLITUDE, rel=0.7)  # what is left of it by the nearest places
     found = evaluation.sensitivity
     value, u = found.value[0, 0, 2], float(np.sqrt(np.trace(found.covariance[0, 0, 2]) / 2.0))
     assert 5e-4 < u / RATIO < 2e-3  # that of the accelerometer's scale
