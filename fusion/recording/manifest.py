@@ -248,8 +248,6 @@ class Daq(Block):
         refuse_repeated([entry.stored_name for entry in self.channel], "channels of the file", "channel")
         if self.file.suffix.lower() == SCAN and any(entry.in_file is not None for entry in self.channel):
             raise refusal("no key in_file of a scan, whose channels are named block/point", "one", key="channel")
-        if self.file.suffix.lower() == ".mat" and self.sample_rate is None:
-            raise refusal("the sample rate in Hz, which a .mat file does not hold", "nothing", key="sample_rate")
         return self
 
 

@@ -14,6 +14,7 @@ DefectKind = Literal["lost", "clipped", "steps"]
 
 FEWEST_STEPS = 30.0
 """Converter steps in an amplitude below which quantisation without dither may cost more than 1e-3 of it: 0.2·n^-1.5."""
+_FAR = 100.0  # median deviations from the median: samples beyond are spikes, or numbers for lost samples
 _EXCERPT = 1 << 16  # samples that show the steps of a converter
 _ROUNDING = 5e-7  # of the largest value: single precision of equal values
 _LONGER = 3  # times the longest constant run that is typical of a record: a longer one is a stretch without signal
@@ -145,6 +146,8 @@ def converter_step(samples: FloatArray) -> float:
     """
     excerpt = samples[:_EXCERPT]
     excerpt = excerpt[np.isfinite(excerpt)]
+    off = np.abs(excerpt - np.median(excerpt)) if len(excerpt) else excerpt
+    excerpt = excerpt[off <= _FAR * np.median(off)] if np.any(off) and np.median(off) > 0.0 else excerpt
     levels = np.unique(excerpt)
     if len(levels) < 2:
         return 0.0

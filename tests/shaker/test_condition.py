@@ -66,6 +66,9 @@ def test_a_step_is_seen_through_noise_and_scale_and_none_where_there_is_none() -
     assert converter_step(_sine()) == 0.0
     noisy = _read(_sine(noise=0.5), 1.0)
     assert converter_step((noisy * 0.0137).astype(np.float32).astype(np.float64)) == pytest.approx(0.0137, rel=1e-4)
+    lost = _read(_sine(), 0.1)
+    lost[100:140:7] = 9.9e37  # what some programs write for samples that they have lost
+    assert converter_step(lost) == pytest.approx(0.1, rel=1e-6)
 
 
 @pytest.mark.parametrize("value", [0.0, None, 80.0, np.nan])
