@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import logging
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from datetime import date as Date
 from pathlib import Path
@@ -228,14 +228,14 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
     text = read_toml(path)
     try:
         rig_path = _rig_path(path, text)
+        root, folder = rig_path.parent.resolve(), path.parent.resolve()
+        if not allow_outside and not folder.is_relative_to(root):
+            expected = "a rig.toml in a folder above the recording (--allow-outside permits others)"
+            raise InputError(path, "rig", f'"{text["rig"]}"', expected)
+        at_first[rig_path.resolve()] = Identity.of(rig_path)
         rig_text = read_toml(rig_path)
     except InputError as error:
         raise InputError.together([error, *_without_rig(path, text)]) from error
-    at_first[rig_path.resolve()] = Identity.of(rig_path)
-    root, folder = rig_path.parent.resolve(), path.parent.resolve()
-    if not allow_outside and not folder.is_relative_to(root):
-        expected = "a rig.toml in a folder above the recording (--allow-outside permits others)"
-        raise InputError(path, "rig", f'"{text["rig"]}"', expected)
     folders = PathScope(folder, root, allow_outside), PathScope(root, root, allow_outside)
     of_certificates = _certificates((path, text), (rig_path, rig_text), folders)
     text, rig_text = (found.text for found in of_certificates)
@@ -316,7 +316,8 @@ def _checked_files(
             head |= {name: stated for name, stated in rig.head.items() if name not in doubtful[rig_path]}
         record = _validated(RecordingFile, values, path, Context(folders[0], stereo, head), wrong, doubtful)
     if rig is not None and record is not None:
-        with _added_to(wrong):
+        # A rig with placeholders may lack what the recording names.
+        with _added_to(wrong), suppress(*[KeyError] if wrong else []):
             told = {(error.file, error.key) for error in wrong}
             for one in _contradictions(rig, rig_path, record, path):
                 wrong += [one] if (one.file, one.key) not in told and not doubted(one, doubtful) else []

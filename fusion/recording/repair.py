@@ -74,8 +74,10 @@ class Repair(Generic[AnyBlock]):
     def _new(self, mistake: InputError) -> bool:
         """Whether a mistake was not found before and is none of a table in which a value was replaced."""
         tables = [key_path(self._whole, place[:-1]) for place in self.places]
+        inside = [key_path(self._whole, place) + "." for place in self.places]
         known = any(mistake.key == other.key for other in self.wrong)
-        return not known and not any(mistake.key.rpartition(".")[0] == table for table in tables)
+        beside = any(mistake.key.rpartition(".")[0] == table for table in tables)
+        return not known and not beside and not mistake.key.startswith(tuple(inside))
 
     def _repaired(self, problem: ErrorDetails) -> list[ErrorDetails]:
         """Replace what one problem is about, and return the problems that are left."""
