@@ -99,6 +99,7 @@ class SetUp:
         clocks = [(daq, notice) for (daq, _), fit in base.triggers.items() for notice in fit.notices]
         clocks += [(daq, notice) for daq, tie in base.ties.items() if tie is not None for notice in tie.notices]
         told: list[AnyNotice] = [Notice(n.severity, f"{daq}: {n.text}", daq) for daq, n in clocks]
+        told += base.inverted()
         told += [
             Notice("info", f"{r.entry.name}: {gap}; sines are fitted at the times that the file states", r.entry.name)
             for r in base.records

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -170,6 +171,10 @@ class ClockResult:
     grid: Grid | None = None
 
 
+INVERTED = 0.02
+"""Of the period, by which pulses and pauses of two records of one trigger may differ for one to look inverted."""
+
+
 @dataclass(frozen=True)
 class TimeBase:
     """The clocks of a recording. Time is counted on the first block's clock from its earliest sample.
@@ -276,6 +281,19 @@ class TimeBase:
             with suppress(ValueError):
                 widths[daq, name] = self.record(daq).pulse_width(name)
         return widths
+
+    def inverted(self) -> Iterator[Notice]:
+        """Warn of a trigger whose pulses are as long in one block as the pauses between them in another."""
+        widths = self.pulses()
+        for (one, name), (other, same) in combinations(widths, 2):
+            if name != same or one == other:
+                continue
+            shares = [widths[daq, name].width_s / self.triggers[daq, name].period_s for daq in (one, other)]
+            if abs(sum(shares) - 1.0) < INVERTED and abs(shares[0] - shares[1]) > 4.0 * INVERTED:
+                last = f"last {shares[0]:.1%} of the period in {one} and {shares[1]:.1%} in {other}"
+                text = f"{name}: its pulses {last}, so that one looks inverted and other flanks are paired"
+                text += '; state edge = "falling" of that one'
+                yield Notice("warning", text, other)
 
     def record(self, daq: str) -> DaqRecord:
         """Return a block by its name."""

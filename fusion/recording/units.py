@@ -81,6 +81,8 @@ RAW = ("count", "counts", "digit", "digits", "lsb", "adc", "code", "codes", "raw
 """Words in small letters for the integers of a converter, which are in no unit of a quantity."""
 NOT_STATED = ("", "-", "none", "n/a", "na", "unit", "units", "unknown", "undefined")
 """Texts in small letters that stand where a file states no unit."""
+SUPPLY = 1.0
+"""V/V: an amplitude that no bridge has."""
 SAME = 1e-9
 """Relative difference of factors up to which two units are one: rounding."""
 CORRECTED = 0.1
@@ -225,6 +227,9 @@ def unit_doubts(manifest: Manifest, daq: Daq, raw: Mapping[str, RawChannel]) -> 
         of_certificate = any(key.endswith(where) for key in certified)
         unit = raw[entry.name].unit
         doubt = None if entry.quantity == "trigger" else _doubt(entry, unit, manifest.rig, of_certificate)
+        peak = abs(entry.scale) * float(np.ptp(np.nan_to_num(raw[entry.name].samples))) / 2.0
+        if doubt is None and entry.quantity == "output" and manifest.rig.unit_of(entry) == "V/V" and peak > SUPPLY:
+            doubt = f"the output swings by {peak:.3g} V/V, more than its supply: are scale and in_file right?"
         if doubt is not None:
             told.append(Notice("warning", f"{where}: {doubt}", manifest.path.name))
     return tuple(told)
@@ -246,6 +251,8 @@ def _doubt(entry: ChannelEntry, stated: str, rig: Rig, of_certificate: bool) -> 
         off = abs(abs(entry.scale) / factor - 1.0) > CORRECTED
         if off if wanted.mechanical else abs(entry.scale) == 1.0 != factor:
             text = f"of which {factor:.6g} makes {quantity}: is {entry.scale:g} right?"
+    elif unit.raw and entry.scale == 1.0 and entry.response is None:
+        text = f"codes of a converter: is one of them 1 {quantity}?"
     elif of_certificate and not unit.mechanical and unit.factor != 1.0:
         text = f"and the scale is that of a certificate: is it per {stated}?"
     elif wanted is not None and unit.mechanical and wanted.mechanical:

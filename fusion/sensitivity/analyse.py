@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fusion.base import AnyNotice, ComputeError
-from fusion.estimation.consistency import UNTESTED
+from fusion.estimation.consistency import OUTPUT_MISTAKES, UNTESTED, likely_mistake
 from fusion.estimation.fuse import Acceleration, fuse_sources
 from fusion.estimation.least_squares import Unbounded, observed_components, row_space
 from fusion.estimation.measurement_model import SCALE, CommonError, Deviates, Geometry, Observation, UnseenMotion
@@ -389,14 +389,14 @@ def _element_notices(
             "alone does not span the 6 x 6 matrix, and neither sensor.static_sensitivity (with cross-talk) nor "
             "sensor.cross_talk is stated; what other loads put into the outputs is neither corrected nor in U"
         )
-        return (Notice("info", text, "sensitivity"),)
+        return (Notice("info", text, "sensitivity"), *_far_from_static(outputs, load, sensor, component))
     element = f"element {known.channels[known.main]} per {named}"
     if not known.static:
         text = (
             f"the {element} is not corrected for other loads: U holds a cross-talk within ± {sensor.cross_talk:.2%} of "
             "the rated output at every rated load"
         )
-        return (Notice("info", text, "sensitivity"),)
+        return (Notice("info", text, "sensitivity"), *_far_from_static(outputs, load, sensor, component))
     # Of the output that the driven load moves most, at the strongest line.
     shares = parasitic_loads(outputs, load, known.value, component, known.unknowns)
     line = int(np.argmax(np.nan_to_num(np.abs(load.value[:, component]))))
@@ -415,6 +415,36 @@ def _element_notices(
         )
         doubt.append(Notice("warning", text, "sensitivity"))
     return (*shares.notices(line, known.main, f"output {known.channels[known.main]} at {hertz}"), *doubt)
+
+
+def _far_from_static(outputs: Outputs, load: LoadResult, sensor: Sensor, component: int) -> Iterator[Notice]:
+    """Warn of an output that is far from what its stated sensitivity to the driven load alone makes it.
+
+    For sensors of whose matrix so little is known that `contradicting_outputs` has nothing to compare with.
+    """
+    static = () if sensor.static_sensitivity is None else sensor.static_sensitivity
+    column = {name: row[component] for name, row in zip(sensor.channels, static, strict=False)}
+    stated = {name: column[name] for name in outputs.phasors.channels if column.get(name)}
+    force = np.nan_to_num(load.value[:, component])
+    line = int(np.argmax(np.abs(force)))
+    if not stated or not np.abs(force[line]) > 0.0:
+        return
+    main = max(stated, key=lambda name: abs(stated[name]))
+    place, predicted = outputs.phasors.channels.index(main), complex(stated[main] * force[line])
+    ratio = complex(outputs.phasors.value[line, place]) / predicted
+    noise = float(np.hypot(outputs.phasors.u_re[line, place], outputs.phasors.u_im[line, place])) / abs(predicted)
+    if not abs(ratio - 1.0) > CHANGED + 3.0 * noise:
+        return
+    looks = likely_mistake(ratio, CHANGED, OUTPUT_MISTAKES)
+    text = (
+        f"output {main} contradicts the static sensitivity at {outputs.phasors.frequency_hz[line]:.6g} Hz: it is "
+        f"{abs(ratio):.3g} times as large as the load {LOAD_COMPONENTS[component]} would make it, turned by "
+        f"{np.angle(ratio):.3g} rad" + (f", as if {looks}" if looks else "")
+    )
+    keys = (
+        "sensor.static_sensitivity, sensor.unit, sensor.sense and load.mass, scale, direction and response of channels"
+    )
+    yield Notice("warning", f"{text}; check {keys}", "sensitivity")
 
 
 # Whether the recording gives what it was made for.

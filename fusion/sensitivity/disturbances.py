@@ -168,8 +168,12 @@ MOST_LAG_RAD = 0.2
 """Lag beyond which it is doubtful that a measuring chain causes it; no chain causes a lead."""
 
 
-def unstated_chain(found: Sensitivity | None, entries: Sequence[ChannelEntry], component: int) -> Iterator[Notice]:
+def unstated_chain(
+    found: Sensitivity | None, entries: Sequence[ChannelEntry], component: int, *, signed: bool
+) -> Iterator[Notice]:
     """Yield a question where the main output turns against the load, and nothing is stated of its measuring chain.
+
+    `signed`: whether the sign of the sensitivity is stated; an output that opposes the load is asked about if not.
 
     Far below its resonance a sensor turns hardly; filters of amplifiers and delays of converters do, in proportion to
     the frequency. `component`: of the load that was driven; its lowest line counts.
@@ -185,7 +189,15 @@ def unstated_chain(found: Sensitivity | None, entries: Sequence[ChannelEntry], c
     main = int(np.nanargmax(np.abs(value[line])))
     entry = next((e for e in entries if e.channel == found.channels[found.elements[places[main]][0]]), None)
     seen = polar_elements(value[[line]], found.uncertainty.at([*places]).at_lines([line]))[0][main]
-    if entry is None or seen is None or entry.response is not None or entry.delay or entry.delay_uncertainty:
+    if entry is None or seen is None:
+        return
+    if not signed and abs(seen.phase_rad) > np.pi / 2.0:
+        text = (
+            f"output {entry.name} opposes the load (phase {seen.phase_rad:.3g} rad), and no sensor.static_sensitivity "
+            "states its sign: is a direction, sensor.sense or the wiring reversed?"
+        )
+        yield Notice("warning", text, "sensitivity")
+    if entry.response is not None or entry.delay or entry.delay_uncertainty:
         return
     turn = float(np.angle(np.exp(2j * seen.phase_rad))) / 2.0  # either sign of the sensor
     if abs(turn) > max(TURNED_RAD, TURNED_U * seen.u_phase_rad):

@@ -88,7 +88,12 @@ def evaluate_set_ups(
     if sensor is not None and direction is not None:
         entries = [reading.entry for reading in joined.readings]
         found = analysis.element or analysis.sensitivity
-        missing += unstated_chain(found, entries, driven_component(direction, sensor.capacity))
+        missing += unstated_chain(
+            found,
+            entries,
+            driven_component(direction, sensor.capacity),
+            signed=sensor.static_sensitivity is not None,
+        )
     told = [*missing_result(inputs, analysis), *manifest.certified, *doubts(manifest), *joined.notices, *shaken]
     told += [*parallel, *unseen, *measured, *analysis.notices, *missing, *(drawn.notices if drawn else ())]
     return Evaluation(
