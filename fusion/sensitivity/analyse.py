@@ -516,6 +516,8 @@ def _why(inputs: Inputs, analysis: Analysis, component: int | None, lacking: Boo
             names = [name for name, own in zip(MOTION_COMPONENTS, observed.T, strict=True) if own.all()]
             along = f"only {', '.join(names)}" if names else "no component"
             text = f"the readings of {titles} determine {along} of the {moved.body}"
+            if not names:
+                text += " (a reading off the axis of the motion moves with rotations, too: more points separate them)"
             stated = ", ".join(f"{number:g}" for number in inputs.direction or ())
             told.append(f"{text}, and excitation.direction is [{stated}]" if component is not None else text)
         elif load is not None and not load.observed[lacking, component].all():
