@@ -19,6 +19,7 @@ from support import edit, refusals, rows
 from fusion import check, load_manifest, look
 from fusion.base import InputError
 from fusion.cli import main
+from fusion.planning.look.finding import refusal
 from fusion.planning.look.look import look_page
 from fusion.planning.look.pictures import _sigma_px
 from fusion.recording.toml import to_toml
@@ -339,3 +340,16 @@ def test_a_folder_that_fills_is_looked_at_again(campaign, monkeypatch, capsys):
     assert told.count("RED") == 1
     assert "REPEAT: not complete yet: " in told
     assert told.count("GREEN") == 1
+
+
+@pytest.mark.parametrize(
+    ("error", "verdict"),
+    [
+        ("a.tif: expected grey values up to 255 (bit depth 8), found 812", "FIX MANIFEST"),
+        ("r.csv: frequency_hz: expected a range that contains 106.25 Hz, found 20 to 100 Hz", "FIX MANIFEST"),
+        ("x.lvm: expected more digits than 0.0001 or an X column; give sample_rate", "FIX MANIFEST"),
+        ("x.tdms: expected a complete TDMS file, found its last segment cut off", "REPEAT"),
+    ],
+)
+def test_a_refusal_asks_for_what_can_be_mended(error, verdict):
+    assert refusal(ValueError(error)).verdict == verdict

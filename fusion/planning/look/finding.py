@@ -20,6 +20,10 @@ MENDED = (".toml", ".json")
 """Suffixes of files that state something and can be corrected: manifests and calibrations."""
 
 
+ASKED = re.compile(r"(?:; (?:give|state|correct) \w+|\(bit depth \d+\)|: frequency_hz: expected a range)")
+"""Words of a refusal by which a statement is what lacks: a key, the bit depth of images, the range of a response."""
+
+
 @dataclass(frozen=True)
 class Finding:
     """A fact about a recording: the `verdict` it leads to, the channel, camera or key it is about, the text."""
@@ -41,7 +45,9 @@ def refusal(error: Exception, where: str = "") -> Finding:
     allow no result, are to be recorded again.
     """
     verdict: Verdict = "REPEAT"
-    if isinstance(error, InputError):
+    if ASKED.search(str(error)):
+        verdict = "FIX MANIFEST"
+    elif isinstance(error, InputError):
         read = re.search(r"(^|\.)(images|points|daq)\.", error.key) and not error.expected
         verdict = "REPEAT" if read or error.file.suffix not in MENDED else "FIX MANIFEST"
     elif ".toml" in str(error):
