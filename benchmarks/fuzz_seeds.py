@@ -60,8 +60,10 @@ def _channels(path: Path) -> None:
     rate = None
     try:
         names = list(read_channels(path))
-    except ValueError:  # not all files state a rate; one that is given must agree with theirs
-        rate = 100.0
+    except ValueError as error:
+        if "give sample_rate" not in str(error):
+            raise
+        rate = 100.0  # of files that state none
         names = list(read_channels(path, None, rate))
     if names:
         read_channels(path, names[-1:], rate)

@@ -194,7 +194,7 @@ def open_images(manifest: Manifest, base: TimeBase, entry: Images, already: Alre
         with as_input_error(manifest.path, f"{key}.{side}"):
             first.append(sequences[number].read(0))
             sequences[number] = examined(replace(sequences[number], most_saturated=MAX_SATURATED), first[number])
-    copied, copies = _copies(manifest, entry, sequences)
+    copied, copies = _copies(entry, sequences)
     pair = _without_calibration_share(sight.pair, rig)
     told: list[AnyNotice] = [*remarks, *copies, *(told for images in sequences for told in images.notices)]
     told += [told for images in sequences for told in _contradictions(sight, images)]
@@ -211,7 +211,7 @@ def open_images(manifest: Manifest, base: TimeBase, entry: Images, already: Alre
     return OpenImages(placed, tuple(sequences), rig, first[0], tuple(told), known, modes, entry, copied)
 
 
-def _copies(manifest: Manifest, entry: Images, sequences: Sequence[ImageSequence]) -> tuple[BoolArray, list[Notice]]:
+def _copies(entry: Images, sequences: Sequence[ImageSequence]) -> tuple[BoolArray, list[Notice]]:
     """Return the frames (F,) in which a camera has an earlier one again, and what is said of them."""
     found = [copied_frames(images) for images in sequences]
     copied, told = np.any(found, axis=0), list[Notice]()
@@ -221,10 +221,6 @@ def _copies(manifest: Manifest, entry: Images, sequences: Sequence[ImageSequence
             more = f" and {int(own.sum()) - MOST_NAMED} more" if own.sum() > MOST_NAMED else ""
             text = f"{side}: copies of earlier frames, grey value by grey value: {names}{more}"
             told.append(Notice("warning", f"{text}; these frames of the pair are left out", entry.stereo))
-    left = int(np.count_nonzero(~copied))
-    if left < MINIMUM_FRAMES:
-        why = f"{left} of {len(copied)}, since the others are copies of earlier frames, grey value by grey value"
-        raise InputError(manifest.path, f"images.{entry.stereo}", why, f"at least {MINIMUM_FRAMES} different frames")
     return copied, told
 
 
@@ -359,7 +355,12 @@ def _answer(images: OpenImages, pending: Pending) -> Any:
 def _prepared(images: OpenImages, settings: Settings, lines: Lines | None) -> BodyScene:  # a task, so of this module
     from photogram.kernels.device import resolve_device
     from photogram.measure.follow import KnownBody, prepare_body, sine_terms
+    from photogram.subsets.find import BodyNotFound
 
+    left = int(np.count_nonzero(~images.copied))
+    if left < MINIMUM_FRAMES:
+        why = f"{left} of {len(images.copied)}, since the others are copies of earlier frames, grey value by grey value"
+        raise BodyNotFound(f"expected at least {MINIMUM_FRAMES} different frames, found {why}")
     inputs, terms = body_inputs(images, settings, None if lines is None else len(lines.frequency_hz)), None
     if lines is not None:
         strongest = np.argsort(lines.multiple, kind="stable")  # mostly

@@ -172,7 +172,8 @@ def test_copies_of_earlier_frames_are_named_and_take_no_part(run, sides, copies)
 def test_a_frozen_camera_is_refused(run):
     for number in range(2, FRAMES):
         shutil.copy(run / "top-left" / "0001.tif", run / "top-left" / f"{number:04d}.tif")
-    refused("images.top: expected at least 3 different frames, found 2 of 24", opened, run, error=InputError)
+    words = "images.top: expected at least 3 different frames, found 2 of 24"
+    refused(words, measure_images, opened(run), Settings(), no_progress, error=InputError)
 
 
 @pytest.mark.parametrize(("share", "outcome"), [(0.3, "not saturated, found 3.* % of its pixels at"), (0.012, "")])
