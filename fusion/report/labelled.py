@@ -156,7 +156,8 @@ def read_results(path: str | Path) -> Results:
             found = f"format {content.attrs['format']}" if "format" in content.attrs else "another file"
             raise InputError(file, "", found=found, expected=f"results of format {RESULT_FORMAT}; evaluate anew")
         try:
-            return _results(content, file)
+            with np.errstate(over="ignore", invalid="ignore"):  # of damaged numbers, which come back as they are
+                return _results(content, file)
         except KeyError as error:
             raise InputError(file, "", found=f"incomplete results ({error.args[0]})", expected="") from error
 

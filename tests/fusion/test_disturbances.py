@@ -175,7 +175,8 @@ def test_an_amplifier_that_nobody_states_is_asked_for(turn_rad, stated, asked):
         FREQUENCY_HZ, value, ((0, 2),), Uncertainty((spread,), ()), ("Fz",), LOAD_COMPONENTS, "V/V",
         ("ratio", "harmonic"), (),
     )  # fmt: skip
-    told = [notice.text for notice in unstated_chain(found, [entry], 2)]
+    told = [notice.text for notice in unstated_chain(found, [entry], 2, signed=True)]
     assert len(told) == (asked is not None)
     assert all(f"output bridge {asked}" in text for text in told)
-    assert list(unstated_chain(None, [entry], 2)) == list(unstated_chain(found, [entry], 0)) == []
+    assert list(unstated_chain(None, [entry], 2, signed=True)) == []
+    assert list(unstated_chain(found, [entry], 0, signed=True)) == []
