@@ -76,7 +76,9 @@ class LabelledPhasors:
         """Return a pandas table: a row for each value that is a result, with the columns of `sensitivity.csv`."""
         pandas = _optional("pandas")
         rows = []
-        for k, line in enumerate(polar_elements(self.value, self.uncertainty)):
+        with np.errstate(over="ignore", invalid="ignore"):  # of damaged files, whose numbers come back as they are
+            every = polar_elements(self.value, self.uncertainty)
+        for k, line in enumerate(every):
             for e, value in enumerate(line):
                 if value is not None:
                     named = {"channel": self.channel[e], "component": self.component[e]}
@@ -156,8 +158,7 @@ def read_results(path: str | Path) -> Results:
             found = f"format {content.attrs['format']}" if "format" in content.attrs else "another file"
             raise InputError(file, "", found=found, expected=f"results of format {RESULT_FORMAT}; evaluate anew")
         try:
-            with np.errstate(over="ignore", invalid="ignore"):  # of damaged numbers, which come back as they are
-                return _results(content, file)
+            return _results(content, file)
         except KeyError as error:
             raise InputError(file, "", found=f"incomplete results ({error.args[0]})", expected="") from error
 
