@@ -13,7 +13,7 @@ import numpy as np
 from fusion.base import K2, AnyNotice, InputError, rounded
 from fusion.phasors.channels import MOST_BINS, gaps_filled, line_record, lines_in
 from fusion.phasors.timing import tie_daqs
-from fusion.recording.files import read_set_ups, told_in
+from fusion.recording.files import check_uniform, read_set_ups, told_in
 from fusion.recording.load import Manifest
 from fusion.report.terminal import say, stdout_console
 from shaker.arrays import FloatArray, Stacked
@@ -156,8 +156,7 @@ def _file_group(
     rate_hz = next(iter(group.values())).sample_rate_hz
     values = Stacked(tuple(channel.samples for channel in group.values()), (1.0,) * len(group))
     for name, channel in group.items():
-        if channel.gap is not None:
-            raise InputError(path, name, found=channel.gap, expected="uniform sampling")
+        check_uniform(path, name, channel)
         missing = int(np.count_nonzero(~np.isfinite(channel.samples)))
         if missing:
             raise InputError(path, name, found=f"{missing} that are not", expected="finite samples")

@@ -30,6 +30,13 @@ if TYPE_CHECKING:
 # DAQ blocks as read from their files, one set-up after another, checked for what a user can get wrong.
 
 
+def check_uniform(file: Path, name: str, raw: RawChannel) -> None:
+    """Raise `InputError` for a channel of a file whose samples are not uniform, naming its first gap."""
+    gap = raw.gap
+    if gap is not None:
+        raise InputError(file, name, found=gap, expected="uniform sampling")
+
+
 @dataclass(frozen=True)
 class DaqRecord:
     """One DAQ block: its manifest entry, its channels by name, and the file's start time (s) of the earliest sample.
@@ -60,9 +67,7 @@ class DaqRecord:
     def check_uniform(self, channels: Iterable[ChannelEntry]) -> None:
         """Raise `InputError` for a channel whose samples are not uniform, naming its first gap."""
         for channel in channels:
-            gap = self.raw[channel.name].gap
-            if gap is not None:
-                raise InputError(self.entry.file, channel.stored_name, found=gap, expected="uniform sampling")
+            check_uniform(self.entry.file, channel.stored_name, self.raw[channel.name])
 
     @property
     def gaps(self) -> tuple[str, ...]:

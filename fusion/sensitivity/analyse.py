@@ -422,15 +422,13 @@ def _far_from_static(outputs: Outputs, load: LoadResult, sensor: Sensor, compone
 
     For sensors of whose matrix so little is known that `contradicting_outputs` has nothing to compare with.
     """
-    static = () if sensor.static_sensitivity is None else sensor.static_sensitivity
-    column = {name: row[component] for name, row in zip(sensor.channels, static, strict=False)}
-    stated = {name: column[name] for name in outputs.phasors.channels if column.get(name)}
+    main = None if sensor.static_sensitivity is None else _main_output(sensor, component, outputs.phasors.channels)
     force = np.nan_to_num(load.value[:, component])
     line = int(np.argmax(np.abs(force)))
-    if not stated or not np.abs(force[line]) > 0.0:
+    if sensor.static_sensitivity is None or main is None or not np.abs(force[line]) > 0.0:
         return
-    main = max(stated, key=lambda name: abs(stated[name]))
-    place, predicted = outputs.phasors.channels.index(main), complex(stated[main] * force[line])
+    static = sensor.static_sensitivity[list(sensor.channels).index(main)][component]
+    place, predicted = outputs.phasors.channels.index(main), complex(static * force[line])
     ratio = complex(outputs.phasors.value[line, place]) / predicted
     noise = float(np.hypot(outputs.phasors.u_re[line, place], outputs.phasors.u_im[line, place])) / abs(predicted)
     if not abs(ratio - 1.0) > CHANGED + 3.0 * noise:
@@ -482,10 +480,14 @@ def _observed(acceleration: Acceleration, component: int | None) -> BoolArray:
     return np.asarray(seen.any(axis=1) if component is None else seen[:, component])
 
 
-def _main_output(sensor: Sensor, component: int) -> str | None:
-    """Return the output that belongs to a load, by the static matrix or else by its name; None where neither tells."""
+def _main_output(sensor: Sensor, component: int, among: Sequence[str] | None = None) -> str | None:
+    """Return the output that belongs to a load, by the static matrix or else by its name; None where neither shows it.
+
+    `among`: outputs of which it is one, by default all of the sensor.
+    """
+    chosen = [name in (sensor.channels if among is None else among) for name in sensor.channels]
     if sensor.static_sensitivity is not None:
-        size = np.abs(np.array(sensor.static_sensitivity, dtype=np.float64)[:, component])
+        size = np.abs(np.array(sensor.static_sensitivity, dtype=np.float64)[:, component]) * chosen
         return sensor.channels[int(np.argmax(size))] if size.any() else None
     return LOAD_COMPONENTS[component] if LOAD_COMPONENTS[component] in sensor.channels else None
 

@@ -14,7 +14,7 @@ import numpy as np
 from fusion.base import InputError
 from fusion.phasors.stereo_motion import read_rig
 from fusion.planning.view.extremes import Extremes
-from fusion.recording.files import recorded_channels
+from fusion.recording.files import check_uniform, recorded_channels
 from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.recording.manifest import ChannelEntry, Daq, Images
 from fusion.report.folder import RESULT_FILE
@@ -152,9 +152,7 @@ class Opened:
                 alone = daq.file.suffix.lower() in ALONE
                 block = daq.model_copy(update={"channel": (channel.entry,)}) if alone else daq
                 known |= recorded_channels(self.manifest, block)
-            gap = known[name].gap
-            if gap is not None:
-                raise InputError(daq.file, channel.entry.stored_name, found=gap, expected="uniform sampling")
+            check_uniform(daq.file, channel.entry.stored_name, known[name])
             return known[name]
 
     @cached_property
