@@ -28,17 +28,17 @@ import numpy as np
 from marked import write_marked
 from numpy.typing import NDArray
 
-from photogram.calibration.bundle import see
-from photogram.calibration.result import Calibration
+from photogram.calibration.bundle import model_pixels
+from photogram.calibration.calibration_result import Calibration
+from photogram.calibration.initial_bundle import ViewPair
 from photogram.calibration.session import calibrate_pair
-from photogram.calibration.start import Pair
 from photogram.camera import LEFT, RIGHT, Camera, StereoRig
 from photogram.geometry import RigidTransform, vector_from_rotation
-from photogram.images.files import read_picture
+from photogram.images.image_files import read_image
 from photogram.images.sequence import GreyImage
-from photogram.synthetic.board import Board, Faults, random_poses, random_rig, render_board, seen_session
+from photogram.synthetic.board import Board, SessionFaults, random_poses, random_rig, render_board, simulate_session
 from photogram.synthetic.scene import ImageSensor
-from photogram.targets.view import Target, TargetNotFound, TargetView, find_target
+from photogram.targets.target_view import Target, TargetNotFound, TargetView, find_target
 
 FloatArray = NDArray[np.float64]
 ROOT = Path(__file__).resolve().parent.parent
@@ -156,24 +156,26 @@ def normalised_errors(calibration: Calibration, rig: StereoRig, growth: float = 
     error[focal] -= growth * rig.values[focal]
     error[18:21] = vector_from_rotation(found.right_from_left.rotation @ rig.right_from_left.rotation.T)
     assert found.covariance is not None
-    assert calibration.judged is not None
-    return error[:24] / np.sqrt(np.diagonal(found.covariance))[:24], error[:24] / calibration.judged.u_fit[:24]
+    assert calibration.cross_validation is not None
+    return error[:24] / np.sqrt(np.diagonal(found.covariance))[:24], error[:24] / calibration.cross_validation.u_fit[
+        :24
+    ]
 
 
 FAULTY_BOARD = Board(Target("chessboard", 9e-3, (10, 7)))
 FAULTY_SIZE_PX = np.array([1280, 1024])
 FAULTS = {
-    "none": Faults(),
-    "board warped by 0.2 mm": Faults(warp_m=2e-4),
-    "focal lengths drift by 0.05 %": Faults(focus=5e-4),
-    "0.05 px shared by neighbours": Faults(smooth_px=0.05),
-    "0.03 px by place within the pixel": Faults(locking_px=0.03),
-    "all of these": Faults(2e-4, 5e-4, 0.05, 0.03),
-    "focal lengths warm up by 0.05 %": Faults(focus=5e-4, course="warming"),
-    "focal lengths jump by 0.05 %": Faults(focus=5e-4, course="jump"),
+    "none": SessionFaults(),
+    "board warped by 0.2 mm": SessionFaults(warp_m=2e-4),
+    "focal lengths drift by 0.05 %": SessionFaults(focus=5e-4),
+    "0.05 px shared by neighbours": SessionFaults(smooth_px=0.05),
+    "0.03 px by place within the pixel": SessionFaults(locking_px=0.03),
+    "all of these": SessionFaults(2e-4, 5e-4, 0.05, 0.03),
+    "focal lengths warm up by 0.05 %": SessionFaults(focus=5e-4, focus_profile="warming"),
+    "focal lengths jump by 0.05 %": SessionFaults(focus=5e-4, focus_profile="jump"),
 }
 SHARP_AMOUNT = 2.0
-SHARP_FAULTS = Faults(2e-4, 5e-4, 0.05)
+SHARP_FAULTS = SessionFaults(2e-4, 5e-4, 0.05)
 
 
 def faulty_rows(seeds: range) -> list[str]:
@@ -195,10 +197,10 @@ def faulty_rows(seeds: range) -> list[str]:
             calibration, ratios = faulty_session(seed, views, faults, amount)
             stated.append(ratios[0])
             alone.append(ratios[1])
-            assert calibration.judged is not None
-            freed += calibration.judged.shape == "free"
-            drifts += calibration.judged.drift is not None
-        pooled += stated if faults != Faults() else []
+            assert calibration.cross_validation is not None
+            freed += calibration.cross_validation.shape == "free"
+            drifts += calibration.cross_validation.drift is not None
+        pooled += stated if faults != SessionFaults() else []
         lines.append(faulty_row(f"{name} | {views} | {len(seeds)} | {freed} | {drifts}", stated, alone))
         print(lines[-1], flush=True)
     lines.append(faulty_row("all with faults | | | |", pooled, None))
@@ -207,23 +209,23 @@ def faulty_rows(seeds: range) -> list[str]:
 
 
 def faulty_session(
-    seed: int, views: int, faults: Faults, amount: float
+    seed: int, views: int, faults: SessionFaults, amount: float
 ) -> tuple[Calibration, tuple[FloatArray, FloatArray]]:
     """Return the calibration from a session with faults, in pictures sharpened by `amount` if any; errors over u."""
     rng = np.random.default_rng(seed)
     rig = random_rig(rng, SIZE_PX if amount else FAULTY_SIZE_PX, FIELD_M)
     poses = random_poses(rng, rig, FAULTY_BOARD, views)
-    pairs: Sequence[Pair] = seen_session(rng, rig, poses, FAULTY_BOARD, 0.0 if amount else 0.03, faults)
+    pairs: Sequence[ViewPair] = simulate_session(rng, rig, poses, FAULTY_BOARD, 0.0 if amount else 0.03, faults)
     if amount:
-        ideal = seen_session(rng, rig, poses, FAULTY_BOARD, 0.0)
+        ideal = simulate_session(rng, rig, poses, FAULTY_BOARD, 0.0)
         pairs = [sharpened(rng, rig, *each, amount) for each in zip(poses, pairs, ideal, strict=True)]
     calibration = calibrate_pair(pairs, FAULTY_BOARD.target)
     return calibration, normalised_errors(calibration, rig, float(rng.choice(faults.growth(views))))
 
 
 def sharpened(
-    rng: np.random.Generator, rig: StereoRig, pose: RigidTransform, faulty: Pair, ideal: Pair, amount: float
-) -> Pair:
+    rng: np.random.Generator, rig: StereoRig, pose: RigidTransform, faulty: ViewPair, ideal: ViewPair, amount: float
+) -> ViewPair:
     """Return a view found in rendered, sharpened pictures, its points moved by what the faulty has on the ideal one."""
     views = []
     poses = (pose, rig.right_from_left @ pose)
@@ -254,7 +256,7 @@ def true_pixels(
     """Return where the points (N, 2) of a view truly are."""
     points = np.column_stack([view.index * board.target.spacing_m, np.zeros(len(view.index))])
     radius = board.radius * board.target.spacing_m if view.radius > 0 else 0.0
-    return see(camera, relative, pose, points, radius).pixel
+    return model_pixels(camera, relative, pose, points, radius).pixel
 
 
 def report(name: str, outcomes: list[Outcome]) -> None:
@@ -301,7 +303,7 @@ def real_dot_grid() -> None:
 
 
 def _picture(path: Path, target: Target) -> tuple[GreyImage, Target, str, int]:
-    image, full_scale = read_picture(path)
+    image, full_scale = read_image(path)
     return image, target, path.name, full_scale
 
 

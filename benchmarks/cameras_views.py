@@ -26,13 +26,13 @@ from numpy.typing import NDArray
 from fusion.estimation.coverage import coverage_factor
 from fusion.recording.load import load_manifest
 from fusion.sensitivity.analyse import Evaluation
-from fusion.sensitivity.evaluate import evaluate_recording
+from fusion.sensitivity.recording_evaluation import evaluate_recording
 from fusion.simulate.preset import Preset, StereoSetup, face_of, nominal_rig, read_preset
 from fusion.simulate.sines import TRIGGER_JITTER_S, rendered_run, write_run
 from fusion.simulate.world import Draws, make_world
 from photogram.bspline import spline_of_image
 from photogram.camera import FaceCamera
-from photogram.direct.fit import DirectFit, fit_direct
+from photogram.direct.direct_fit import DirectFit, fit_direct
 from photogram.geometry import RigidTransform
 from photogram.images.sequence import ImageSequence
 from photogram.measure.follow import BodyScene, prepare_body
@@ -59,7 +59,7 @@ class Instrument:
 def instrument(setup: StereoSetup, face: Face, poses: FloatArray, rng: np.random.Generator) -> Instrument:
     """Return a pair or a camera alone with rendered pictures of every pose."""
     rig, placed = nominal_rig(setup)
-    cameras = zip(setup.sides, rig.placed, strict=False)
+    cameras = zip(setup.sides, rig.camera_poses, strict=False)
     views = tuple(view_of(camera, from_left @ placed.inverse()) for _, (camera, from_left) in cameras)
     series = []
     for view in views:

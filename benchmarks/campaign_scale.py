@@ -27,11 +27,11 @@ import h5py
 import numpy as np
 
 from fusion.base import Settings
-from fusion.campaign.recorded import READ
+from fusion.campaign.recording_results import READ
 from fusion.campaign.run import run_path
 from fusion.recording.load import RECORDING_NAME
 from fusion.report.folder import RESULT_FILE
-from fusion.report.recording import MERGED_FILES
+from fusion.report.recording_report import MERGED_FILES
 from fusion.simulate import simulate
 
 FREQUENCIES, PER_FREQUENCY, PER_MOUNTING = 12, 4, 2

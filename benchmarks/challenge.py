@@ -96,7 +96,7 @@ def ours(package: Path, points: Array, radius: int, order: int) -> Found:
     import cv2
 
     from photogram.bspline import spline_of_image
-    from photogram.subsets.find import find_anew
+    from photogram.subsets.find import find_without_prediction
     from photogram.subsets.icgn import TrackSettings, noise_of_residual, position_covariance
     from photogram.subsets.reference import TrackStatus, prepare_reference
 
@@ -105,7 +105,7 @@ def ours(package: Path, points: Array, radius: int, order: int) -> Found:
     assert second is not None
     settings = TrackSettings(radius_px=radius, shape_order=order)
     reference = prepare_reference(spline_of_image(first), points, radius, order)
-    found = find_anew(reference, first, (second, spline_of_image(second)), settings)
+    found = find_without_prediction(reference, first, (second, spline_of_image(second)), settings)
     noise = noise_of_residual(reference, found, settings.degree)
     covariance = position_covariance(reference, found, noise)[:, [0, 1], [0, 1]]
     place = [0, reference.removed.shape[2] // (4 if order == 2 else 2)]
@@ -206,7 +206,7 @@ def robust(values: Array) -> float:
 def draw(lines: list[Line], shares: dict[str, tuple[Array, Array]]) -> bytes:
     """Noise over resolution of every row, and the amplitude over the period of 19 × 19 px."""
     from fusion.report.figure import BLUE, GREEN, GREY, ORANGE, RED
-    from fusion.report.printed import as_file, drawing, new_figure
+    from fusion.report.figure_files import drawing, figure_bytes, new_figure
 
     colours = {"shakercal 1": BLUE, "shakercal 2": RED, "pyvale 1": GREEN, "pyvale 2": ORANGE}
     with drawing("challenge"):
@@ -228,7 +228,7 @@ def draw(lines: list[Line], shares: dict[str, tuple[Array, Array]]) -> bytes:
         right.axhline(RESOLVED, color=GREY, linewidth=0.7)
         right.set(xlim=(10, 120), ylim=(0.0, 1.15), xlabel="period in px", ylabel="amplitude found / true, 19 × 19 px")
         figure.tight_layout()
-        return as_file(figure, "png")
+        return figure_bytes(figure, "png")
 
 
 def main() -> None:

@@ -27,19 +27,19 @@ from fusion.estimation.fuse import fuse
 from fusion.estimation.uncertainty import Uncertainty, added_up, merge_contributions
 from fusion.instruments.channel import observe_channels, sensor_outputs
 from fusion.instruments.stereo import StereoReading
-from fusion.phasors.channels import channel_phasors, line_clock, refine_ties
-from fusion.phasors.clocks import tied_by_motion
+from fusion.phasors.channel_phasors import channel_phasors, line_clock, refine_ties
+from fusion.phasors.clocks import tie_clocks_by_motion
 from fusion.phasors.stereo_motion import StereoMotion
 from fusion.phasors.stereo_phasors import stereo_phasors
-from fusion.phasors.timing import TimeBase, see
-from fusion.recording.files import DaqRecord
+from fusion.phasors.timing import TimeBase, frame_sight
+from fusion.recording.daq_records import DaqRecord
 from fusion.recording.manifest import ChannelEntry
 from fusion.recording.rig import Stereo
 from fusion.sensitivity.analyse import with_estimates
 from photogram.motion import Deformation, RigidMotion
 from shaker.io.channel import RawChannel
-from shaker.lines.frequencies import Lines
-from shaker.sine.fit import fit_sines
+from shaker.lines.frequencies import LineFrequencies
+from shaker.sine.sine_fit import fit_sines
 from shaker.sine.solve import SineModel
 from shaker.timebase.edges import find_edges
 from shaker.timebase.tie import tie_clocks
@@ -91,7 +91,7 @@ class Simulated:
     manifest: Any
     base: TimeBase
     motion: StereoMotion
-    lines: Lines
+    lines: LineFrequencies
     middle_s: FloatArray
     bridge_s: FloatArray
     first_s: FloatArray
@@ -144,7 +144,7 @@ def simulate(case: Case, rng: np.random.Generator) -> Simulated:
     free = fit_sines(own[0], records[0].stacked(records[0].entry.channel), np.array([LINE_HZ]), ["v"], ["m/s"],
                      model=SineModel(free=(0,)))  # fmt: skip
     one = np.ones(1, dtype=np.int64)
-    lines = Lines(free.phasors.frequency_hz, free.u_frequency_hz, np.array([LINE_HZ]), one, ("",), ())
+    lines = LineFrequencies(free.phasors.frequency_hz, free.u_frequency_hz, np.array([LINE_HZ]), one, ("",), ())
     middle = instants + EXPOSURE_S / 2.0
     turn = np.exp(2j * np.pi * LINE_HZ * (middle - late[1]))[:, None] * np.sinc(LINE_HZ * EXPOSURE_S)
     poses = (turn * truth).real + NOISE * rng.normal(size=(FRAMES, 6))
@@ -165,7 +165,7 @@ def simulate(case: Case, rng: np.random.Generator) -> Simulated:
     motion = RigidMotion(poses - poses[0], eye, np.zeros(FRAMES), np.ones(FRAMES, dtype=np.int64), np.zeros(3))
     beside = Deformation(nothing[0], nothing, np.zeros((FRAMES, 1, 3, 3)))
     sight: Any = entry
-    seen = StereoMotion(see(manifest, base, sight, FRAMES), motion, (beside,), 0.0, None, ())
+    seen = StereoMotion(frame_sight(manifest, base, sight, FRAMES), motion, (beside,), 0.0, None, ())
     return Simulated(manifest, base, seen, lines, middle, bridge, instants, truth, late, ppm)
 
 
@@ -179,7 +179,7 @@ class Found:
     told: bool
 
 
-def found(one: Simulated, base: TimeBase, motion: StereoMotion, lines: Lines) -> Found:
+def found(one: Simulated, base: TimeBase, motion: StereoMotion, lines: LineFrequencies) -> Found:
     """Compare what is said of clocks and motion with the truth."""
     place = np.arange(FRAMES) - (FRAMES - 1) / 2.0
     late = motion.sight.time_s - one.middle_s
@@ -210,10 +210,10 @@ def found(one: Simulated, base: TimeBase, motion: StereoMotion, lines: Lines) ->
     return Found(np.array(pairs), told)
 
 
-def output_lag(one: Simulated, base: TimeBase, pair: StereoReading, lines: Lines) -> tuple[float, float]:
+def output_lag(one: Simulated, base: TimeBase, pair: StereoReading, lines: LineFrequencies) -> tuple[float, float]:
     """Return by how much the output seems later than the motion than it is, and the standard uncertainty of that."""
     readings = channel_phasors(one.manifest, base, lines)[1]
-    fused = fuse((pair.observed(), *observe_channels(readings)))
+    fused = fuse((pair.observation(), *observe_channels(readings)))
     outputs = sensor_outputs(readings, OUTPUT)
     assert outputs is not None
     known = with_estimates(outputs, fused)
@@ -265,7 +265,7 @@ def least_u(one: Simulated, rng: np.random.Generator, phase: bool, less: float =
 def both(one: Simulated) -> tuple[Found, Found]:
     """Return what edges and channels say by themselves, and what they say with the motion."""
     base, lines = refine_ties(one.base, one.lines)
-    tied, (motion,), again = tied_by_motion(one.manifest, base, [one.motion], lines)
+    tied, (motion,), again = tie_clocks_by_motion(one.manifest, base, [one.motion], lines)
     return found(one, base, one.motion, lines), found(one, tied, motion, again)
 
 

@@ -29,7 +29,7 @@ from simulated_drives import CAPACITY, DriveErrors, drive_setup, eight_setups, s
 from simulated_phasors import Channel, PhasorSetup, lines_at, simulate_phasors
 from violations import without_heads
 
-from fusion.campaign.drive import Drive
+from fusion.campaign.excited_line import ExcitedLine
 from fusion.campaign.matrix import cross_talk, fit_matrix
 from fusion.campaign.matrix_solve import MissingExcitationError
 from fusion.campaign.repeats import find_repeats
@@ -39,7 +39,7 @@ from fusion.instruments.channel import ChainUncertainty
 from fusion.recording.manifest import ChannelEntry
 from fusion.recording.rig import Sensor
 from fusion.sensitivity.analyse import analyse
-from fusion.sensitivity.body import make_part
+from fusion.sensitivity.moving_body import make_moving_part
 from fusion.simulate.sines import Run, recording_tables, runs, sensor_keys
 from fusion.simulate.world import Draws, sensitivity, static_sensitivity
 from shaker.labels import LOAD_COMPONENTS
@@ -202,7 +202,7 @@ def _mean_of_few(rng: np.random.Generator, each: Sequence[int], mounted: float, 
         here = same + normal(mounted)
         for n in range(count):
             output, places = np.array([here + normal(1.0)]), (f"{m}-{n}", f"{m}", 100.0, 100.0, (0.0, 0.0, 1.0))
-            drives.append(Drive(*places, unit + 0j, of_load, output, of_output, ("U",)))
+            drives.append(ExcitedLine(*places, unit + 0j, of_load, output, of_output, ("U",)))
     (found,) = find_repeats(drives)
     ((element,),) = polar_elements(found.value[None], found.uncertainty)
     assert element is not None
@@ -263,7 +263,7 @@ def uniaxial_setup(run: Run, driven: int, stated: dict[str, float]) -> PhasorSet
         outputs=tuple(channels[True]),
         sensitivity=np.zeros((3, 6, 6), np.complex128),
         parts=tuple(
-            make_part(
+            make_moving_part(
                 part.name, part.mass, part.centre_of_mass, np.diag(part.inertia),
                 (part.mass_uncertainty, part.centre_of_mass_uncertainty, part.inertia_uncertainty),
             )
@@ -336,7 +336,7 @@ def elements(trials: int, seed: int) -> None:
         print("\n".join(element_rows(name, load, trials, seed, {"static_sensitivity_uncertainty": 1e-3})), flush=True)
 
 
-def _noise_only(drive: Drive) -> Drive:
+def _noise_only(drive: ExcitedLine) -> ExcitedLine:
     """A drive of which only its noise is stated."""
     parts = (drive.load_uncertainty, drive.outputs_uncertainty)
     load, outputs = (Uncertainty(part.random) for part in parts)

@@ -26,16 +26,16 @@ from numpy.typing import NDArray
 from scipy.stats import binom
 from simulated_phasors import Pair, PhasorSetup, simulate_phasors
 
-from fusion.campaign.drive import line_drives
+from fusion.campaign.excited_line import excited_lines
 from fusion.campaign.matrix import fit_matrix
-from fusion.campaign.recorded import Recorded
-from fusion.campaign.unknowns import JointUnknown, Knowledge, carry_unknowns
+from fusion.campaign.recording_results import RecordingResults
+from fusion.campaign.unknowns import JointUnknown, Knowledge, apply_joint_estimate
 from fusion.estimation.fuse import fuse
 from fusion.estimation.uncertainty import polar_elements
 from fusion.instruments.stereo import StereoReading
 from fusion.recording.rig import Stereo
 from fusion.report.folder import Provenance
-from fusion.sensitivity.load import load_phasors
+from fusion.sensitivity.load_phasors import load_phasors
 from fusion.simulate.sines import runs
 from fusion.simulate.world import Draws
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, component_units
@@ -87,7 +87,7 @@ def stereo_pair(setup: PhasorSetup, rotation: float) -> Pair:
     return Pair(StereoReading("top", entry, phasors, {}, 0.0), 40.0)
 
 
-def recorded(place: int, rotation: float | None, draws: Named) -> tuple[Recorded, ComplexArray, ComplexArray]:
+def recorded(place: int, rotation: float | None, draws: Named) -> tuple[RecordingResults, ComplexArray, ComplexArray]:
     """Return one recording as a campaign reads it, its true loads (K, 6) and the true matrix (K, 6, 6)."""
     run = RUNS[place]
     driven = run.driven
@@ -102,12 +102,12 @@ def recorded(place: int, rotation: float | None, draws: Named) -> tuple[Recorded
     load = load_phasors(fused, inputs.body)
     name, mounting = str(place), str(draws.mounting)
     driving = setup.direction, inputs.lines.nominal_hz, np.ones(len(inputs.lines.frequency_hz), np.int64)
-    drives = line_drives(name, mounting, *driving, load, inputs.outputs)[:1]
+    drives = excited_lines(name, mounting, *driving, load, inputs.outputs)[:1]
     known = None
     if fused.posterior is not None and fused.products is not None:
         estimate = np.array([unknown.estimate for unknown in fused.unknowns])
         known = Knowledge.of(fused.uncertainty.influences, load.both or (), estimate, fused.posterior, fused.products)
-    entry = Recorded(name, name, mounting, "", "sine", (), (), None, drives, (), Provenance({}, {}, {}, ()))
+    entry = RecordingResults(name, name, mounting, "", "sine", (), (), None, drives, (), Provenance({}, {}, {}, ()))
     return replace(entry, knowledge=None if known is None else partial(_given, known)), truth.load, matrix
 
 
@@ -121,16 +121,16 @@ class Side:
     def __init__(self) -> None:
         self.across, self.loads, self.elements = Tally(), Tally(), Tallies()
 
-    def add(self, entries: Sequence[Recorded], loads: Sequence[ComplexArray], matrix: ComplexArray) -> None:
+    def add(self, entries: Sequence[RecordingResults], loads: Sequence[ComplexArray], matrix: ComplexArray) -> None:
         """Take in one campaign: true loads (K, 6) of every recording and the true matrix (6, 6)."""
         for entry, true, run in zip(entries, loads, RUNS, strict=True):
-            for drive in entry.drives:
+            for drive in entry.excited_lines:
                 stated = polar_elements(drive.load[None], drive.load_uncertainty)[0]
                 for j, one in enumerate(stated):
                     own = [self.loads, *([self.across] if j < 3 and j != run.driven else [])]
                     for tally in own:
                         tally.add(complex(drive.load[j] - true[0, j]), one)
-        fit = fit_matrix([drive for entry in entries for drive in entry.drives], LOAD_COMPONENTS)
+        fit = fit_matrix([drive for entry in entries for drive in entry.excited_lines], LOAD_COMPONENTS)
         self.elements.add(fit.value, matrix, fit.uncertainty)
 
 
@@ -152,7 +152,7 @@ def case_row(name: str, rotation: float | None, anew: bool, seeds: range) -> str
             draws = Named(seed, True, mounting=str(place) if anew else "1", recording=str(place))
             found.append(recorded(place, rotation, draws))
         entries = [entry for entry, _, _ in found]
-        carried, unknowns, _ = carry_unknowns("c", entries, lambda drive: drive)
+        carried, unknowns, _ = apply_joint_estimate("c", entries, lambda drive: drive)
         told += not unknowns
         least += [unknown for unknown in unknowns if rotation is None or "rotation" in unknown.name]
         for side, own in ((before, entries), (after, carried)):

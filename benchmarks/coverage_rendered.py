@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from fusion.base import Settings
 from fusion.recording.load import load_manifest
-from fusion.sensitivity.evaluate import evaluate_recording
+from fusion.sensitivity.recording_evaluation import evaluate_recording
 from fusion.simulate.preset import Preset, read_preset
 from fusion.simulate.sines import rendered_run, write_run
 from fusion.simulate.world import Draws, make_world
@@ -53,7 +53,7 @@ def evaluate_seed(seed: int, folder: Path) -> Normalised:
     whole = read_preset(Preset, "nitsche2018")
     daqs = [replace(daq, duration_s=1.5) for daq in whole.daqs]
     preset = replace(whole, multiples=(1,), acceleration=whole.acceleration[:1], stereo=whole.stereo[:1])
-    preset = replace(preset, first_frame_s=0.4, daqs=tuple(daqs)).shrunk(48, 0.5)
+    preset = replace(preset, first_frame_s=0.4, daqs=tuple(daqs)).reduced(48, 0.5)
     draws = Draws(seed, True)
     world = make_world(preset, draws, TRIGGER_JITTER_S)
     recording = write_run(folder, rendered_run(preset), world, draws)

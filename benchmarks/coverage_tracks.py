@@ -21,21 +21,21 @@ import numpy as np
 from coverage_statistics import HEAD, Counts
 from numpy.typing import NDArray
 
-from fusion.base import ComputeError
+from fusion.errors import ComputeError
 from fusion.instruments.channel import observe_channels, sensor_outputs
-from fusion.phasors.channels import channel_phasors, find_channel_lines, line_clock, line_strength
+from fusion.phasors.channel_phasors import channel_phasors, find_channel_lines, line_clock, line_strength
 from fusion.phasors.stereo_motion import ImageView, StereoMotion, sensor_from_camera
 from fusion.phasors.stereo_phasors import pairs_phasors
-from fusion.phasors.timing import TimeBase, see, tie_daqs
-from fusion.recording.files import DaqRecord
+from fusion.phasors.timing import TimeBase, frame_sight, tie_daqs
+from fusion.recording.daq_records import DaqRecord
 from fusion.recording.load import Manifest, load_manifest
 from fusion.recording.toml import to_toml
 from fusion.sensitivity.analyse import Analysis, Inputs, analyse
-from fusion.sensitivity.body import load_body
+from fusion.sensitivity.moving_body import load_body
 from fusion.simulate.preset import ChannelSpec, Preset, read_preset
 from fusion.simulate.sines import record, recording_tables, rendered_run, rig_tables
 from fusion.simulate.world import Draws, TrueStereo, World, make_world
-from photogram.calibration.file import read_calibration, write_calibration
+from photogram.calibration.calibration_file import read_calibration, write_calibration
 from photogram.camera import triangulate
 from photogram.direct.shapes import PlainShapes, ShapeAmplitudes
 from photogram.epipolar import check_epipolar
@@ -171,7 +171,7 @@ def stereo_motion(manifest: Manifest, base: TimeBase, world: World, draws: Draws
     )
     view = ImageView((tracks,), rig, np.zeros((1, 1), np.uint8), None, None, epipolar, deformed, np.nan, np.nan)
     reprojection = float(np.sqrt(np.mean(points.reprojection_px**2)))
-    sight = see(manifest, base, entry, world.preset.frames)
+    sight = frame_sight(manifest, base, entry, world.preset.frames)
     return StereoMotion(sight, motion, (deformation(points, motion),), reprojection, view, epipolar.notices)
 
 
@@ -213,7 +213,7 @@ def evaluate_trial(manifest: Manifest, world: World, draws: Draws) -> Analysis:
     channels = observe_channels(readings, manifest.rig.surroundings.gravity, manifest.daq[0].clock_uncertainty)
     sensor, body = manifest.rig.sensor, load_body(manifest.rig, manifest.part)
     outputs = None if sensor is None else sensor_outputs(readings, sensor.channels)
-    observations = (*(item.reading.observed() for item in stereo), *channels)
+    observations = (*(item.reading.observation() for item in stereo), *channels)
     return analyse(Inputs(lines, observations, outputs, body, sensor, manifest.excitation.direction))
 
 

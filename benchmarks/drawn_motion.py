@@ -18,21 +18,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.base import Settings
-from fusion.phasors import setup
-from fusion.phasors.stereo_motion import ImageView, Motions, OpenImages, StereoMotion, body_inputs, sensor_from_camera
+from fusion.phasors import set_up
+from fusion.phasors.stereo_motion import (
+    ImageView,
+    Motions,
+    PreparedImages,
+    StereoMotion,
+    body_inputs,
+    sensor_from_camera,
+)
 from fusion.recording.load import load_manifest
 from fusion.simulate import bending, sines
 from fusion.simulate.preset import Preset, StereoSetup, patches_of
 from fusion.simulate.sines import rendered_run, write_run
-from fusion.simulate.world import Draws, Motion, World, harmonic, make_world
+from fusion.simulate.world import Draws, SimulatedMotion, World, harmonic, make_world
 from photogram.camera import StereoRig, triangulate
-from photogram.direct.fit import pose_covariance, rest_information, rigid_share, without_noise
+from photogram.direct.direct_fit import pose_covariance, rest_information, rigid_share, without_noise
 from photogram.direct.shapes import PlainShapes, ShapeAmplitudes
 from photogram.epipolar import check_epipolar
 from photogram.geometry import RigidTransform
 from photogram.images.noise import NoiseModel
 from photogram.measure.body import body_motion
-from photogram.measure.follow import KnownBody, follow_block, prepare_body
+from photogram.measure.follow import BodyPrior, follow_block, prepare_body
 from photogram.motion import RigidMotion, deformation, fit_motion
 from photogram.subsets.track import StereoTracks, Tracks
 
@@ -63,15 +70,15 @@ class Template:
 
 def make_template(folder: Path, preset: Preset) -> Template:
     """Render some frames of a preset without errors, and return what their pixels state."""
-    small = preset.shrunk(TEMPLATE_FRAMES, 1.0)
+    small = preset.reduced(TEMPLATE_FRAMES, 1.0)
     draws = Draws(1, False)
     recording = write_run(folder, rendered_run(small), make_world(small, draws, 0.0), draws)
-    (opened,) = setup.open_set_ups(load_manifest(recording))
+    (opened,) = set_up.prepare_set_ups(load_manifest(recording))
     return Template(recording, {images.sight.name: _noise_of(images) for images in opened.images})
 
 
-def _noise_of(images: OpenImages) -> PairNoise:
-    scene = prepare_body(*body_inputs(images, Settings()), known=KnownBody(images.depth_m, images.modes))
+def _noise_of(images: PreparedImages) -> PairNoise:
+    scene = prepare_body(*body_inputs(images, Settings()), prior=BodyPrior(images.depth_m, images.modes))
     assert scene.noise is not None
     body = body_motion(scene, [follow_block(scene, block) for block in scene.blocks])
     information, noise_part = rest_information(scene.views)
@@ -95,14 +102,14 @@ def unrendered(template: Template, world: World, draws: Draws) -> Iterator[None]
                     (series / f"{frame:04d}.tif").hardlink_to(template.recording / series.name / "0000.tif")
 
     @contextmanager
-    def drawn(images: Sequence[OpenImages], *_: object) -> Iterator[Motions]:
+    def drawn(images: Sequence[PreparedImages], *_: object) -> Iterator[Motions]:
         yield lambda _: tuple(_seen(one, template.pairs[one.sight.name], world, draws) for one in images)
 
-    with patch.object(sines, "_write_images", linked), patch.object(setup, "followed_pairs", drawn):
+    with patch.object(sines, "_write_images", linked), patch.object(set_up, "followed_pairs", drawn):
         yield
 
 
-def _seen(images: OpenImages, noise: PairNoise, world: World, draws: Draws) -> StereoMotion:
+def _seen(images: PreparedImages, noise: PairNoise, world: World, draws: Draws) -> StereoMotion:
     """Return what a pair finds of a body: of places in its pictures, by the calibration and pose that are stated."""
     rng = draws.stream(f"{images.sight.name}.drawn")
     places = _places(images, world, draws)
@@ -140,22 +147,24 @@ def _tracks(place_px: FloatArray, rng: np.random.Generator) -> Tracks:
     return Tracks(found, covariance, np.ones((frames, count)), np.zeros((frames, count), np.int8), np.ones(count))
 
 
-def _places(images: OpenImages, world: World, draws: Draws) -> tuple[FloatArray, FloatArray]:
+def _places(images: PreparedImages, world: World, draws: Draws) -> tuple[FloatArray, FloatArray]:
     """Return where both cameras see points of a face (F, N, 2), as the mean over each exposure."""
     (stereo,) = (s for s in world.stereo if images.sight.name in (s.setup.name, *(p.name for p in patches_of(s.setup))))
     room, preset = images.sight.name != stereo.setup.name, world.preset
     faces = patches_of(stereo.setup) if room else (stereo.setup,)
     rest = np.concatenate([_face(face) for face in faces])
-    seen = world.seen(draws, "room" if room else stereo.setup.body, "camera", np.array(stereo.setup.face_centre))
+    seen = world.observed_motion(
+        draws, "room" if room else stereo.setup.body, "camera", np.array(stereo.setup.face_centre)
+    )
     lost = np.sinc(seen.frequency_hz * preset.exposure_s)[:, None]
     middle = world.trigger_s + stereo.delay_s + preset.exposure_s / 2
     moved = np.repeat(rest[None], len(middle), axis=0)
     if preset.plate is not None and not room:
         load = world.motion["load"]
-        rim = -bending.rim(preset.plate, load, draws)[:, None] / load.omega[:, None] ** 2 * lost
+        rim = -bending.rim_acceleration(preset.plate, load, draws)[:, None] / load.omega[:, None] ** 2 * lost
         shape = bending.shape(np.hypot(rest[:, 0], rest[:, 1]) / preset.plate.radius)
         moved[..., 2] += harmonic(middle, load.frequency_hz, rim) * shape
-    poses = Motion(seen.frequency_hz, seen.acceleration * lost).pose(middle)
+    poses = SimulatedMotion(seen.frequency_hz, seen.acceleration * lost).pose(middle)
     there = np.stack([RigidTransform.from_pose(pose).apply(own) for pose, own in zip(poses, moved, strict=True)])
     left = stereo.left_from_sensor.apply(there)
     return stereo.rig.left.project(left), stereo.rig.right.project(stereo.rig.right_from_left.apply(left))

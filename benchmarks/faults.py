@@ -32,8 +32,8 @@ import signal, sys
 from fusion import cli
 
 def lighten():
-    import fusion.campaign.joint_report, fusion.report.recording
-    fusion.report.recording.render_report = lambda evaluation: "<!doctype html>"
+    import fusion.campaign.joint_report, fusion.report.recording_report
+    fusion.report.recording_report.render_report = lambda evaluation: "<!doctype html>"
     fusion.campaign.joint_report.render_campaign = lambda evaluation: "<!doctype html>"
 
 def act(options, act=cli._act):

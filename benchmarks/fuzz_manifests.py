@@ -44,15 +44,15 @@ from pydantic import BaseModel
 from fusion.cameras.align_manifest import AlignmentFile
 from fusion.cli import main as shakercal
 from fusion.recording.manifest import RecordingFile
-from fusion.recording.response import Chain
+from fusion.recording.response import MeasuringChainFile
 from fusion.recording.rig import Rig
-from fusion.sensor.elastomer.definition import ElementFile
+from fusion.sensor.elastomer.element_definition import ElementFile
 from fusion.simulate import simulate
 
 SECONDS = 10.0  # of the processor
 SECONDS_OF_OPTIONS = {"elastomer": 60.0, "decouple": 60.0}  # valid ones ask for work: 12 s of a slow processor
 PAGES = (
-    "fusion.report.recording.render_report",
+    "fusion.report.recording_report.render_report",
     "fusion.campaign.joint_report.render_campaign",
     "fusion.report.folder.Command.page",
 )
@@ -221,7 +221,7 @@ KINDS = (
     Kind("rig", "matrix", "rig-z.toml", Rig, ("run", "1-z"), "1-z"),
     Kind("lines", "matrix", "1-z/recording.toml", RecordingFile, ("lines", "1-z")),
     Kind("chirp", "chirp", "chirp/recording.toml", RecordingFile, ("transfer", "chirp"), "chirp"),
-    Kind("chain", "chirp", "chirp/amplifier.toml", Chain, ("transfer", "chirp"), "chirp"),
+    Kind("chain", "chirp", "chirp/amplifier.toml", MeasuringChainFile, ("transfer", "chirp"), "chirp"),
     Kind("rotation", "rotation", "with-load/recording.toml", RecordingFile, ("rotate", "."), "with-load"),
     Kind("rotation rig", "rotation", "rig.toml", Rig, ("rotate", "."), "with-load"),
     Kind("step", "steps", f"{RELEASE}/recording.toml", RecordingFile, ("step", RELEASE), RELEASE),

@@ -18,8 +18,8 @@ import universal_factory as uff
 
 from fusion import Settings, read_results, run_path, simulate_preset
 from fusion.campaign.joint_report import join_campaign
-from photogram.images.files import open_sequence, read_picture
-from photogram.images.sequence import reading
+from photogram.images.image_files import open_sequence, read_image
+from photogram.images.sequence import wrap_read_errors
 from photogram.point_tables import read_matrix, read_point_tables
 from shaker.io import read_channels
 from shaker.io.text import read_scan_asc, read_table_columns, table_units
@@ -260,7 +260,7 @@ def _known_points(path: Path) -> None:
 
 
 def _matrix(path: Path) -> None:
-    with reading(path):
+    with wrap_read_errors(path):
         read_matrix(path)
 
 
@@ -295,10 +295,10 @@ SEEDS: dict[str, Seed] = {
     "mdf": Seed(_mdf, (_channels,), (".mf4",)),
     "dewesoft": Seed(_dewesoft, (_channels,), (".dxd", ".d7d")),
     "parquet": Seed(_parquet, (_channels,), (".parquet",)),
-    "png": Seed(_grey_files, (_frames, read_picture), (".png",)),
-    "jpeg": Seed(_grey_files, (read_picture,), (".jpg",)),
-    "bmp": Seed(_grey_files, (_frames, read_picture), (".bmp",)),
-    "tiff": Seed(_grey_files, (_frames, read_picture), (".tif", ".tiff")),
+    "png": Seed(_grey_files, (_frames, read_image), (".png",)),
+    "jpeg": Seed(_grey_files, (read_image,), (".jpg",)),
+    "bmp": Seed(_grey_files, (_frames, read_image), (".bmp",)),
+    "tiff": Seed(_grey_files, (_frames, read_image), (".tif", ".tiff")),
     "cine": Seed(_cine, (_frames,), (".cine",)),
     "photron": Seed(_photron, (_frames,), (".cih", ".cihx")),
     "film": Seed(_films, (_frames,), (".avi", ".mp4", ".mkv")),

@@ -31,15 +31,15 @@ import torch
 from large_recording import POSES, SIDES, camera_folder, cameras_from_world, sequence_of, setups, write_recording
 from marked import markdown_table, write_marked
 
-from photogram.direct import fit, fit_torch
+from photogram.direct import direct_fit, fit_torch
 from photogram.direct.fit_torch import fit_frames, torch_view
 from photogram.images.sequence import ImageSequence
 from photogram.kernels.device import resolve_device
 from photogram.measure import follow_torch
-from photogram.measure.follow import BodyScene, KnownBody, follow_block, prepare_body, sine_terms
+from photogram.measure.follow import BodyPrior, BodyScene, follow_block, prepare_body, sine_terms
 from photogram.measure.follow_torch import MOST_FRAMES
 from photogram.subsets.icgn import TrackSettings
-from photogram.subsets.icgn_torch import PRECISION, register_frames, splines_of, torch_reference, uploaded
+from photogram.subsets.icgn_torch import PRECISION, register_frames, splines_of, torch_reference, upload_images
 
 RADIUS_PX, COMPARED = 15, 64
 SETTINGS = TrackSettings(RADIUS_PX, degree=7)
@@ -57,13 +57,13 @@ class Body:
 
 def bodies(folder: Path, frames: int) -> list[Body]:
     """Both bodies with so many frames, of which pictures come from memory, and whose line is known."""
-    found, known = [], KnownBody(terms=sine_terms(np.arange(frames, dtype=np.float64), np.array([1.0 / POSES])))
+    found, known = [], BodyPrior(terms=sine_terms(np.arange(frames, dtype=np.float64), np.array([1.0 / POSES])))
     for setup in setups():
         rig, (left_from_world, _) = cameras_from_world(setup)
         files = [sequence_of(folder / camera_folder(setup, side), setup, POSES + 1) for side in SIDES]
         pictures = tuple(np.stack([one.read(k) for k in range(POSES + 1)]) for one in files)
         images = tuple(repeated(stack, one, frames) for stack, one in zip(pictures, files, strict=True))
-        scene = prepare_body((images[0], images[1]), rig, left_from_world.inverse(), SETTINGS, known=known)
+        scene = prepare_body((images[0], images[1]), rig, left_from_world.inverse(), SETTINGS, prior=known)
         found.append(Body(scene, (pictures[0], pictures[1])))
     return found
 
@@ -82,7 +82,7 @@ def agreement(some: list[Body], device: str) -> tuple[float, int]:
     worst, unlike = 0.0, 0
     for body in some:
         frames = range(2, 2 + COMPARED)
-        with patch.object(fit, "LEFT_OVER", TO_THE_END), patch.object(fit_torch, "LEFT_OVER", TO_THE_END):
+        with patch.object(direct_fit, "LEFT_OVER", TO_THE_END), patch.object(fit_torch, "LEFT_OVER", TO_THE_END):
             here, there = (follow_block(body.scene, frames, where) for where in ("cpu", device))
         for (_, one), (_, other) in zip(here, there, strict=True):
             if one is None or other is None:
@@ -98,7 +98,7 @@ def counted(some: list[Body], device: str) -> str:
     rows, views = list[str](), len(some[0].scene.views)
     for name, scenes in (
         ("known", [body.scene for body in some]),
-        ("unknown", [replace(body.scene, body=KnownBody()) for body in some]),
+        ("unknown", [replace(body.scene, body=BodyPrior()) for body in some]),
     ):
         with (
             patch.object(fit_torch, "_compared", wraps=fit_torch._compared) as compare,
@@ -164,9 +164,9 @@ def stages(body: Body, device: str) -> dict[str, Callable[[], object]]:
     scene = body.scene
     stack, right = ([side[1 + k % POSES] for k in range(MOST_FRAMES)] for side in body.pictures)
     reference = torch_reference(scene.references[0], device, PRECISION)
-    _, there = uploaded(stack, device)
+    _, there = upload_images(stack, device)
     splines = splines_of(there, SETTINGS.degree, PRECISION)
-    other = splines_of(uploaded(right, device)[1], SETTINGS.degree, PRECISION)
+    other = splines_of(upload_images(right, device)[1], SETTINGS.degree, PRECISION)
     targets = [(one, range(MOST_FRAMES)) for one in (splines, other)]
     true = follow_block(scene, range(1, 1 + MOST_FRAMES))
     start = np.stack([found[0].warp for found, _ in true if found is not None])
@@ -176,7 +176,7 @@ def stages(body: Body, device: str) -> dict[str, Callable[[], object]]:
     assert len(begun) == MOST_FRAMES
     views = [torch_view(view, device, PRECISION) for view in scene.views]
     return {
-        "transfer": lambda: uploaded(stack, device),
+        "transfer": lambda: upload_images(stack, device),
         "prefilter": lambda: splines_of(there, SETTINGS.degree, PRECISION),
         "subsets": lambda: register_frames(reference, splines, start, SETTINGS),
         "grey-value fit of a pair": lambda: fit_frames(views, targets, begun),

@@ -3,7 +3,7 @@
     python benchmarks/grey_phasors.py [--draws 4] [--only NAME ...] [--docs docs]
 
 Unknowns are an offset and amplitude and phase of six components at every line; frames are not fitted one by one, but
-their information H and slope g (`photogram.direct.fit`) at the motion that the unknowns say are summed, Σ Φᵀ·H·Φ and
+their information H and slope g (`photogram.direct.direct_fit`) at the motion that the unknowns say are summed, Σ Φᵀ·H·Φ and
 Σ Φᵀ·g with the columns Φ of the sine fit, and solved until nothing changes. A frame that fixes no motion of its own
 counts as far as it tells. Pictures are of the preset `demo` without systematic errors, rendered once for each case and
 given other noise in each draw; the truth is the sine fit to the true motions.
@@ -24,7 +24,7 @@ from fusion.simulate.preset import Preset, face_of, read_preset
 from fusion.simulate.world import Draws, make_world
 from photogram.bspline import Spline, spline_of_image
 from photogram.direct.cells import compare_cells
-from photogram.direct.fit import BodyView, _rigid_cells, rest_information, without_noise
+from photogram.direct.direct_fit import BodyView, _rigid_cells, rest_information, without_noise
 from photogram.direct.surface import patch_warps
 from photogram.geometry import RigidTransform, pose_rate
 from photogram.images.sequence import ImageSequence
@@ -34,7 +34,7 @@ from photogram.subsets.icgn import TrackSettings
 from photogram.synthetic.scene import render_exposure
 from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.sine.aliasing import sine_columns
-from shaker.sine.fit import fit_sines
+from shaker.sine.sine_fit import fit_sines
 from shaker.sine.solve import SineModel
 
 FloatArray = NDArray[np.float64]
@@ -147,7 +147,7 @@ class Found:
 def frame_by_frame(scene: BodyScene, seen: Pictures) -> tuple[Found, FloatArray, FloatArray]:
     """Return what the program finds, and motion (F, 6) with covariance (F, 6, 6) of every frame."""
     body = body_motion(scene, [follow_block(scene, block) for block in scene.blocks])
-    pose, missed = body.motion.pose, int(np.count_nonzero(np.isnan(body.deformed.amplitude[1:, 0])))
+    pose, missed = body.motion.pose, int(np.count_nonzero(np.isnan(body.shape_amplitudes.amplitude[1:, 0])))
     model = SineModel(robust=True)
     fit = fit_sines(seen.time_s, pose, seen.frequency_hz, MOTION_COMPONENTS, component_units(0), model=model)
     return Found(fit.phasors.value, (fit.phasors.u_re + fit.phasors.u_im) / 2, missed), pose, body.motion.covariance

@@ -17,10 +17,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from shaker.identification.fit import Identification, identify
-from shaker.identification.measured import InertiaError, MeasuredSensitivity, MeasuredTransfer, Placement, RelativeError
+from shaker.identification.measured_curves import (
+    CurveError,
+    InertiaError,
+    MeasuredSensitivity,
+    MeasuredTransfer,
+    Placement,
+)
 from shaker.identification.sensitivity import SensitivityComparison, SpringPrior, fit_sensitivity
-from shaker.identification.structures import Suspension
+from shaker.identification.structure_fit import Identification, identify
+from shaker.identification.structures import SpringSuspension
 from shaker.sine.phasor import Phasors
 
 FloatArray = NDArray[np.float64]
@@ -51,7 +57,7 @@ STEPS_HZ = 53.7 * np.array([1, 2, 3, 5, 7, 9, 11, 13, 14, 15, 17, 19])
 S_0, LAG_S, U_S, U_RATIO = 2.0e-7, 50e-6, 3e-4, 3e-4
 COVERAGE_K = 1.96
 Make = Callable[[np.random.Generator, float], tuple[list[MeasuredTransfer], dict[str, float]]]
-Case = tuple[str, int, Make, float, Suspension, dict[str, tuple[float, float]]]
+Case = tuple[str, int, Make, float, SpringSuspension, dict[str, tuple[float, float]]]
 
 
 @dataclass(frozen=True)
@@ -103,13 +109,13 @@ def curve(
     )
 
 
-def _instrument_errors(names: Sequence[str], turn: ComplexArray) -> Iterator[RelativeError]:
+def _instrument_errors(names: Sequence[str], turn: ComplexArray) -> Iterator[CurveError]:
     """Yield scale and delay of base and tops as named errors."""
     count, lines = len(names), len(turn)
     for number, name in enumerate(("base", *names)):
         share = -np.ones(count) if number == 0 else np.eye(count)[number - 1]
-        yield RelativeError(f"{name}: scale", np.tile(U_SCALE * share, (lines, 1)).astype(np.complex128))
-        yield RelativeError(f"{name}: delay", U_DELAY * turn * share)
+        yield CurveError(f"{name}: scale", np.tile(U_SCALE * share, (lines, 1)).astype(np.complex128))
+        yield CurveError(f"{name}: delay", U_DELAY * turn * share)
 
 
 def near(resonances_hz: Sequence[float] | FloatArray, half_width: float, spacing_hz: float) -> FloatArray:
@@ -278,7 +284,7 @@ def fitted(
     trials: int,
     make: Make,
     spacing_hz: float,
-    structure: Suspension,
+    structure: SpringSuspension,
     known: dict[str, tuple[float, float]],
 ) -> tuple[Counted, FloatArray]:
     """Return what fits found in so many trials, and what eq. 9 on the bin maxima misses (N, 3).
@@ -288,7 +294,7 @@ def fitted(
     counted, by_bin = Counted({}, {}), []
     for _ in range(trials):
         records, true = make(rng, spacing_hz)
-        counted.add(identify(records, structure, known=known), true)
+        counted.add(identify(records, structure, stated_values=known), true)
         stiffness, m_i = true[next(iter(true))], true["internal_mass"]
         places = [int(np.argmax(np.abs(record.ratio.value[:, 0]))) for record in records]
         square = [
@@ -311,8 +317,8 @@ def sensitivity(rng: np.random.Generator) -> tuple[MeasuredSensitivity, SpringPr
     sigma = U_RATIO * S_0
     value = value + sigma * (rng.standard_normal(len(s)) + 1j * rng.standard_normal(len(s)))
     errors = (
-        RelativeError("scale", np.full((len(s), 1), U_S, dtype=np.complex128)),
-        RelativeError("delay", -U_DELAY * s[:, None]),
+        CurveError("scale", np.full((len(s), 1), U_S, dtype=np.complex128)),
+        CurveError("delay", -U_DELAY * s[:, None]),
     )
     covariance = np.tile(sigma**2 * np.eye(2), (len(s), 1, 1))
     measured = MeasuredSensitivity("Fz", "Fz", STEPS_HZ, value, covariance, "(V/V)/N", errors)
@@ -350,14 +356,14 @@ def main() -> None:
     rng, trials = np.random.default_rng(options.seed), options.trials
     bars = {"stiffness_z": 5e-4, "damping_z": 0.02, "internal_mass": 3e-3, "stiffness_x": 2e-3}
     cases: tuple[Case, ...] = (
-        ("two loads, grid 0.78125 Hz", trials, axial, PAPER_HZ, Suspension((2,)), {}),
-        ("two loads, grid 0.1 Hz", trials // 10, axial, 0.1, Suspension((2,)), {}),
+        ("two loads, grid 0.78125 Hz", trials, axial, PAPER_HZ, SpringSuspension((2,)), {}),
+        ("two loads, grid 0.1 Hz", trials // 10, axial, 0.1, SpringSuspension((2,)), {}),
         (
             "pitching, grid 0.78125 Hz",
             trials // 8,
             pitching,
             PAPER_HZ,
-            Suspension((0, 4)),
+            SpringSuspension((0, 4)),
             {"internal_inertia_ry": (0.0, 0.0)},
         ),
     )
@@ -382,7 +388,7 @@ def main() -> None:
     print("\n".join(bins))
     six, true = six_components(rng)
     started = time.process_time()
-    found = identify(six, Suspension(tuple(range(6))))
+    found = identify(six, SpringSuspension(tuple(range(6))))
     time_s = time.process_time() - started
     off = np.abs([(found.value(name) - value) / found.u(name) for name, value in zip(found.names, true, strict=True)])
     print(f"\nsix free components, four recordings: {time_s:.1f} s of CPU time, largest error {off.max():.1f} u")

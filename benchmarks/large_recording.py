@@ -33,16 +33,16 @@ import tifffile
 from numpy.typing import NDArray
 
 from fusion.base import Settings
-from fusion.phasors.followed import Followed
-from fusion.phasors.setup import OpenSetUp, open_set_ups
-from fusion.phasors.stereo_motion import OpenImages, body_inputs, seen_motion
+from fusion.phasors.set_up import PreparedSetUp, prepare_set_ups
+from fusion.phasors.stereo_motion import PreparedImages, body_inputs, motion_from_tracks
 from fusion.phasors.stereo_phasors import stereo_phasors
+from fusion.phasors.tracked_blocks import TrackedBlocks
 from fusion.recording.load import load_manifest
-from fusion.report.files import Kept
+from fusion.report.atomic_files import Checkpoint
 from fusion.simulate.preset import Preset, StereoSetup, face_of, nominal_rig, read_preset
 from photogram.camera import StereoRig
 from photogram.geometry import RigidTransform
-from photogram.images.files import open_sequence
+from photogram.images.image_files import open_sequence
 from photogram.images.sequence import ImageSequence
 from photogram.measure.body import body_motion
 from photogram.measure.follow import BLOCK_FRAMES, BodyScene, follow_block, prepare_body
@@ -108,12 +108,12 @@ def print_growth(folder: Path, frames: int) -> None:
 
 def growth(folder: Path, frames: int, repeated: int) -> str:
     """Return a row: blocks of some frames followed and kept, or the frames of all blocks, repeated, evaluated."""
-    (opened,) = open_set_ups(load_manifest(next(SAMPLE.glob("*/recording.toml"))))  # for its channels and lines
+    (opened,) = prepare_set_ups(load_manifest(next(SAMPLE.glob("*/recording.toml"))))  # for its channels and lines
     images, scene = large_pair(folder, opened.images[0], frames)
-    kept, (name, own) = Kept(folder / "results", lambda: "growth"), ("followed", len(scene.blocks))
+    kept, (name, own) = Checkpoint(folder / "results", lambda: "growth"), ("followed", len(scene.blocks))
     starts = range(scene.blocks[0].start, 1 + max(1, repeated) * own * BLOCK_FRAMES, BLOCK_FRAMES)
     scene = replace(scene, blocks=tuple(range(start, start + BLOCK_FRAMES) for start in starts))
-    followed, begun = Followed(images, scene, "cpu", kept), time.process_time()
+    followed, begun = TrackedBlocks(images, scene, "cpu", kept), time.process_time()
     if not repeated:
         for block in scene.blocks:
             followed.add(block, follow_block(scene, block))
@@ -131,7 +131,7 @@ def growth(folder: Path, frames: int, repeated: int) -> str:
     return f"| {count} | {pictures / 1e9:.1f} | {name} | {peak_bytes() / 1e9:.2f} | {each} |"
 
 
-def large_pair(folder: Path, sample: OpenImages, frames: int) -> tuple[OpenImages, BodyScene]:
+def large_pair(folder: Path, sample: PreparedImages, frames: int) -> tuple[PreparedImages, BodyScene]:
     """The first pair with so many frames, in whole blocks, its pictures repeated, in place of that of the sample."""
     setup = next(setups())
     rig, placed = nominal_rig(setup)
@@ -144,10 +144,10 @@ def large_pair(folder: Path, sample: OpenImages, frames: int) -> tuple[OpenImage
     return images, prepare_body(*body_inputs(images, Settings()))
 
 
-def evaluate(opened: OpenSetUp, images: OpenImages, followed: Followed) -> None:
+def evaluate(opened: PreparedSetUp, images: PreparedImages, followed: TrackedBlocks) -> None:
     """Compute what a run does of the frames of a pair that are followed, taken at equal distances in time."""
     assert opened.lines is not None
-    measured = seen_motion(images, body_motion(followed.scene, followed))
+    measured = motion_from_tracks(images, body_motion(followed.scene, followed))
     known_s = measured.sight.time_s
     time_s = known_s[0] + np.mean(np.diff(known_s)) * np.arange(len(measured.motion.pose))
     stereo_phasors(opened.base, replace(measured, sight=replace(measured.sight, time_s=time_s)), opened.lines)

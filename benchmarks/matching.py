@@ -21,9 +21,9 @@ from photogram.camera import Camera, StereoRig
 from photogram.geometry import RigidTransform
 from photogram.images.sequence import ImageSequence
 from photogram.subsets.icgn import TrackSettings
-from photogram.subsets.texture import lay_grid, saturated, textured_area
+from photogram.subsets.texture import find_saturated, lay_grid, textured_area
 from photogram.subsets.track import lay_stereo_grid
-from photogram.synthetic.scene import Face, ImageSensor, render, speckle_texture, tiled, view_of
+from photogram.synthetic.scene import Face, ImageSensor, render, speckle_texture, tile_texture, view_of
 
 FloatArray = NDArray[np.float64]
 SIZE_PX = np.array([512, 400])
@@ -86,7 +86,7 @@ def face_of(scene: Scene, seed: int) -> Face:
     rng = np.random.default_rng(seed)
     size = 2.2 * max(scene.half_m)
     texture = speckle_texture((size, size), DOT_PX * PIXEL_M, PIXEL_M / 3, PIXEL_M, rng)
-    texture = tiled(texture, scene.period_m) if scene.period_m > 0 else texture
+    texture = tile_texture(texture, scene.period_m) if scene.period_m > 0 else texture
     tilt = RigidTransform.from_pose(np.array([0, 0, 0, *np.radians([*scene.tilt_deg, scene.turn_deg])])).rotation
     dark, bright = scene.grey
     half = np.array(scene.half_m)
@@ -136,7 +136,7 @@ def matched(scene: Scene, seed: int, noise_seed: int, calibrated: bool) -> tuple
     expected = true_right(scene, face, points)
     seen = ((expected > 16) & (expected < SIZE_PX - 17)).all(axis=1)
     for images, places in ((left, points), (right, expected)):
-        seen &= ~saturated(images.read(0), SENSOR.full_scale, places, settings.radius_px)
+        seen &= ~find_saturated(images.read(0), SENSOR.full_scale, places, settings.radius_px)
     started = time.process_time()
     try:
         grid = lay_stereo_grid(left, right, rig if calibrated else None, settings)

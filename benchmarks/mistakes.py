@@ -28,11 +28,12 @@ import numpy as np
 from marked import write_marked
 from violations import RIGS, opening, preset_of
 
-from fusion.base import ComputeError, InputError, Settings
+from fusion.base import Settings
+from fusion.errors import ComputeError, InputError
 from fusion.planning.check import check
 from fusion.recording.load import load_manifest
 from fusion.recording.toml import to_toml
-from fusion.sensitivity.evaluate import evaluate_recording
+from fusion.sensitivity.recording_evaluation import evaluate_recording
 from fusion.simulate.sines import driven, rendered_run, write_run
 from fusion.simulate.world import Draws, make_world
 

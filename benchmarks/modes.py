@@ -71,7 +71,7 @@ def draw(folder: Path, case: str, seed: int, frames: int, scale: float) -> dict[
         tell(seed, treatment, found[treatment])
     for spots, (share, every) in ({} if treatments else SPOTS).items():
         if share and every == 1:
-            moved, world, drawing = looking(case, read_preset(Preset, name).shrunk(frames, scale), seed, share)
+            moved, world, drawing = looking(case, read_preset(Preset, name).reduced(frames, scale), seed, share)
             with pictures_of(recording):
                 elsewhere = write_run(folder / f"{share}", rendered_run(moved), world, drawing)
             found[spots] = error(evaluate_recording(load_manifest(elsewhere)), elsewhere)
@@ -101,7 +101,7 @@ def tell(seed: int, name: str, found: tuple[float, float]) -> None:
 
 def drawn(case: str, draws: int, frames: int) -> Iterator[dict[str, tuple[float, float]]]:
     """Yield error and U of the element by where the lasers look, of one draw after the other that is not rendered."""
-    preset = read_preset(Preset, CASES[case][0]).shrunk(frames, 1.0)
+    preset = read_preset(Preset, CASES[case][0]).reduced(frames, 1.0)
     with tempfile.TemporaryDirectory() as folder:
         template = make_template(Path(folder) / "template", preset)
         for seed in range(1, draws + 1):
@@ -130,7 +130,7 @@ def looking(case: str, preset: Preset, seed: int, share: float) -> tuple[Preset,
                 channels[place] = replace(spec, point=(size * x, size * y, z))
         daqs.append(replace(daq, channels=tuple(channels)))
     moved = replace(preset, daqs=tuple(daqs))
-    drawing = Draws(seed, True, broken=violations(CASES[case][1], moved))
+    drawing = Draws(seed, True, violations=violations(CASES[case][1], moved))
     return moved, make_world(moved, drawing, TRIGGER_JITTER_S), drawing
 
 

@@ -18,16 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.base import Settings
-from fusion.phasors.stereo_motion import open_images, sensor_from_camera
+from fusion.phasors.stereo_motion import prepare_images, sensor_from_camera
 from fusion.phasors.timing import tie_daqs
-from fusion.recording.files import read_daqs
+from fusion.recording.daq_records import read_daqs
 from fusion.recording.load import find_recordings, load_manifest
 from fusion.simulate import simulate
 from fusion.simulate.world import frame_bounds
 from photogram.measure.body import measure_body
 from photogram.motion import RigidMotion
 from photogram.subsets.icgn import TrackSettings
-from shaker.sine.fit import fit_sines
+from shaker.sine.sine_fit import fit_sines
 
 FloatArray = NDArray[np.float64]
 COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
@@ -46,7 +46,7 @@ def measure(folder: Path, seed: int, frames: int) -> dict[tuple[str, str], Float
     base, settings = tie_daqs(manifest, read_daqs(manifest)), TrackSettings(degree=Settings().spline_degree)
     found = {}
     for entry in manifest.images:
-        seen = open_images(manifest, base, entry)
+        seen = prepare_images(manifest, base, entry)
         body = measure_body(seen.cameras, seen.rig, sensor_from_camera(seen.sight.pair), settings)
         exact = np.array(truth["motion"][entry.stereo])
         for method, motion in (("grey values", body.motion), ("points", body.motion_of_points)):

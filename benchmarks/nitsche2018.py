@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 from fusion.base import Settings
 from fusion.recording.load import find_recordings, load_manifest
 from fusion.sensitivity.analyse import Evaluation
-from fusion.sensitivity.evaluate import evaluate_recording
+from fusion.sensitivity.recording_evaluation import evaluate_recording
 from fusion.simulate import simulate
 from fusion.simulate.world import frame_bounds
-from shaker.sine.fit import fit_sines
 from shaker.sine.phasor import Phasors
+from shaker.sine.sine_fit import fit_sines
 
 FloatArray = NDArray[np.float64]
 DRIVEN = 2  # z

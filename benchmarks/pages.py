@@ -19,10 +19,10 @@ from playwright.sync_api import sync_playwright
 
 from fusion.campaign import joint_report
 from fusion.cli import main
-from fusion.report import recording
+from fusion.report import recording_report
 
 PRESETS = {
-    "demo": ("Fz-0080/report.html", recording, "render_report"),
+    "demo": ("Fz-0080/report.html", recording_report, "render_report"),
     "sweep": ("report.html", joint_report, "render_campaign"),
 }
 NAMES = {"demo": "recording of the demo, 21 figures", "sweep": "campaign of 48 recordings"}

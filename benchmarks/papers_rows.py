@@ -18,9 +18,9 @@ from published_formulas import (
 )
 from scipy.optimize import least_squares
 
-from shaker.identification.measured import MeasuredCurve
+from shaker.identification.measured_curves import MeasuredCurve
 from shaker.identification.oscillator import PeakReadings, peak_readings
-from shaker.identification.sensor import Chain
+from shaker.identification.sensor import ChainModel
 from shaker.mechanics import MassChain, required_stiffness, shared_spring
 from shaker.sine.phasor import derivative_factor
 from shaker.static_rotation.harmonics import fit_angles
@@ -297,7 +297,7 @@ def sensitivity() -> list[Row]:
     needed = damping_from_sensitivity(0.953, 1000.0, k[0]), damping_from_phase(-0.25, 800.0, k[0], "series")
     times = needed[0] / paper.DAMPING_KG_PER_S[0]
     zeta = needed[0] / (2 * sqrt(k[0] * (paper.LOADS_KG[0] + paper.INTERNAL_KG)))
-    lag = Chain("lag", np.array([paper.LAG_S])).response(np.array([800.0, 1000.0]))
+    lag = ChainModel("lag", np.array([paper.LAG_S])).response(np.array([800.0, 1000.0]))
     left_out = 100 * paper.INTERNAL_KG / np.array(paper.LOADS_KG)
     return [
         Row(

@@ -11,14 +11,14 @@ from papers_rows import EXPLAINED, HOLDS, NOT, OPEN, ROUNDED, WRONG, Row
 from scipy.optimize import brentq
 
 from shaker.compensation.effects import residual_ringing
-from shaker.compensation.filter import Compensation, Target, best_damping, loaded_dynamics, single_mode
+from shaker.compensation.filter import Compensation, CompensationTarget, best_damping, loaded_dynamics, single_mode
 from shaker.lti.indices import Indices, indices
 from shaker.lti.system import LinearSystem
 from shaker.mechanics import shared_spring
 from shaker.release.load_model import LoadModel, first_mode_hz, formula_limit, load_curve
 from shaker.release.load_modes import Resonances, SeriesMasses
+from shaker.release.load_response import pole_responses
 from shaker.release.load_series import fit_resonances
-from shaker.release.response import pole_responses
 
 FloatArray = NDArray[np.float64]
 AFTER_S = 2e-3
@@ -163,8 +163,8 @@ def compensation() -> list[Row]:
     sensor = paper.TWO_MASS.system(0.151)
     before, after = indices(sensor), indices(paper.compensated())
     omega = sqrt(3.94e7)
-    made = Compensation(loaded_dynamics(paper.TWO_MASS, 0.151), Target(omega / (2 * pi), 0.5))
-    exact = Compensation(loaded_dynamics(paper.TWO_MASS, 0.151), Target(1000.0, 0.5)).compensated
+    made = Compensation(loaded_dynamics(paper.TWO_MASS, 0.151), CompensationTarget(omega / (2 * pi), 0.5))
+    exact = Compensation(loaded_dynamics(paper.TWO_MASS, 0.151), CompensationTarget(1000.0, 0.5)).compensated
     target = -2 * exact.poles[0].real, abs(exact.poles[0]) ** 2
     better = indices(single_mode(omega / (2 * pi), 0.6).system)
     best = indices(single_mode(omega / (2 * pi), best_damping(0.1)).system)

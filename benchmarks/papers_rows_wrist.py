@@ -11,14 +11,14 @@ from papers_rows import EXPLAINED, HOLDS, NOT, OPEN, ROUNDED, WRONG, Row
 from published_formulas import rounding_range, supported_deflection
 from scipy.optimize import brentq
 
-from fusion.sensor.elastomer.evaluate import ComparedColumn, spread
+from fusion.sensor.elastomer.element_evaluation import ComparedColumn, spread
 from shaker.compensation.filter import band_ratio, single_mode
 from shaker.elastomer.frame import platform_family
 from shaker.elastomer.geometry import PublishedStatics, beam_stiffness, guided_stiffness
 from shaker.lti.indices import Indices, Mode, indices
 from shaker.mechanics import MassChain, oscillator_hz, required_stiffness
-from shaker.release.fit import fit_sim, fit_step
 from shaker.release.record import StepRecord
+from shaker.release.step_fit import fit_sim, fit_step
 
 FloatArray = NDArray[np.float64]
 POINT_M = 1e-9

@@ -21,9 +21,9 @@ from coverage_poses import RUNS, Named, recorded
 from marked import markdown_table, write_marked
 from numpy.typing import NDArray
 
-from fusion.campaign.unknowns import carry_unknowns
+from fusion.campaign.unknowns import apply_joint_estimate
 from fusion.simulate.preset import Preset, nominal_rig, read_preset
-from photogram.calibration.bundle import see
+from photogram.calibration.bundle import model_pixels
 from photogram.camera import RIG_PARAMETERS, StereoRig, triangulate
 from photogram.geometry import RigidTransform, rotation_from_vector, skew
 from shaker.labels import MOTION_COMPONENTS
@@ -80,7 +80,7 @@ def adjusted(rig: StereoRig, left: RigidTransform, points: FloatArray, match_px:
         rows, by_pose = np.zeros((4 * count, len(prior))), np.zeros((4 * count, 6))
         placed = camera @ RigidTransform.from_pose(pose)
         for side, lens in enumerate((rig.left, rig.right)):
-            seen = see(lens, rig.right_from_left if side else RigidTransform.identity(), placed, points, 0.0)
+            seen = model_pixels(lens, rig.right_from_left if side else RigidTransform.identity(), placed, points, 0.0)
             here = slice(2 * count * side, 2 * count * (side + 1))
             rows[here, :rig_size] = seen.by_rig(side)[..., :rig_size].reshape(-1, rig_size)
             by_point = rows[here, rig_size : rig_size + 3 * count].reshape(count, 2, count, 3)
@@ -200,10 +200,10 @@ def needed_rows(campaigns: int) -> list[str]:
                 recorded(place, rotation, Named(seed, True, mounting=str(place), recording=str(place)))[0]
                 for place in range(len(RUNS))
             ]
-            both = found, carry_unknowns("c", found, lambda drive: drive)[0]
+            both = found, apply_joint_estimate("c", found, lambda drive: drive)[0]
             for size, entries in zip(sizes, both, strict=True):
                 for entry, run in zip(entries, RUNS, strict=True):
-                    for drive in entry.drives:
+                    for drive in entry.excited_lines:
                         variance = np.diagonal(drive.load_uncertainty.covariance[0])
                         u = np.sqrt((variance[:3] + variance[6:9]) / 2.0) / np.linalg.norm(drive.load[:3])
                         size += [float(u[j]) for j in range(3) if j != run.driven]

@@ -26,19 +26,19 @@ from numpy.typing import NDArray
 from published_figures import SweepPoint
 from scipy.optimize import least_squares
 
-from fusion.base import Settings, rounded
+from fusion.base import Settings, round_to_uncertainty
 from fusion.campaign.curve import ratio_curves
-from fusion.campaign.drive import Drive, drives_of, with_starts
+from fusion.campaign.excited_line import ExcitedLine, excited_lines_of, with_starts
 from fusion.estimation.coverage import Polar, polar
 from fusion.estimation.uncertainty import element_covariance
 from fusion.instruments.vibrometer import PointRatios
 from fusion.phasors.stereo_phasors import StereoResult
 from fusion.recording.load import load_manifest
 from fusion.sensitivity.analyse import Evaluation
-from fusion.sensitivity.evaluate import evaluate_recording
+from fusion.sensitivity.recording_evaluation import evaluate_recording
 from fusion.simulate import simulate
-from shaker.sine.fit import fit_sines
 from shaker.sine.phasor import derivative_factor
+from shaker.sine.sine_fit import fit_sines
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -91,7 +91,7 @@ def source(evaluation: Evaluation, name: str, line: int) -> Polar:
 
 def told(value: float, expanded: float, unit: str = "") -> str:
     """Return value ± U, rounded to two digits of U."""
-    text = rounded(value, expanded)
+    text = round_to_uncertainty(value, expanded)
     body = f"{text.value} ± {text.expanded}"
     power = f"({body})·10^{text.exponent}" if text.exponent else body
     return f"{power} {unit}".strip()
@@ -192,13 +192,13 @@ def evaluated_sweep(folder: Path, seed: int) -> tuple[list[SweepPoint], float]:
     """Simulate the sweep unless it is there and evaluate it: one point per frequency, and the static sensitivity."""
     if not folder.exists():
         simulate(folder, "sweep", seed)
-    drives: list[Drive] = []
+    drives: list[ExcitedLine] = []
     ratios: dict[float, tuple[PointRatios, complex]] = {}
     static = 0.0
     for truth_file in sorted(folder.glob("*/truth.json")):
         evaluation = evaluate_recording(load_manifest(truth_file.parent), Settings(), {})
         truth = json.loads(truth_file.read_text(encoding="utf-8"))
-        drives += drives_of(evaluation)
+        drives += excited_lines_of(evaluation)
         own = next(spread.ratios for spread in evaluation.points if spread.ratios is not None)
         ratios.setdefault(round(truth["frequencies"][0], 1), (own, complex(complex_of(truth["sensitivity"])[0, Z, Z])))
         sensor = evaluation.manifest.rig.sensor

@@ -13,7 +13,7 @@ from published_paper import DAMPING_KG_PER_S, INTERNAL_KG, LAG_S, LOADS_KG, RESO
 
 from fusion.phasors.stereo_phasors import StereoResult
 from fusion.report.figure import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, RED, SKY
-from fusion.report.printed import as_file, drawing, new_figure
+from fusion.report.figure_files import drawing, figure_bytes, new_figure
 from fusion.sensitivity.analyse import Evaluation
 from shaker.mechanics import required_stiffness
 from shaker.sine.phasor import Phasors
@@ -97,7 +97,7 @@ def draw_trigger(evaluation: Evaluation) -> bytes:
         lower.set_ylabel("trigger / V")
         lower.set_xlabel("time / s")
         lay_out([upper, lower])
-        return as_file(figure, "png")
+        return figure_bytes(figure, "png")
 
 
 def derivative(values: FloatArray, rate_hz: float) -> FloatArray:
@@ -136,7 +136,7 @@ def draw_spectrum(evaluation: Evaluation) -> bytes:
         axes.set_xlabel("frequency / Hz")
         axes.set_ylabel("acceleration / (m/s²)")
         lay_out([axes])
-        return as_file(figure, "png")
+        return figure_bytes(figure, "png")
 
 
 def folded(stereo: StereoResult, component: int, steps: int = 20) -> tuple[FloatArray, FloatArray]:
@@ -164,7 +164,7 @@ def draw_displacement(stereo: StereoResult) -> bytes:
         upper.legend(loc="upper right", ncols=2)
         upper.set_ylim(-0.56, 0.68)
         lay_out([upper, lower])
-        return as_file(figure, "png")
+        return figure_bytes(figure, "png")
 
 
 def draw_axis(stereo: StereoResult) -> bytes:
@@ -180,7 +180,7 @@ def draw_axis(stereo: StereoResult) -> bytes:
         upper.legend(loc="upper right", ncols=2)
         lower.set_xlabel("time / s")
         lay_out([upper, lower])
-        return as_file(figure, "png")
+        return figure_bytes(figure, "png")
 
 
 def _draw_component(axes: Axes, stereo: StereoResult, component: int, factor: float) -> None:
@@ -220,4 +220,4 @@ def draw_sweep(points: Sequence[SweepPoint], static: float) -> bytes:
         upper.legend(loc="lower left")
         upper.set_xlim(0.0, fine[-1])
         lay_out([upper, lower])
-        return as_file(figure, "png")
+        return figure_bytes(figure, "png")

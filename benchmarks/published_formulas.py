@@ -14,7 +14,7 @@ import numpy as np
 
 from shaker.arrays import FloatArray, check_shape
 from shaker.elastomer.geometry import PublishedStatics
-from shaker.identification.oscillator import LEVELS, Width
+from shaker.identification.oscillator import LEVELS, PeakWidth
 
 Form = Literal["exact", "series"]
 
@@ -85,7 +85,7 @@ def _turned(frequency_hz: FloatArray, k: float, b: float) -> FloatArray:
     return np.asarray(2.0 * np.pi * np.asarray(frequency_hz, dtype=np.float64) * (b / k))
 
 
-def damping_from_width(width_hz: float, mass: float, width: Width = "half_power") -> float:
+def damping_from_width(width_hz: float, mass: float, width: PeakWidth = "half_power") -> float:
     """Return b = √(km)·Δf/f₀ = 2πmΔf, kg/s (Nitsche et al. 2018, equation 10, which holds for the half-power width).
 
     The width at half the amplitude is √3 times as large and is divided by it.
@@ -93,7 +93,7 @@ def damping_from_width(width_hz: float, mass: float, width: Width = "half_power"
     return float(2.0 * np.pi * mass * width_hz / np.sqrt(LEVELS[width] - 1.0))
 
 
-def width_from_damping(damping: float, mass: float, width: Width = "half_power") -> float:
+def width_from_damping(damping: float, mass: float, width: PeakWidth = "half_power") -> float:
     """Return the width Δf in Hz that a damping b shows: b/(2πm), times √3 at half the amplitude."""
     return float(damping * np.sqrt(LEVELS[width] - 1.0) / (2.0 * np.pi * mass))
 

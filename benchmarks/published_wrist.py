@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from shaker.elastomer.geometry import CrossBeams, Material
+from shaker.elastomer.geometry import CrossBeams, ElasticMaterial
 from shaker.lti.system import LinearSystem
 
 FloatArray = NDArray[np.float64]
 
 RATE_HZ = 100e3
-BEAMS = CrossBeams(Material(72e9, 0.3, 2820.0), 64e-3, 3.8e-3, 3.8e-3, 1e-3, 32e-3, 3.8e-3)
+BEAMS = CrossBeams(ElasticMaterial(72e9, 0.3, 2820.0), 64e-3, 3.8e-3, 3.8e-3, 1e-3, 32e-3, 3.8e-3)
 """Table 1; the height of the compliant beams is that of the beams."""
 SPRING_N_PER_M, MASS_KG = 1.824e5, 0.049
 COMPONENTS = ("Fx", "My", "Mz", "Fz")

@@ -18,21 +18,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from photogram.calibration.exchange.read import import_calibration
-from photogram.calibration.file import read_calibration
+from photogram.calibration.calibration_file import read_calibration
+from photogram.calibration.exchange.calibration_import import import_calibration
 from photogram.camera import Camera, StereoRig, epipolar_residual, triangulate
 from photogram.geometry import RigidTransform, fit_rigid, rotation_from_vector, vector_from_rotation
-from photogram.images.files import open_sequence
+from photogram.images.image_files import open_sequence
 from photogram.motion import fit_motion
 from photogram.subsets.icgn import TrackSettings
 from photogram.subsets.reference import TrackStatus
 from photogram.subsets.track import match_stereo, track_sequence, track_stereo
-from shaker.identification.measured import MeasuredCurve
+from shaker.identification.measured_curves import MeasuredCurve
 from shaker.identification.oscillator import Resonance, fit_resonance
-from shaker.identification.sensor import NO_CHAIN, Chain, Load, SensorModel, correct_record, usable_band
+from shaker.identification.sensor import NO_CHAIN, ChainModel, Load, SensorModel, correct_record, usable_band
 from shaker.io import read_channels
 from shaker.lines.frequencies import find_lines
-from shaker.sine.fit import fit_sines
+from shaker.sine.sine_fit import fit_sines
 
 FloatArray = NDArray[np.float64]
 ROOT = Path(__file__).resolve().parent.parent
@@ -294,7 +294,7 @@ def as_sensor(fit: Resonance) -> SensorModel:
     slopes[0, place["gain_re"]] = slopes[4, place["delay_s"]] = 1.0
     slopes[1:3, place["frequency_hz"]] = 4.0 * np.pi * np.array([omega, zeta])
     slopes[2, place["damping_ratio"]] = 2.0 * omega
-    covariance, chain = slopes @ fit.covariance @ slopes.T, Chain("delay", np.array([fit.delay_s]))
+    covariance, chain = slopes @ fit.covariance @ slopes.T, ChainModel("delay", np.array([fit.delay_s]))
     return SensorModel(fit.gain.real, omega**2, 2.0 * zeta * omega, 0.0, chain, covariance, "1/N")
 
 

@@ -26,13 +26,13 @@ from numpy.typing import NDArray
 from fusion.estimation.fuse import fuse
 from fusion.estimation.measurement_model import Observation
 from fusion.estimation.uncertainty import polar_elements
-from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels
+from fusion.instruments.channel import ChainUncertainty, ChannelReading, observe_channels
 from fusion.instruments.stereo import StereoReading
 from fusion.recording.load import load_manifest
 from fusion.recording.manifest import ChannelEntry
-from fusion.recording.rig import Head, NamedHead, Stereo
+from fusion.recording.rig import InstrumentHead, NamedHead, Stereo
 from fusion.recording.toml import to_toml
-from fusion.sensitivity.evaluate import evaluate_recording
+from fusion.sensitivity.recording_evaluation import evaluate_recording
 from fusion.sensitivity.supports import without_supports
 from fusion.simulate import simulate
 from fusion.simulate.preset import Preset, face_of, patches_of, read_preset
@@ -123,14 +123,14 @@ def pair(
     phasors = Phasors(
         np.array([FREQUENCY_HZ]), -value[None] / W**2, covariance[None] / W**4, names, ("m",) * 6, np.array([DOF * 1.0])
     )
-    return StereoReading(name, stereo, phasors, face_m=face).observed()
+    return StereoReading(name, stereo, phasors, face_m=face).observation()
 
 
-def channel(entry: ChannelEntry, value: complex, sigma: float) -> Reading:
+def channel(entry: ChannelEntry, value: complex, sigma: float) -> ChannelReading:
     """Return what a channel reads."""
     covariance = sigma**2 * np.eye(2)[None]
     phasors = Phasors(np.array([FREQUENCY_HZ]), np.array([[value]]), covariance, (entry.name,), ("1",), np.array([1e3]))
-    return Reading(entry, phasors, ChainUncertainty())
+    return ChannelReading(entry, phasors, ChainUncertainty())
 
 
 def readings(case: Case, rng: np.random.Generator) -> tuple[Observation, ...]:
@@ -146,7 +146,7 @@ def readings(case: Case, rng: np.random.Generator) -> tuple[Observation, ...]:
             value = scale["pair"] * moved + rigid_noise(rng, noise, FACE, extent, 1)[0]
             own.append(pair(f"top {body}", body, value, estimated(rng, noise, FACE, extent), FACE, SCALES["pair"]))
     if case.instruments != "cameras":
-        support, head = shaken(rng, case, HEAD), NamedHead("psv", Head())
+        support, head = shaken(rng, case, HEAD), NamedHead("psv", InstrumentHead())
         z = {"direction": (0.0, 0.0, 1.0), "head": head}
         lasers = []
         for number, spot in enumerate(SPOTS):

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from fusion.base import Settings
 from fusion.recording.load import load_manifest
-from fusion.sensitivity.evaluate import evaluate_recording
+from fusion.sensitivity.recording_evaluation import evaluate_recording
 from fusion.simulate.preset import Preset, read_preset
 from fusion.simulate.sines import rendered_run, write_run
 from fusion.simulate.world import Draws, make_world
@@ -109,7 +109,7 @@ def trials(case: Case, recordings: int, without: Callable[[Path], object]) -> tu
                 counts = np.inf if ignored else 1e-5
                 if ignored:
                     without(recording)
-                with patch("fusion.phasors.again.BLUR_COUNTS", counts):
+                with patch("fusion.phasors.shutter_refinement.BLUR_COUNTS", counts):
                     try:
                         error, parts, u = found(recording, true)
                     except Exception as problem:  # what is told to the user of such a recording

@@ -19,7 +19,7 @@ from scipy.signal import lfilter
 from shaker.lines.detection import survey_lines
 from shaker.lines.frequencies import find_lines
 from shaker.lines.peaks import find_peaks
-from shaker.sine.fit import fit_sines
+from shaker.sine.sine_fit import fit_sines
 
 FloatArray = NDArray[np.float64]
 NOTHING = np.empty(0)
@@ -60,7 +60,7 @@ def resonance(rng: np.random.Generator, samples: int) -> FloatArray:
 
 def false_alarms(name: str, records: list[FloatArray]) -> None:
     """Print in how many records of noise a line is found."""
-    found = sum(len(find_peaks(record, STATED, NOTHING, NOTHING).place) > 0 for record in records)
+    found = sum(len(find_peaks(record, STATED, NOTHING, NOTHING).bin_position) > 0 for record in records)
     share = found / len(records)
     print(f"| {name} | {len(records[0])} | {len(records)} | {100 * share:.2f} % | {100 * STATED:.0f} % |", flush=True)
 
@@ -76,7 +76,7 @@ def detection(height_db: float, trials: int) -> None:
         values = amplitude * np.cos(2 * np.pi * turns + rng.uniform(0, 2 * np.pi)) + rng.normal(size=samples)
         expected = np.append(place, rng.uniform(500.0, 20_000.0, size=40))
         for k, places in enumerate((NOTHING, expected)):
-            hits[k] += np.any(np.abs(find_peaks(values, 1e-3, places, NOTHING).place - place) < 1.0)
+            hits[k] += np.any(np.abs(find_peaks(values, 1e-3, places, NOTHING).bin_position - place) < 1.0)
     anywhere, where_expected = 100.0 * hits / trials
     print(f"| {height_db:.0f} | {anywhere:.0f} | {where_expected:.0f} |", flush=True)
 

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from shaker.sine.aliasing import alias_frequency
-from shaker.sine.fit import fit_sines
+from shaker.sine.sine_fit import fit_sines
 
 FloatArray = NDArray[np.float64]
 CAMERA_HZ, FRAMES, DRIVEN_HZ, MAINS_HZ = 52.874, 211, 106.25, 50.0

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from shaker.lines.rate_planner import Lines, RatePlan, Sampling, lines_of, plan_at
+from shaker.lines.rate_planner import PlannedLines, RatePlan, Sampling, lines_of, plan_at
 from shaker.sine.aliasing import nearest_clear_rate
-from shaker.sine.fit import fit_sines
+from shaker.sine.sine_fit import fit_sines
 
 FloatArray = NDArray[np.float64]
 LONGER = 16  # length of the records of 1/f noise, in lengths of the frames cut from them
@@ -83,7 +83,7 @@ def scatter(plan: RatePlan, sampling: Sampling, trials: int, rng: np.random.Gene
     return np.std(np.hstack(size), axis=1), np.sqrt(np.mean(np.hstack(turn) ** 2, axis=1))
 
 
-def exposed(lines: Lines, middle_s: FloatArray, exposure_s: float, phase: FloatArray) -> FloatArray:
+def exposed(lines: PlannedLines, middle_s: FloatArray, exposure_s: float, phase: FloatArray) -> FloatArray:
     """Return frames (S, C) of lines with phases (K, C): means over the exposure, by Gauss's quadrature."""
     nodes, weights = np.polynomial.legendre.leggauss(12)
     values = np.zeros((len(middle_s), phase.shape[1]))

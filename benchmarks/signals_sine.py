@@ -22,8 +22,8 @@ from scipy.linalg import block_diag
 from scipy.optimize import curve_fit
 from scipy.stats import f as f_distribution
 
-from shaker.sine.fit import fit_sines
 from shaker.sine.normal_equations import UniformTimes
+from shaker.sine.sine_fit import fit_sines
 from shaker.sine.solve import SineFit, SineModel
 
 FloatArray = NDArray[np.float64]

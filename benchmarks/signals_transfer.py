@@ -28,8 +28,8 @@ from shaker.frf.impact import transfer_impact
 from shaker.frf.periodic import transfer_periodic
 from shaker.frf.random import transfer_random
 from shaker.frf.result import TransferFunction, TransferRecord
-from shaker.identification.measured import MeasuredCurve
-from shaker.identification.oscillator import Kind, Resonance, fit_resonance
+from shaker.identification.measured_curves import MeasuredCurve
+from shaker.identification.oscillator import Resonance, ResonanceKind, fit_resonance
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -55,14 +55,14 @@ class Case:
     """A kind of record: how to make one, how we estimate, and how pyFRF does."""
 
     name: str
-    kind: Kind
+    kind: ResonanceKind
     make: Callable[[np.random.Generator], TransferRecord]
     estimate: Callable[[TransferRecord], TransferFunction]
     peer: Callable[[TransferRecord], Peer] | None = None
     bound: FloatArray | None = None
 
 
-def response(kind: Kind, frequency_hz: NDArray[Any], decay_per_s: float = 0.0) -> ComplexArray:
+def response(kind: ResonanceKind, frequency_hz: NDArray[Any], decay_per_s: float = 0.0) -> ComplexArray:
     """Return the oscillator's transfer function at s = a + jω, of stiffness 1e8 N/m where driven by a force."""
     s = decay_per_s + 2j * np.pi * frequency_hz
     p = s / (2.0 * np.pi * F0_HZ)
@@ -117,7 +117,7 @@ def harmonic_sum(harmonic: NDArray[np.int64], phasor: ComplexArray, period: floa
     return signal
 
 
-def bound_of(kind: Kind, frequency: NDArray[Any], truth: ComplexArray, variance: NDArray[Any]) -> FloatArray:
+def bound_of(kind: ResonanceKind, frequency: NDArray[Any], truth: ComplexArray, variance: NDArray[Any]) -> FloatArray:
     """Return the Cramér-Rao bound of f0 and damping from lines inside the fitted band; gain and phase are unknown."""
     inside = (frequency >= FIT_HZ[0]) & (frequency <= FIT_HZ[1])
     covariance = variance[inside, None, None] * np.eye(2)
@@ -200,7 +200,7 @@ def peer_of(
     return Peer(np.asarray(np.fft.rfftfreq(size, 1.0 / rate)), ratio, coherence, averages, decay)
 
 
-def peer_results(kind: Kind, peer: Peer) -> FloatArray:
+def peer_results(kind: ResonanceKind, peer: Peer) -> FloatArray:
     """Return f0 and damping (3, 2) from pyFRF's ratio: equal weights, weights of its coherence, peak picking."""
     inside = (peer.frequency_hz >= FIT_HZ[0]) & (peer.frequency_hz <= FIT_HZ[1])
     frequency, ratio, coherence = peer.frequency_hz[inside], peer.ratio[inside], peer.coherence[inside]

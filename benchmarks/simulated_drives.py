@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.campaign.drive import Drive
+from fusion.campaign.excited_line import ExcitedLine
 from fusion.estimation.uncertainty import Contribution, Influence, Scope, Uncertainty
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import LOAD_COMPONENTS
@@ -89,7 +89,7 @@ def drive_setup(
 
 def simulate_drives(
     setups: Sequence[DriveSetup], matrix: ComplexArray, errors: DriveErrors, noise: float = 1.0
-) -> tuple[Drive, ...]:
+) -> tuple[ExcitedLine, ...]:
     """Return what a laboratory finds for true motions: loads and outputs with their errors and what is stated of them.
 
     `noise` scales the noise of motions and outputs, in what is drawn and in what is stated.
@@ -109,7 +109,7 @@ class _Unknown:
     change: NDArray[Any]
 
 
-def _drive(setup: DriveSetup, matrix: ComplexArray, errors: DriveErrors, noise: float) -> Drive:
+def _drive(setup: DriveSetup, matrix: ComplexArray, errors: DriveErrors, noise: float) -> ExcitedLine:
     """One recording."""
     mass = _mass_matrix(_LOAD_KG, np.array([0.0, 0.0, 0.035]), np.diag([0.036, 0.036, 0.031]))
     mass = mass + _mass_matrix(_CROSS_KG, np.array(setup.cross_m), np.diag([2e-3, 2e-3, 3e-3]))
@@ -128,7 +128,7 @@ def _drive(setup: DriveSetup, matrix: ComplexArray, errors: DriveErrors, noise: 
     seen = np.linalg.solve(mass, found)
     influences = tuple(_influence(unknown, unknown.change @ seen) for unknown in unknowns)
     outputs, outputs_uncertainty = _outputs(setup, matrix @ load * (1.0 + setup.step), errors, noise)
-    return Drive(
+    return ExcitedLine(
         recording=setup.recording,
         mounting=setup.mounting,
         frequency_hz=setup.frequency_hz,

@@ -8,18 +8,25 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fusion.estimation.measurement_model import Observation
-from fusion.instruments.channel import ChainUncertainty, Reading, RelativeError, late, observe_channels, output_phasors
+from fusion.instruments.channel import (
+    ChainUncertainty,
+    ChannelReading,
+    ChannelRelativeError,
+    delay_errors,
+    observe_channels,
+    output_phasors,
+)
 from fusion.instruments.stereo import StereoReading
 from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.manifest import ChannelEntry
 from fusion.recording.rig import Sensor, Stereo
 from fusion.sensitivity.analyse import Inputs
-from fusion.sensitivity.body import Body, Part, make_part
-from fusion.simulate.world import Draws, Motion, TruePart, acceleration_at, velocity_at, wrench
+from fusion.sensitivity.moving_body import Body, MovingPart, make_moving_part
+from fusion.simulate.world import Draws, SimulatedMotion, TruePart, acceleration_at, velocity_at, wrench
 from photogram.geometry import rotation_from_vector
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, component_units
-from shaker.lines.frequencies import Lines
+from shaker.lines.frequencies import LineFrequencies
 from shaker.sine.phasor import Phasors
 
 # Recordings at the level of phasors: exact readings of drawn instruments, and what the program is told of them.
@@ -37,7 +44,7 @@ class Channel:
     dof: float
     chain: ChainUncertainty
     scatter: float = 0.0
-    clock: tuple[RelativeError, ...] = ()
+    clock: tuple[ChannelRelativeError, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,13 +63,13 @@ class PhasorSetup:
     load component; `outputs`: C channels. `clock_uncertainty`: relative, of the time base.
     """
 
-    lines: Lines
+    lines: LineFrequencies
     acceleration: ComplexArray
     pairs: tuple[Pair, ...]
     channels: tuple[Channel, ...]
     outputs: tuple[Channel, ...]
     sensitivity: ComplexArray
-    parts: tuple[Part, ...]
+    parts: tuple[MovingPart, ...]
     gravity_mps2: tuple[float, float, float]
     sensor: Sensor
     direction: tuple[float, ...]
@@ -81,7 +88,7 @@ class PhasorTruth:
 def simulate_phasors(setup: PhasorSetup, draws: Draws) -> tuple[Inputs, PhasorTruth]:
     """Draw every error of a set-up, and return what the program gets beside the truth."""
     rate = 1.0 + float(draws.normal("clock rate", setup.clock_uncertainty))
-    motion = Motion(setup.lines.frequency_hz * rate, setup.acceleration)
+    motion = SimulatedMotion(setup.lines.frequency_hz * rate, setup.acceleration)
     gravity = np.array(setup.gravity_mps2)
     parts = [_true_part(part, draws) for part in setup.parts]
     sign = 1.0 if setup.sensor.sense == "on_load" else -1.0
@@ -94,7 +101,7 @@ def simulate_phasors(setup: PhasorSetup, draws: Draws) -> tuple[Inputs, PhasorTr
     ]
     outputs = [_reading(channel, stated_hz, signals[:, c], draws) for c, channel in enumerate(setup.outputs)]
     pairs = [_pair(pair, motion, draws) for pair in setup.pairs]
-    seen: list[Observation] = [pair.observed() for pair in pairs]
+    seen: list[Observation] = [pair.observation() for pair in pairs]
     seen += observe_channels(readings, setup.gravity_mps2, setup.clock_uncertainty)
     inputs = Inputs(
         lines=setup.lines,
@@ -107,7 +114,7 @@ def simulate_phasors(setup: PhasorSetup, draws: Draws) -> tuple[Inputs, PhasorTr
     return inputs, PhasorTruth(motion.acceleration, load, signals)
 
 
-def _true_part(part: Part, draws: Draws) -> TruePart:
+def _true_part(part: MovingPart, draws: Draws) -> TruePart:
     """Return a part with errors of mass, centre of mass and inertia."""
     mass = part.mass_kg + float(draws.normal(f"{part.name}: mass", part.u_mass_kg))
     centre = part.centre_of_mass_m + draws.normal(f"{part.name}: centre of mass", part.u_centre_of_mass_m, 3)
@@ -116,7 +123,7 @@ def _true_part(part: Part, draws: Draws) -> TruePart:
     return TruePart(mass, centre, part.inertia_kgm2 + symmetric)
 
 
-def _motion_signal(entry: ChannelEntry, motion: Motion, gravity: FloatArray, draws: Draws) -> ComplexArray:
+def _motion_signal(entry: ChannelEntry, motion: SimulatedMotion, gravity: FloatArray, draws: Draws) -> ComplexArray:
     """Return what an errorless chain reads where the channel really is and in the direction it really has."""
     u_point = np.asarray(entry.point_uncertainty, dtype=np.float64)
     moved = draws.normal(f"{entry.name}: point", u_point, 3)
@@ -144,7 +151,7 @@ def _true_direction(entry: ChannelEntry, draws: Draws) -> FloatArray:
     return np.asarray(turned + leak * (np.cos(angle) * across[0] + np.sin(angle) * across[1]))
 
 
-def _reading(channel: Channel, frequency_hz: FloatArray, signal: ComplexArray, draws: Draws) -> Reading:
+def _reading(channel: Channel, frequency_hz: FloatArray, signal: ComplexArray, draws: Draws) -> ChannelReading:
     """Return a channel as it is read: its chain's errors, its noise, and the noise as a fit would estimate it."""
     entry, chain = channel.entry, channel.chain
     name = entry.common or entry.name
@@ -161,10 +168,10 @@ def _reading(channel: Channel, frequency_hz: FloatArray, signal: ComplexArray, d
     covariance = channel.noise[:, None, None] ** 2 * np.eye(2)
     unit = TRANSDUCERS[entry.quantity].unit if entry.quantity in TRANSDUCERS else "V/V"
     blank = Phasors(frequency_hz, value[:, None], covariance, (entry.name,), (unit,), np.full(len(value), channel.dof))
-    return Reading(entry, _with_noise(blank, entry.name, draws), chain, channel.clock)
+    return ChannelReading(entry, _with_noise(blank, entry.name, draws), chain, channel.clock)
 
 
-def _pair(pair: Pair, motion: Motion, draws: Draws) -> StereoReading:
+def _pair(pair: Pair, motion: SimulatedMotion, draws: Draws) -> StereoReading:
     """Return a pair as it is read: scale, place and axes of its frame, delays, and calibration off."""
     stated = pair.reading
     entry, title = stated.pair, f"stereo {stated.name}"
@@ -196,12 +203,12 @@ def _with_noise(phasors: Phasors, name: str, draws: Draws) -> Phasors:
     )
 
 
-def lines_at(frequency_hz: ArrayLike, multiple: ArrayLike) -> Lines:
+def lines_at(frequency_hz: ArrayLike, multiple: ArrayLike) -> LineFrequencies:
     """Return lines without uncertainty of their frequencies: fundamentals where `multiple` is 1."""
     frequency = np.array(frequency_hz, dtype=np.float64)
     number = np.array(multiple, dtype=np.int64)
     why = tuple("stated" for _ in frequency)
-    return Lines(frequency, np.zeros(len(frequency)), frequency / number, number, why, ())
+    return LineFrequencies(frequency, np.zeros(len(frequency)), frequency / number, number, why, ())
 
 
 # Set-ups at the level of phasors: a stereo pair, lasers, an accelerometer and six outputs, driven in several ways.
@@ -209,7 +216,7 @@ def lines_at(frequency_hz: ArrayLike, multiple: ArrayLike) -> Lines:
 
 LINES = lines_at([106.25, 212.5], [1, 2])
 OMEGA = 2.0 * np.pi * LINES.frequency_hz
-BRIDGE = late("clock bridge: time", LINES.frequency_hz, 4e-7)
+BRIDGE = delay_errors("clock bridge: time", LINES.frequency_hz, 4e-7)
 CAPACITY = (2000.0, 2000.0, 4000.0, 100.0, 100.0, 100.0)
 GAINS = np.array([5.1e-7, 5.1e-7, 2.0e-7, 9.1e-6, 9.1e-6, 8.2e-6])
 SENSOR = Sensor(
@@ -245,13 +252,13 @@ BEAM = ((0.16, 0.0, 0.03), (-0.16, 0.0, 0.03), (0.0, 0.05, 0.03))
 CIRCLE = tuple((0.04 * np.cos(a), 0.04 * np.sin(a), 0.03) for a in 2.0 * np.pi * np.arange(8) / 8.0)
 SMALL = np.array([0.52 - 0.8j, -0.6 + 0.5j, 0.7 + 0.4j, 2.1 + 1.2j, -2.4 - 1.9j, 0.5 + 0.7j])
 PLAIN_LOAD = (
-    make_part("load", 6.9605, (0.0, 0.0, 0.0507), np.diag([0.0103, 0.0103, 0.0105]), (1e-3, 1e-4, 2e-5)),
-    make_part("internal mass", 0.769, (0.0, 0.0, 0.002), np.diag([7e-4, 7e-4, 1.2e-3]), (2e-3, 2e-4, 1e-5)),
+    make_moving_part("load", 6.9605, (0.0, 0.0, 0.0507), np.diag([0.0103, 0.0103, 0.0105]), (1e-3, 1e-4, 2e-5)),
+    make_moving_part("internal mass", 0.769, (0.0, 0.0, 0.002), np.diag([7e-4, 7e-4, 1.2e-3]), (2e-3, 2e-4, 1e-5)),
 )
 CROSS_BEAM = (
-    make_part("beam", 2.4, (0.0, 0.0, 0.025), np.diag([0.002, 0.021, 0.022]), (5e-4, 1e-4, 4e-5)),
-    make_part("mass at +x", 1.204, (0.162, 0.001, 0.04), np.diag([4e-4, 4e-4, 3e-4]), (2e-4, 1e-4, 5e-6)),
-    make_part("mass at -x", 1.187, (-0.158, 0.0, 0.04), np.diag([4e-4, 4e-4, 3e-4]), (2e-4, 1e-4, 5e-6)),
+    make_moving_part("beam", 2.4, (0.0, 0.0, 0.025), np.diag([0.002, 0.021, 0.022]), (5e-4, 1e-4, 4e-5)),
+    make_moving_part("mass at +x", 1.204, (0.162, 0.001, 0.04), np.diag([4e-4, 4e-4, 3e-4]), (2e-4, 1e-4, 5e-6)),
+    make_moving_part("mass at -x", 1.187, (-0.158, 0.0, 0.04), np.diag([4e-4, 4e-4, 3e-4]), (2e-4, 1e-4, 5e-6)),
     PLAIN_LOAD[1],
 )
 
@@ -266,7 +273,7 @@ class Case:
     size: float
     points: tuple[tuple[float, float, float], ...]
     along: tuple[float, float, float]
-    parts: tuple[Part, ...] = PLAIN_LOAD
+    parts: tuple[MovingPart, ...] = PLAIN_LOAD
     one_clock: bool = False
     lasers_only: bool = False
     laser: dict[str, object] = field(default_factory=lambda: dict(LASER))
@@ -338,7 +345,7 @@ def stereo_pair(motion: ComplexArray) -> Pair:
     phasors = Phasors(
         LINES.frequency_hz, displacement, covariance, MOTION_COMPONENTS, component_units(0), np.full(len(OMEGA), 40.0)
     )
-    trigger = late("camera_trigger: time", LINES.frequency_hz, 2e-7)
+    trigger = delay_errors("camera_trigger: time", LINES.frequency_hz, 2e-7)
     return Pair(StereoReading("top", entry, phasors, effects, 1e-6, trigger), 40.0)
 
 

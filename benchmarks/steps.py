@@ -39,13 +39,13 @@ from fusion import (
     load_for_command,
     simulate_preset,
 )
-from fusion.sensor.compensate.source import Wish, read_sources
-from fusion.sensor.models_file import MODELS_FILE, ModelsFile, models_text
+from fusion.sensor.compensate.compensation_subjects import CompensationSettings, read_sources
+from fusion.sensor.model_files import MODELS_FILE, ModelsFile, models_text
 from shaker.lti.indices import indices
 from shaker.lti.system import LinearSystem, ModalModel
-from shaker.release.fit import METHODS, Method, compare, fit_step
 from shaker.release.reading import read_release
-from shaker.release.record import Shape, StepRecord
+from shaker.release.record import ReleaseShape, StepRecord
+from shaker.release.step_fit import METHODS, Method, fit_all_methods, fit_step
 
 FloatArray = NDArray[np.float64]
 RATE_HZ, BEFORE_S, AFTER_S, AMPLITUDE_N = 100e3, 0.01, 0.03, 50.0
@@ -95,7 +95,7 @@ def truth() -> tuple[FloatArray, FloatArray, FloatArray]:
     return poles, swing / poles, np.array(vector)
 
 
-def clean(onset_s: float, length_s: float = 0.0, shape: Shape = "ramp") -> FloatArray:
+def clean(onset_s: float, length_s: float = 0.0, shape: ReleaseShape = "ramp") -> FloatArray:
     """Return the noiseless output for a load of 1 that goes at once, or in a shape: the mean of 1 + Σ r/p exp(pτ).
 
     Along half a cosine that mean is taken at 48 nodes of Gauss and Legendre.
@@ -122,7 +122,7 @@ def record_of(
     seed: int,
     noise: Callable[[np.random.Generator, int], FloatArray],
     length_s: float = 0.0,
-    shape: Shape = "ramp",
+    shape: ReleaseShape = "ramp",
 ) -> StepRecord:
     """Return a record; `noise` draws samples of standard deviation 1. The level is that over the ringing of a step."""
     rng = np.random.default_rng(seed)
@@ -152,7 +152,7 @@ def outcomes(method: Method, level_db: float, seeds: range) -> list[Outcome]:
         record = record_of(level_db, seed, white)
         reading = read_release(record, "Fz")
         began = time.process_time()
-        fit = compare(record, "Fz", rng=np.random.default_rng(seed), reading=reading, methods=(method,))[0]
+        fit = fit_all_methods(record, "Fz", rng=np.random.default_rng(seed), reading=reading, methods=(method,))[0]
         found.append(Outcome(time.process_time() - began, *errors(fit.system)))
     return found
 
@@ -174,7 +174,7 @@ def compare_all(seeds: int, evolutions: int, first: int) -> None:
     print("| method | level | records | CPU s | fn error: median, 95 % | ζ error: median, 95 % | no pole pair |")
     print("|---|---|---|---|---|---|---|")
     medians: dict[tuple[Method, int], Outcome] = {}
-    compare(record_of(60, 0, white), "Fz", rng=np.random.default_rng(0), methods=("pencil", "sim"))
+    fit_all_methods(record_of(60, 0, white), "Fz", rng=np.random.default_rng(0), methods=("pencil", "sim"))
     counts: dict[Method, int] = {method: evolutions if method in SLOW else seeds for method in METHODS}
     for method in (method for method in METHODS if counts[method]):
         for level in LEVELS_DB:
@@ -208,7 +208,7 @@ class Case(NamedTuple):
     level_db: float
     share: int
     length_s: float = 0.0
-    shape: Shape = "ramp"
+    shape: ReleaseShape = "ramp"
     noise: Callable[[np.random.Generator, int], FloatArray] = white
     bits: int | None = None
 
@@ -301,7 +301,7 @@ def errors_over_u(seed: int) -> dict[str, FloatArray]:
         frequency = component.find("natural_hz")
         if frequency is None:
             continue
-        wish = Wish(frequency_hz=RAISED * frequency.value, channels=(component.channel,))
+        wish = CompensationSettings(frequency_hz=RAISED * frequency.value, channels=(component.channel,))
         (made,) = evaluate_compensation(sources, wish, None, {}).filters
         sensor = true[component.channel].system
         truths = [wanted(indices(one).figures()) for one in (sensor, sensor.times(made.compensation.system))]

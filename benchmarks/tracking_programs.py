@@ -60,7 +60,7 @@ class Found:
 
 def shakercal(frames: list[Path], grid: Grid, degree: int) -> Found:
     """Ours, with splines of `degree` 3 or 5."""
-    from photogram.images.files import open_sequence
+    from photogram.images.image_files import open_sequence
     from photogram.subsets.icgn import TrackSettings
     from photogram.subsets.track import track_sequence
 

@@ -28,9 +28,9 @@ import numpy as np
 import tifffile
 from marked import markdown_table, write_marked
 
-from fusion.planning.view.opened import Viewed, find_sources
 from fusion.planning.view.server import Server
-from fusion.planning.view.view import answers
+from fusion.planning.view.view_requests import api_handlers
+from fusion.planning.view.viewed_recording import ViewSession, find_sources
 
 DEMO = Path(__file__).resolve().parents[1] / "sample_images/demo"
 RATE_HZ, SIZE_PX, FRAMES = 51_200.0, (1280, 1024), 24
@@ -87,8 +87,8 @@ def main() -> None:
     rng = np.random.default_rng(2)
     with tempfile.TemporaryDirectory() as folder:
         make_recording(Path(folder), options.seconds, options.channels)
-        viewed = Viewed(find_sources(Path(folder)))
-        with Server(answers(viewed)) as server:
+        viewed = ViewSession(find_sources(Path(folder)))
+        with Server(api_handlers(viewed)) as server:
             threading.Thread(target=server.serve_forever, daemon=True).start()
             connection = HTTPConnection("127.0.0.1", server.server_port)
 

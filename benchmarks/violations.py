@@ -25,12 +25,13 @@ from marked import write_marked
 from numpy.typing import NDArray
 from scipy.stats import binom
 
-from fusion.base import ComputeError, InputError, Settings
+from fusion.base import Settings
+from fusion.errors import ComputeError, InputError
 from fusion.estimation.coverage import Polar
 from fusion.estimation.uncertainty import polar_elements
 from fusion.recording.load import load_manifest
 from fusion.sensitivity.analyse import Evaluation
-from fusion.sensitivity.evaluate import evaluate_recording
+from fusion.sensitivity.recording_evaluation import evaluate_recording
 from fusion.simulate.preset import ChannelSpec, Preset, read_preset
 from fusion.simulate.sines import camera_rate, driven, rendered_run, write_run
 from fusion.simulate.violations import CATALOGUE, violations
@@ -124,7 +125,7 @@ CASES: tuple[tuple[str, tuple[str, ...]], ...] = (
 def preset_of(rig: Rig) -> Preset:
     """Return the rig with short records: of the rendered ones the demo's, of the others the sweep's."""
     if rig.images:
-        return read_preset(Preset, "demo").shrunk(rig.frames, 0.45)
+        return read_preset(Preset, "demo").reduced(rig.frames, 0.45)
     whole = read_preset(Preset, "sweep")
     vibrometer, bridge = whole.daqs
     accelerometer = next(spec for spec in vibrometer.channels if spec.quantity == "acceleration")
@@ -193,7 +194,7 @@ def draw(rig: Rig, names: Sequence[str], seed: int) -> Draw:
         first, *later = np.random.default_rng([seed, 19]).uniform(0.0, 1e-3, len(preset.daqs)).tolist()
         daqs = [replace(d, start_s=d.start_s + s) for d, s in zip(preset.daqs, [0.0, *later], strict=True)]
         preset = replace(preset, first_frame_s=preset.first_frame_s + first, daqs=tuple(daqs))
-    draws = Draws(seed, True, broken=violations(names, preset))
+    draws = Draws(seed, True, violations=violations(names, preset))
     world = make_world(preset, draws, jitter_s)
     with tempfile.TemporaryDirectory() as scratch:
         recording = write_run(Path(scratch), rendered_run(preset), world, draws)

@@ -1,4 +1,4 @@
-"""What every stage needs: errors, notices, settings, single files, numbers as they are printed."""
+"""Definitions of every stage: settings, single files, clean-up on signals, printed numbers."""
 
 from __future__ import annotations
 
@@ -15,201 +15,34 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+from fusion.errors import InputError
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from photogram.arrays import Notice as ImageNotice
-    from shaker.arrays import Notice, Severity
+    from shakercal._common.notices import Notice
 
 PROGRAM = "shakercal"
-AnyNotice: TypeAlias = "Notice | ImageNotice"
 
 
-def warnings_first(notices: Iterable[AnyNotice]) -> list[AnyNotice]:
-    """Return every notice once, warnings first; what is said of several places in one text is one notice of all."""
-    alike: dict[tuple[str, str], list[AnyNotice]] = {}
-    for notice in notices:
-        alike.setdefault((notice.severity, notice.text), []).append(notice)
-    once = [
-        replace(first, where=", ".join(dict.fromkeys(notice.where for notice in (first, *others) if notice.where)))
-        for first, *others in alike.values()
-    ]
-    return sorted(once, key=lambda notice: notice.severity != "warning")
-
-
-NUMBER = re.compile(r"(?<![\w.])[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
-"""A number in a notice; digits within a name, such as that of a channel, are none."""
-
-
-@dataclass(frozen=True)
-class GatheredNotice:
-    """A notice of several recordings; where its texts differ in numbers alone, `text` gives their ranges.
-
-    `recordings`: names of all that it concerns, `everywhere`: whether these are all there are of several; `each`: every
-    text with the recordings that state it.
-    """
-
-    severity: Severity
-    where: str
-    text: str
-    recordings: tuple[str, ...]
-    everywhere: bool
-    each: tuple[tuple[str, tuple[str, ...]], ...]
-
-    @property
-    def concerned(self) -> str:
-        """Return the names of all recordings that it concerns."""
-        return f"all {len(self.recordings)} recordings" if self.everywhere else ", ".join(self.recordings)
-
-
-def counted(count: int, what: str) -> str:
+def count_text(count: int, what: str) -> str:
     """Return a number with what it counts, such as `1 recording` and `2 recordings`."""
     return f"{count} {what}{'' if count == 1 else 's'}"
-
-
-def gather(groups: Sequence[tuple[str, Iterable[AnyNotice]]]) -> list[GatheredNotice]:
-    """Return the notices of named recordings, each once: warnings first, then those of most recordings."""
-    found: dict[tuple[Severity, str, tuple[str, ...]], dict[str, dict[str, None]]] = {}
-    for name, notices in groups:
-        for notice in notices:
-            key = notice.severity, notice.where, tuple(NUMBER.split(notice.text))
-            found.setdefault(key, {}).setdefault(notice.text, {})[name] = None
-    gathered = []
-    for (severity, where, _), texts in found.items():
-        names = dict.fromkeys(name for own in texts.values() for name in own)
-        each = tuple((text, tuple(own)) for text, own in texts.items())
-        everywhere = len(names) == len(groups) > 1
-        gathered.append(GatheredNotice(severity, where, _in_ranges(list(texts)), tuple(names), everywhere, each))
-    return sorted(gathered, key=lambda notice: (notice.severity != "warning", -len(notice.recordings)))
-
-
-def _in_ranges(texts: Sequence[str]) -> str:
-    """Return texts that differ in numbers alone as one, with the least and the largest of every number."""
-    words, columns = NUMBER.split(texts[0]), zip(*(NUMBER.findall(text) for text in texts), strict=True)
-    ranges = []
-    for numbers in columns:
-        ordered = sorted(set(numbers), key=lambda number: float(number.replace("−", "-")))
-        ranges.append(ordered[0] if len(ordered) == 1 else f"{ordered[0]} to {ordered[-1]}")
-    return "".join(part for pair in zip(words, [*ranges, ""], strict=True) for part in pair)
-
-
-# The two ways a run can fail: the user's input is wrong, or something could not be computed.
-
-
-ARGUMENT = re.compile(r"^[a-z_]+(, [a-z_]+)*: (?=expected )")
-"""The name of a function's argument before its sentence, which means nothing to a user."""
-
-
-class InputError(Exception):
-    """A mistake in the user's input, told in one sentence: which file, which key, what was expected, what was found.
-
-    `file`: the file in which the mistake is to be corrected. `key`: TOML key path, column or channel; empty where
-    the file as a whole is meant. `found`, `expected`: short phrases without a full stop; where `expected` is empty,
-    `found` is a sentence of its own. `others`: further mistakes, of the same file or of those read with it, which the
-    sentence only counts.
-
-    >>> from fusion import InputError
-    >>> print(InputError("rig.toml", "load.mass", found="0", expected="a number above 0"))
-    rig.toml: load.mass: expected a number above 0, found 0
-    """
-
-    def __init__(
-        self, file: Path | str, key: str, found: str, expected: str, others: Iterable[InputError] = ()
-    ) -> None:
-        super().__init__(file, key, found, expected, tuple(others))
-        self.file = Path(file)
-        self.key = key
-        self.found = found
-        self.expected = expected
-        self.others: tuple[InputError, ...] = self.args[4]
-
-    @classmethod
-    def together(cls, errors: Iterable[InputError]) -> InputError:
-        """Return the first of some mistakes, which holds the others."""
-        first, *others = [single for error in errors for single in error.each]
-        return cls(first.file, first.key, first.found, first.expected, others)
-
-    @property
-    def each(self) -> tuple[InputError, ...]:
-        """Return every mistake by itself, this one first."""
-        return InputError(self.file, self.key, self.found, self.expected), *self.others
-
-    @classmethod
-    def told_by(cls, error: Exception, file: Path, key: str = "") -> InputError:
-        """Put what a reader or an algorithm says behind file and key, each file named once and seen from `file`."""
-        text = str(error)
-        if isinstance(error, OSError) and error.filename is not None and error.strerror is not None:
-            text = f"{error.filename}: {error.strerror}"
-        own = f"{file}: "
-        text = text.removeprefix(own) if text.startswith(own) else ARGUMENT.sub("", text, count=1)
-        return cls(file, key, found=text.replace(f"{file.parent.resolve()}{os.sep}", ""), expected="")
-
-    def __str__(self) -> str:
-        where = f"{self.file}: {self.key}: " if self.key else f"{self.file}: "
-        more = len(self.others)
-        files = {other.file.name for other in self.others if other.file != self.file}
-        around = f", also in {' and '.join(sorted(files))}" if files else " in this file"
-        rest = f" ({more} more problem{'s' if more > 1 else ''}{around})" if more else ""
-        told = f"expected {self.expected}, found {self.found}" if self.expected else self.found
-        return " ".join(f"{where}{told}{rest}".split())
-
-
-@contextmanager
-def as_input_error(file: Path, key: str = "") -> Iterator[None]:
-    """Tell what a reader or an algorithm refuses meanwhile as wrong input: of a file, at a key of it."""
-    try:
-        yield
-    except (OSError, ValueError) as error:
-        raise InputError.told_by(error, file, key) from error
-
-
-class ComputeError(Exception):
-    """Something could not be computed although the input could be read; the text says what to do.
-
-    >>> from fusion import ComputeError
-    >>> raise ComputeError("only 3 subsets are followed through all frames; look at the images")
-    Traceback (most recent call last):
-        ...
-    fusion.base.ComputeError: only 3 subsets are followed through all frames; look at the images
-    """
-
-
-def is_interruption(error: BaseException) -> bool:
-    """Whether the user interrupted; compiled code wraps an interruption into an error of its own."""
-    cause = error.__cause__ or error.__context__
-    return isinstance(error, KeyboardInterrupt) or isinstance(cause, KeyboardInterrupt)
-
-
-SHORT_OF_MEMORY = re.compile(
-    "can't start new thread|failed to map segment|[Ii]nsufficient memory|annot allocate memory"
-)
-"""What threads, shared libraries, OpenCV and the system say where they get no memory."""
-
-
-def told(error: Exception) -> InputError | ComputeError:
-    """Return a failure as one that the user can be told; what the program does not expect becomes a `ComputeError`."""
-    if isinstance(error, InputError | ComputeError):
-        return error
-    if isinstance(error, MemoryError) or SHORT_OF_MEMORY.search(str(error)):
-        return ComputeError(f"the memory does not suffice ({' '.join(str(error).split()) or type(error).__name__})")
-    if isinstance(error, OSError):
-        return ComputeError(f"the system refused to read or write ({error})")
-    return ComputeError(f"internal error ({type(error).__name__}: {error}); please report it, -v shows where")
 
 
 # What a command reads and writes: files that stay what they were, places for new ones.
 
 
-JUST_NOW_S = 2.0
+FILE_TIME_RESOLUTION_S = 2.0
 """Resolution of the times of files, the coarsest there is."""
 
 
-class Identity(NamedTuple):
+class FileIdentity(NamedTuple):
     """What tells that a file is no longer what it was: its size and time of change, and where it lies."""
 
     size: int
@@ -218,7 +51,7 @@ class Identity(NamedTuple):
     device: int
 
     @classmethod
-    def of(cls, path: Path) -> Identity | None:
+    def of(cls, path: Path) -> FileIdentity | None:
         """Return the identity of a file at this moment; None where there is none."""
         try:
             found = path.stat()
@@ -227,9 +60,9 @@ class Identity(NamedTuple):
         return cls(found.st_size, found.st_mtime_ns, found.st_ino, found.st_dev)
 
     @property
-    def settled(self) -> bool:
+    def is_settled(self) -> bool:
         """Whether the file was changed so long ago that a further change would show in its time."""
-        return self.mtime_ns * 1e-9 <= time.time() - JUST_NOW_S
+        return self.mtime_ns * 1e-9 <= time.time() - FILE_TIME_RESOLUTION_S
 
 
 def natural_key(name: str) -> tuple[tuple[tuple[int, int | str], ...], str]:
@@ -263,7 +96,7 @@ _waiting: list[int] = []
 
 
 @contextmanager
-def undone(undo: Callable[[], object]) -> Iterator[None]:
+def cleanup_on_signal(undo: Callable[[], object]) -> Iterator[None]:
     """Call a function at the end, or when a signal ends the process meanwhile; to call it twice does no harm."""
     _undo.append(undo)
     try:
@@ -274,7 +107,7 @@ def undone(undo: Callable[[], object]) -> Iterator[None]:
 
 
 @contextmanager
-def uninterrupted() -> Iterator[None]:
+def defer_signals() -> Iterator[None]:
     """Let no signal end the process within a few steps that belong together; it ends after them."""
     _uninterrupted.append(None)
     try:
@@ -361,10 +194,10 @@ class Settings:
 # Those who compute tasks for a run: what a recording needs to know of them.
 
 
-class Answer(Protocol):
+class TaskResult(Protocol):
     """What a task returned or raised, and what it logged."""
 
-    def opened(self) -> Any:
+    def unwrap(self) -> Any:
         """Return or raise what the task did."""
 
     def log(self, name: str) -> None:
@@ -374,10 +207,10 @@ class Answer(Protocol):
 class Pending(Protocol):
     """The answer of a task that another process computes."""
 
-    def result(self) -> Answer:
+    def result(self) -> TaskResult:
         """Return it, or raise why there is none."""
 
-    def add_done_callback(self, told: Callable[[Any], object]) -> None:
+    def add_done_callback(self, callback: Callable[[Any], object]) -> None:
         """Have a function called as soon as there is an answer or none will be."""
 
 
@@ -415,28 +248,28 @@ class Threads:
     def __exit__(self, *reason: object) -> None:
         self._pool.shutdown(cancel_futures=True)
 
-    def submit(self, rank: int, function: Callable[..., Any], *arguments: Any) -> Future[Returned]:
+    def submit(self, rank: int, function: Callable[..., Any], *arguments: Any) -> Future[LocalResult]:
         """Have a function called as soon as a thread is free, whatever its rank; answers that are there are opened."""
         held = [argument.result().opened() if isinstance(argument, Future) else argument for argument in arguments]
-        return self._pool.submit(Returned.by, function, held)
+        return self._pool.submit(LocalResult.run, function, held)
 
 
 @dataclass(frozen=True, eq=False)
-class Returned:
+class LocalResult:
     """What a task of this process returned or raised; what it logged is told already."""
 
     value: Any
     error: Exception | None = None
 
     @staticmethod
-    def by(function: Callable[..., Any], arguments: Sequence[Any]) -> Returned:
+    def run(function: Callable[..., Any], arguments: Sequence[Any]) -> LocalResult:
         """Call a function and return what became of it."""
         try:
-            return Returned(function(*arguments))
+            return LocalResult(function(*arguments))
         except Exception as error:
-            return Returned(None, error)
+            return LocalResult(None, error)
 
-    def opened(self) -> Any:
+    def unwrap(self) -> Any:
         """Return or raise what the task did."""
         if self.error is not None:
             raise self.error
@@ -450,7 +283,7 @@ _MOST_THREADS: ContextVar[int | None] = ContextVar("most threads", default=None)
 
 
 @contextmanager
-def most_threads(count: int) -> Iterator[None]:
+def limit_threads(count: int) -> Iterator[None]:
     """Let `Threads` that are made inside, by this thread, be no more than `count`."""
     token = _MOST_THREADS.set(count)
     try:
@@ -469,7 +302,7 @@ def usable_cores() -> int:
     return min(there, int(limit) if limit.isdecimal() and int(limit) else there, _MOST_THREADS.get() or there)
 
 
-class Keeper(Protocol):
+class CheckpointStore(Protocol):
     """A place for what a run has found so far, from which it goes on when it was ended."""
 
     @property
@@ -496,7 +329,7 @@ DASH = "–"
 PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 
 
-class Rounded(NamedTuple):
+class RoundedValue(NamedTuple):
     """A value and its expanded uncertainty as decimal texts, both times ten to the power `exponent`."""
 
     value: str
@@ -510,14 +343,14 @@ class Rounded(NamedTuple):
         return f"{body}e{self.exponent}" if self.exponent else body
 
 
-def rounded(value: float, expanded: float, exponent: int | None = None) -> Rounded:
+def round_to_uncertainty(value: float, expanded: float, exponent: int | None = None) -> RoundedValue:
     """Return a value rounded to the second significant digit of its expanded uncertainty (GUM 7.2.6).
 
     `exponent`: power of ten to take off, by default none for sizes from 0.01 to 100 000 and else that of the larger of
     the two. Without a usable uncertainty the value has five significant digits and the uncertainty is a dash.
     """
     if not math.isfinite(value):
-        return Rounded(DASH, DASH, 0)
+        return RoundedValue(DASH, DASH, 0)
     usable = math.isfinite(expanded) and expanded > 0.0
     size = max(abs(value), expanded if usable else 0.0)
     plain = size == 0.0 or SMALLEST_PLAIN <= size < LARGEST_PLAIN
@@ -528,7 +361,7 @@ def rounded(value: float, expanded: float, exponent: int | None = None) -> Round
         decimals = 1 - int(f"{expanded * 10.0**-power:.1e}".partition("e")[2])
         texts = [f"{round(x * 10.0**-power, decimals):.{max(decimals, 0)}f}" for x in (value, expanded)]
     signed = texts[0].lstrip("-") if not texts[0].strip("-0.") else texts[0].replace("-", "\N{MINUS SIGN}")
-    return Rounded(signed, texts[1], power)
+    return RoundedValue(signed, texts[1], power)
 
 
 def prefix(values: ArrayLike, *, coarse: bool = False) -> tuple[float, str]:

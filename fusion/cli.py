@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterator, Sequence
 
-    from fusion.commands.options import Command, Parser
+    from fusion.commands.options import CliCommand, Parser
 
 ENDING = ("SIGINT", "SIGTERM", "SIGHUP")
 LEAST_ADDRESSES = 1_000_000_000
@@ -46,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _act(options)
 
 
-def commands() -> tuple[Command, ...]:
+def commands() -> tuple[CliCommand, ...]:
     """Return the sub-commands in the order in which the help lists them."""
     from fusion.commands import cameras, measure, sensor
 
@@ -57,8 +57,8 @@ def _act(options: argparse.Namespace) -> int:
     """Do what a sub-command does and tell what goes wrong."""
     import logging
 
-    from fusion.base import ComputeError, InputError, is_interruption, told
     from fusion.commands.options import EXIT_CLOSED, EXIT_DONE, EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED
+    from fusion.errors import ComputeError, InputError, as_user_error, is_interruption
     from fusion.report.terminal import AS_JSON
 
     log = logging.getLogger("shakercal")
@@ -68,9 +68,9 @@ def _act(options: argparse.Namespace) -> int:
         status: int = options.act(options) or EXIT_DONE
         sys.stdout.flush()
         if "photogram.kernels" in sys.modules:
-            from photogram.kernels import why_not_kept
+            from photogram.kernels import cache_failure_reason
 
-            if reason := why_not_kept(elsewhere=getattr(options, "workers", 1) != 1):
+            if reason := cache_failure_reason(other_processes=getattr(options, "workers", 1) != 1):
                 log.info("compiled functions are not kept (%s): every run compiles them anew", reason)
         return status
     except (Exception, KeyboardInterrupt) as error:
@@ -83,7 +83,7 @@ def _act(options: argparse.Namespace) -> int:
         if unwritten is not None:
             log.error("the output could not be written: %s", unwritten.strerror)
             return EXIT_FAILED
-        failure = told(error)
+        failure = as_user_error(error)
         log.error("%s", " ".join(str(failure).split()))
         if not isinstance(error, InputError | ComputeError):
             log.debug("traceback", exc_info=True)
@@ -95,7 +95,7 @@ def _check_memory() -> None:
     if sys.platform != "win32":
         import resource
 
-        from fusion.base import ComputeError
+        from fusion.errors import ComputeError
 
         limit = resource.getrlimit(resource.RLIMIT_AS)[0]
         if limit != resource.RLIM_INFINITY and limit < LEAST_ADDRESSES:

@@ -1,20 +1,20 @@
 """The public names of photogram and where each lives, for type checkers and for `photogram/__init__.py`."""
 
-from .alignment.evidence import KnownPoints as KnownPoints
-from .alignment.solve import align as align
+from .alignment.alignment_evidence import KnownPoints as KnownPoints
+from .alignment.pose_estimation import align as align
 from .arrays import __version__ as __version__
-from .calibration.exchange.read import import_calibration as import_calibration
-from .calibration.exchange.write import export_calibration as export_calibration
-from .calibration.file import read_calibration as read_calibration
-from .calibration.file import write_calibration as write_calibration
+from .calibration.calibration_file import read_calibration as read_calibration
+from .calibration.calibration_file import write_calibration as write_calibration
+from .calibration.exchange.calibration_export import export_calibration as export_calibration
+from .calibration.exchange.calibration_import import import_calibration as import_calibration
 from .calibration.session import calibrate_pair as calibrate_pair
 from .camera import Camera as Camera
 from .camera import StereoRig as StereoRig
 from .camera import triangulate as triangulate
 from .epipolar import check_epipolar as check_epipolar
 from .geometry import RigidTransform as RigidTransform
-from .images.files import open_sequence as open_sequence
-from .images.files import read_picture as read_picture
+from .images.image_files import open_sequence as open_sequence
+from .images.image_files import read_image as read_image
 from .images.sequence import ImageSequence as ImageSequence
 from .measure.body import measure_body as measure_body
 from .motion import fit_motion as fit_motion
@@ -28,5 +28,5 @@ from .synthetic.scene import ImageSensor as ImageSensor
 from .synthetic.scene import render as render
 from .synthetic.scene import speckle_texture as speckle_texture
 from .synthetic.scene import view_of as view_of
-from .targets.view import Target as Target
-from .targets.view import find_target as find_target
+from .targets.target_view import Target as Target
+from .targets.target_view import find_target as find_target

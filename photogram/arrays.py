@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, is_dataclass
-from typing import Any, ClassVar, Literal, cast
+from dataclasses import fields, is_dataclass
+from typing import Any, ClassVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
+
+from shakercal._common.notices import Notice
 
 __version__ = "0.2.0"  # as in pyproject.toml: to look for the installed one takes longer than many a module
 
@@ -85,18 +87,6 @@ class Arrays:
             else:
                 parts.append(f"{part.name}={value!r:.60}")
         return f"{type(self).__name__}({', '.join(parts)})"
-
-
-Severity = Literal["info", "warning"]
-
-
-@dataclass(frozen=True)
-class Notice:
-    """One remark to the user: how severe, what it says, and what it is about (a channel, a camera, a line)."""
-
-    severity: Severity
-    text: str
-    where: str
 
 
 # What is known of all frames of a series that comes some frames at a time.

@@ -32,13 +32,13 @@ from photogram.kernels.lanes import (
     INDEX,
     Lanes,
     array_of,
+    broadcast,
     constant,
-    counted,
     element,
-    filling,
     in_blocks,
+    kernel_signature,
+    lane_numbers,
     load,
-    spread,
     store,
 )
 
@@ -257,7 +257,7 @@ def _recurse(typing, lines, poles):  # type: ignore[no-untyped-def]
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Sequence[Any]) -> Any:
         table = array_of(context, builder, signature, arguments, 0)
-        factors = [spread(builder, pole, FLOATS) for pole in cgutils.unpack_tuple(builder, arguments[1], 3)]
+        factors = [broadcast(builder, pole, FLOATS) for pole in cgutils.unpack_tuple(builder, arguments[1], 3)]
         (count, _), nothing = cgutils.unpack_tuple(builder, table.shape), constant(FLOATS, 0.0)
         last = builder.sub(count, ir.Constant(INDEX, 1))
         columns = range(0, LINES, FLOATS.count)
@@ -274,7 +274,7 @@ def _recurse(typing, lines, poles):  # type: ignore[no-untyped-def]
                     store(builder, value, place)
         return context.get_dummy_value()
 
-    return filling(lines, poles), generate
+    return kernel_signature(lines, poles), generate
 
 
 def weights_cubic(t: Lanes) -> tuple[Lanes, ...]:
@@ -480,7 +480,7 @@ def _weigh(typing, source, place, weights, taps, target, span):  # type: ignore[
             total = cgutils.alloca_once(builder, DOUBLES)
             builder.store(constant(DOUBLES, 0.0), total)
             with cgutils.for_range(builder, arguments[3]) as loop:
-                weight = spread(builder, builder.load(builder.gep(factors.data, [loop.index])), DOUBLES)
+                weight = broadcast(builder, builder.load(builder.gep(factors.data, [loop.index])), DOUBLES)
                 at = builder.add(builder.add(first, index), builder.mul(stride, loop.index))
                 value = weight * load(builder, builder.gep(table.data, [at]), DOUBLES, mask)
                 builder.store((Lanes(builder, builder.load(total)) + value).value, total)
@@ -490,7 +490,7 @@ def _weigh(typing, source, place, weights, taps, target, span):  # type: ignore[
         in_blocks(builder, count, DOUBLES, block)
         return context.get_dummy_value()
 
-    return filling(source, place, weights, taps, target, span), generate
+    return kernel_signature(source, place, weights, taps, target, span), generate
 
 
 def _run_by(weights: Callable[[Lanes], tuple[Lanes, ...]]) -> Any:
@@ -501,10 +501,10 @@ def _run_by(weights: Callable[[Lanes], tuple[Lanes, ...]]) -> Any:
         corner, offset, drift, span = (cgutils.unpack_tuple(builder, arguments[k], 2) for k in (1, 2, 3, 5))
 
         def block(index: Any, mask: Any) -> None:
-            first = spread(builder, builder.sitofp(index, DOUBLE), FLOATS)
-            points, column = counted(builder, FLOATS) + first, builder.add(corner[1], index)
+            first = broadcast(builder, builder.sitofp(index, DOUBLE), FLOATS)
+            points, column = lane_numbers(builder, FLOATS) + first, builder.add(corner[1], index)
             along, down = (
-                weights(points * spread(builder, step, FLOATS) + spread(builder, begin, FLOATS))
+                weights(points * broadcast(builder, step, FLOATS) + broadcast(builder, begin, FLOATS))
                 for begin, step in zip(offset, drift, strict=True)
             )
             lines = []
@@ -523,7 +523,7 @@ def _run_by(weights: Callable[[Lanes], tuple[Lanes, ...]]) -> Any:
     @intrinsic
     def run(typing, c, corner, offset, drift, grey, span):  # type: ignore[no-untyped-def]
         """Σ_k b_k(t) Σ_j a_j(s) c[row + k, column + j + i] at the points i of one run, s and t = offset + i·drift."""
-        return filling(c, corner, offset, drift, grey, span), generate
+        return kernel_signature(c, corner, offset, drift, grey, span), generate
 
     return run
 

@@ -229,7 +229,7 @@ class StereoRig(Arrays, shapes="covariance 32 32"):
                 )
 
     @property
-    def placed(self) -> tuple[tuple[Camera, RigidTransform], ...]:
+    def camera_poses(self) -> tuple[tuple[Camera, RigidTransform], ...]:
         """Both cameras, each with camera_from_left."""
         return (self.left, RigidTransform.identity()), (self.right, self.right_from_left)
 
@@ -311,14 +311,14 @@ _CONVERGED = 1e-12  # a step this small relative to the depth ends the iteration
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Points(Arrays, shapes="position_m F N 3; covariance_m2 F N 3 3; reprojection_px F N"):
+class Points3D(Arrays, shapes="position_m F N 3; covariance_m2 F N 3 3; reprojection_px F N"):
     """Points in space: position_m (F, N, 3), covariance_m2 (F, N, 3, 3), reprojection_px (F, N); NaN = missing."""
 
     position_m: FloatArray
     covariance_m2: FloatArray
     reprojection_px: FloatArray
 
-    def transformed(self, transform: RigidTransform) -> Points:
+    def transformed(self, transform: RigidTransform) -> Points3D:
         """Return the points in another frame: R·x + t with covariance R·C·Rᵀ."""
         rotation = transform.rotation
         return replace(
@@ -332,7 +332,7 @@ def triangulate(
     right_px: FloatArray,
     covariance_left_px2: FloatArray | None = None,
     covariance_right_px2: FloatArray | None = None,
-) -> Points:
+) -> Points3D:
     """Return the most likely points (F, N), in the left camera's frame, for pixels (F, N, 2) seen by both cameras.
 
     Minimises Σ rᵀ·C⁻¹·r over both cameras, r the reprojection error in distorted pixels and C its covariance,
@@ -360,7 +360,7 @@ def triangulate(
         np.stack([np.zeros(3), transform.translation_m]),
     )
     frames, points = left.shape[:2]
-    return Points(
+    return Points3D(
         position.reshape(frames, points, 3),
         covariance.reshape(frames, points, 3, 3),
         reprojection.reshape(frames, points),
@@ -395,11 +395,11 @@ class FaceCamera(Arrays, shapes="point_m 3; normal 3; covariance 16 16"):
     parameters: ClassVar[tuple[str, ...]] = FACE_PARAMETERS
 
     @property
-    def placed(self) -> tuple[tuple[Camera, RigidTransform], ...]:
+    def camera_poses(self) -> tuple[tuple[Camera, RigidTransform], ...]:
         """The camera, in its own frame."""
         return ((self.camera, RigidTransform.identity()),)
 
-    def moved(self, by: RigidTransform) -> FaceCamera:
+    def move_face(self, by: RigidTransform) -> FaceCamera:
         """Return the camera with the face elsewhere at rest, by a rigid motion in the camera's frame."""
         return replace(self, point_m=by.apply(self.point_m), normal=by.rotation @ self.normal)
 
@@ -422,10 +422,10 @@ Rig = StereoRig | FaceCamera
 
 def locate(
     rig: Rig,
-    places_px: Sequence[FloatArray],
+    positions_px: Sequence[FloatArray],
     covariances_px2: Sequence[FloatArray] | None = None,
-    moved: FloatArray | None = None,
-) -> Points:
+    face_motion: FloatArray | None = None,
+) -> Points3D:
     """Return points (F, N) in the frame of the first camera, for pixels (F, N, 2) of each camera.
 
     Of a pair as `triangulate` does. Of a camera alone where their rays meet the face, in frames in which it has `moved`
@@ -434,11 +434,11 @@ def locate(
     (`reprojection_px` NaN).
     """
     if isinstance(rig, StereoRig):
-        return triangulate(rig, *places_px, *(covariances_px2 or ()))
-    (pixels,) = places_px
+        return triangulate(rig, *positions_px, *(covariances_px2 or ()))
+    (pixels,) = positions_px
     check_shape("places_px", pixels, (None, None, 2))
-    poses = np.zeros((len(pixels), 6)) if moved is None else moved
-    faces = [rig.moved(RigidTransform.from_pose(pose)) for pose in poses]
+    poses = np.zeros((len(pixels), 6)) if face_motion is None else face_motion
+    faces = [rig.move_face(RigidTransform.from_pose(pose)) for pose in poses]
     rays = np.concatenate([rig.camera.undistort(pixels), np.ones((*pixels.shape[:2], 1))], axis=2)
     normal = np.array([face.normal for face in faces])
     height = np.array([face.normal @ face.point_m for face in faces])
@@ -452,7 +452,7 @@ def locate(
     open_ = np.einsum("fni,fnj->fnij", rays, rays) / np.sum(rays**2, axis=2)[..., None, None]
     precision = across + open_ * (np.trace(across, axis1=2, axis2=3) / (2.0 * ALONG**2))[..., None, None]
     covariance = np.linalg.inv(np.where(known[..., None, None], precision, np.eye(3)))
-    return Points(
+    return Points3D(
         np.where(known[..., None], position, np.nan),
         np.where(known[..., None, None], covariance, np.nan),
         np.full(known.shape, np.nan),

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from photogram.arrays import Arrays, BoolArray, FloatArray, Notice, RunningMean, derivatives
+from photogram.arrays import Arrays, BoolArray, FloatArray, RunningMean, derivatives
 from photogram.camera import StereoRig, epipolar_residual, triangulate
 from photogram.geometry import RigidTransform, rotation_from_vector
+from shakercal._common.notices import Notice
 
 if TYPE_CHECKING:
     from photogram.subsets.track import StereoTracks
@@ -57,7 +58,7 @@ class EpipolarCheck(Arrays, shapes="course_px F 3; u_course_px F 3; pattern_px 3
         return self.course_px[:, 0]
 
     @property
-    def refuted(self) -> str:
+    def rejection_reason(self) -> str:
         """Return why the pair cannot be what was calibrated, empty where it can.
 
         A residual of more than ten times what calibration and matching leave open is no error of the calibration but
@@ -78,7 +79,7 @@ class EpipolarCheck(Arrays, shapes="course_px F 3; u_course_px F 3; pattern_px 3
 
 
 def check_epipolar(
-    tracks: StereoTracks | Iterable[StereoTracks], rig: StereoRig, sought: BoolArray | None = None
+    tracks: StereoTracks | Iterable[StereoTracks], rig: StereoRig, subset_frames: BoolArray | None = None
 ) -> EpipolarCheck:
     """Return the epipolar residuals of a recording, with warnings where the cameras are not what was calibrated.
 
@@ -112,15 +113,15 @@ def check_epipolar(
             running.add(values)
         bias_px, frames = float(np.sqrt(np.nansum(block.bias_px**2))), frames + len(residual)
     mean, position, other = (running.mean for running in means)
-    sought = np.ones(frames, dtype=np.bool_) if sought is None else sought
+    subset_frames = np.ones(frames, dtype=np.bool_) if subset_frames is None else subset_frames
     good = _good(mean, position)
     if np.count_nonzero(good) < FEWEST_POINTS:
-        course = np.full((len(sought), 3), np.nan)
+        course = np.full((len(subset_frames), 3), np.nan)
         return EpipolarCheck(course, course, np.full(3, np.nan), None, position, np.full(len(mean), np.nan), ())
     basis = _basis(position[good])
     changes, u_changes, paths = zip(*_courses(blocks, rig, good, mean, position), strict=True)
-    path, (change, u_course) = np.concatenate(paths), np.full((2, len(sought), 3), np.nan)
-    change[sought], u_course[sought] = np.concatenate(changes), np.concatenate(u_changes)
+    path, (change, u_course) = np.concatenate(paths), np.full((2, len(subset_frames), 3), np.nan)
+    change[subset_frames], u_course[subset_frames] = np.concatenate(changes), np.concatenate(u_changes)
     solver = np.linalg.pinv(basis)
     pattern = solver @ mean[good]
     matches = position[good], other[good]

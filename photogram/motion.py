@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, RunningMean, check_shape
-from photogram.camera import Points
+from photogram.camera import Points3D
 from photogram.geometry import (
     displacement_jacobian,
     fixes_rotation,
@@ -84,7 +84,7 @@ class RigidMotion(Arrays, shapes="pose F 6; covariance F 6 6; residual_m F; poin
 
 
 def fit_motion(
-    points: Points, reference_m: FloatArray | None, origin_m: FloatArray, correlation: sparray | None = None
+    points: Points3D, reference_m: FloatArray | None, origin_m: FloatArray, correlation: sparray | None = None
 ) -> RigidMotion:
     """Return the rigid motion of every frame's points against reference (N, 3), by default the points of frame 0.
 
@@ -149,7 +149,7 @@ def relative_to(motion: RigidMotion, mean_pose: FloatArray) -> RigidMotion:
     return replace(motion, pose=pose, covariance=jacobian @ motion.covariance @ np.swapaxes(jacobian, 1, 2))
 
 
-def points_with_estimated_noise(position_m: FloatArray, reference_m: FloatArray | None = None) -> Points:
+def points_with_estimated_noise(position_m: FloatArray, reference_m: FloatArray | None = None) -> Points3D:
     """Return points (F, N, 3) of unknown covariance with the covariance that their own rigid fit shows.
 
     One 3×3 covariance for all: the residuals of an unweighted rigid fit of every frame, about each point's mean over
@@ -158,7 +158,7 @@ def points_with_estimated_noise(position_m: FloatArray, reference_m: FloatArray 
     """
     position = np.asarray(position_m, dtype=np.float64)
     check_shape("position_m", position, (None, None, 3))
-    unit = Points(position, np.broadcast_to(np.eye(3), (*position.shape, 3)), np.full(position.shape[:2], np.nan))
+    unit = Points3D(position, np.broadcast_to(np.eye(3), (*position.shape, 3)), np.full(position.shape[:2], np.nan))
     start = 1 if reference_m is None else 0
     motion = fit_motion(unit, reference_m, np.zeros(3))
     reference = position[0] if reference_m is None else np.asarray(reference_m, dtype=np.float64)
@@ -360,13 +360,13 @@ class DeformationMean:
         self.reference_m = reference_m
         self._residual, self._own = RunningMean(), RunningMean()
 
-    def add(self, points: Points, motion: RigidMotion) -> None:
+    def add(self, points: Points3D, motion: RigidMotion) -> None:
         """Take in the points (F, N) of further frames with their motion."""
         residual, own = self._beside(points, motion)
         self._residual.add(residual)
         self._own.add(own)
 
-    def _beside(self, points: Points, motion: RigidMotion) -> tuple[FloatArray, FloatArray]:
+    def _beside(self, points: Points3D, motion: RigidMotion) -> tuple[FloatArray, FloatArray]:
         """Return what is not rigid (F, N, 3), and its covariance, both NaN where either is not known."""
         frames, count, _ = points.position_m.shape
         check_shape("reference_m", self.reference_m, (count, 3))
@@ -385,7 +385,7 @@ class DeformationMean:
         seen = np.asarray(np.isfinite(residual).all(axis=2) & np.isfinite(own).all(axis=(2, 3)))
         return np.where(seen[..., None], residual, np.nan), np.where(seen[..., None, None], own, np.nan)
 
-    def of(self, points: Points, motion: RigidMotion) -> Deformation:
+    def of(self, points: Points3D, motion: RigidMotion) -> Deformation:
         """Return the deformation of frames that were taken in, all or some of them."""
         residual, own = self._beside(points, motion)
         number = np.maximum(self._residual.count[:, :1], 1)
@@ -394,7 +394,7 @@ class DeformationMean:
         return Deformation(self.reference_m, residual - self._residual.mean, covariance)
 
 
-def deformation(points: Points, motion: RigidMotion, reference_m: FloatArray | None = None) -> Deformation:
+def deformation(points: Points3D, motion: RigidMotion, reference_m: FloatArray | None = None) -> Deformation:
     """Return what remains of points (F, N) after their body's `motion` against reference (N, 3), by default frame 0.
 
     e = Rᵀ·(x' − o − t) − (x − o) without each point's mean over the F frames in which it is seen, which takes out the

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from photogram.arrays import Arrays, FloatArray, IntArray
-from photogram.images.sequence import check_file, reading
+from photogram.images.sequence import check_file, wrap_read_errors
 from photogram.mat5 import check_mat5
 
 POSITION = ("x", "y", "z")
@@ -38,7 +38,7 @@ class PointTable(Arrays, shapes="frames F; position_m F N 3; reference_m N 3; u_
 
 
 @dataclass(frozen=True, eq=False)
-class _Frame:
+class _TableFrame:
     """Points of one frame: what tells them apart (R, k), here and in the first frame (R, 3), in m, NaN where lost."""
 
     name: str
@@ -108,11 +108,11 @@ def read_point_tables(
 
 def _named_frames(
     paths: Sequence[Path], columns: Sequence[str], valid_status: float | None, scale: float
-) -> list[_Frame]:
+) -> list[_TableFrame]:
     """Return the frames of tables whose columns the caller names."""
     tables = []
     for path in paths:
-        with reading(path):
+        with wrap_read_errors(path):
             tables.append((str(path), _read_numbers(path, len(columns))))
     if "frame" in columns:
         if len(paths) > 1:
@@ -129,7 +129,7 @@ def _named_frames(
         before = None
         if REFERENCE[0] in columns:
             before = rows[:, [columns.index(name) for name in REFERENCE]] * scale
-        frames.append(_Frame(name, rows[:, [column.startswith("id") for column in columns]], here, before))
+        frames.append(_TableFrame(name, rows[:, [column.startswith("id") for column in columns]], here, before))
     return frames
 
 
@@ -147,7 +147,7 @@ def _check_columns(columns: Sequence[str]) -> None:
             raise ValueError(f"columns: expected {' '.join(group)}, found {' '.join(present) or 'none of them'}")
 
 
-def _places(frames: Sequence[_Frame]) -> tuple[list[IntArray], int]:
+def _places(frames: Sequence[_TableFrame]) -> tuple[list[IntArray], int]:
     """Which points the rows of each table are, by their identity or else by their order; and how many."""
     first = frames[0]
     named, count = first.identity.shape[1] > 0, len(first.position_m)
@@ -265,13 +265,13 @@ _Columns = dict[str, tuple[str, FloatArray]]
 """Unit, empty where none is stated, and values (R,) of every column by its name."""
 
 
-def _known_frames(paths: Sequence[Path], scale: float | None) -> tuple[str, list[_Frame]]:
+def _known_frames(paths: Sequence[Path], scale: float | None) -> tuple[str, list[_TableFrame]]:
     """Return whose tables these are and what they hold."""
     if any(_QUANTITY.search(path.name) for path in paths):
         return _MATRIX, _matrix_frames(paths, scale)
     found, frames = [], []
     for path in paths:
-        with reading(path):
+        with wrap_read_errors(path):
             columns = _mat_columns(path) if path.suffix.lower() == ".mat" else _text_columns(path)
         layout = next((known for known in _LAYOUTS if {*known.place, *known.moves} <= set(columns)), None)
         if layout is None:
@@ -288,7 +288,7 @@ def _known_frames(paths: Sequence[Path], scale: float | None) -> tuple[str, list
     return found[0], frames
 
 
-def _frame(path: Path, columns: _Columns, layout: _Layout, scale: float | None) -> _Frame:
+def _frame(path: Path, columns: _Columns, layout: _Layout, scale: float | None) -> _TableFrame:
     """Return the points of one table of a known program."""
 
     def lengths(names: tuple[str, ...]) -> FloatArray:
@@ -304,7 +304,7 @@ def _frame(path: Path, columns: _Columns, layout: _Layout, scale: float | None) 
     names: tuple[str, ...] = next((names for names in layout.identities if set(names) <= set(columns)), ())
     identity = np.stack([columns[name][1] for name in names], 1) if names else np.empty((len(here), 0))
     u = lengths(layout.u) if layout.u and set(layout.u) <= set(columns) else None
-    return _Frame(str(path), identity, here, before, u)
+    return _TableFrame(str(path), identity, here, before, u)
 
 
 def _metres(path: Path, name: str, unit: str | None, scale: float | None) -> float:
@@ -382,7 +382,7 @@ def _mat_columns(path: Path) -> _Columns:
     return {name: ("", value.ravel().astype(np.float64)) for name, value in arrays.items() if value.size == size > 0}
 
 
-def _matrix_frames(paths: Sequence[Path], scale: float | None) -> list[_Frame]:
+def _matrix_frames(paths: Sequence[Path], scale: float | None) -> list[_TableFrame]:
     """Return the points of MatchID's matrices: `FRAME_X[mm].csv` and so on, quantities X Y Z U V W of every frame."""
     frames: dict[str, dict[str, tuple[Path, str]]] = {}
     for path in paths:
@@ -401,12 +401,12 @@ def _matrix_frames(paths: Sequence[Path], scale: float | None) -> list[_Frame]:
         values = {}
         for quantity, (path, unit) in quantities.items():
             if quantity in "XYZUVW":
-                with reading(path):
+                with wrap_read_errors(path):
                     values[quantity] = read_matrix(path) * _metres(path, quantity, unit, scale)
         if len({value.shape for value in values.values()}) > 1:
             raise ValueError(f"{name}: expected matrices of one size, found several")
         before, moves = (np.stack([values[axis].ravel() for axis in axes], 1) for axes in ("XYZ", "UVW"))
-        points.append(_Frame(name, np.empty((len(before), 0)), before + moves, before))
+        points.append(_TableFrame(name, np.empty((len(before), 0)), before + moves, before))
     return points
 
 

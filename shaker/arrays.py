@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,7 @@ class Stacked:
     ndim = 2
 
     @staticmethod
-    def of(values: FloatArray | Stacked) -> Stacked:
+    def from_array(values: FloatArray | Stacked) -> Stacked:
         """Return the columns of an array (S,) or (S, C); `ValueError` for any other."""
         if isinstance(values, Stacked):
             return values
@@ -57,13 +57,13 @@ class Stacked:
             np.multiply(column[own], factor, out=values[:, c])
         return values
 
-    def each(self) -> Iterator[FloatArray]:
+    def iterate_channels(self) -> Iterator[FloatArray]:
         """Yield the channels (S,) one by one."""
         for column, factor in zip(self.columns, self.factors, strict=True):
             own = column if self.rows is None else column[self.rows]
             yield np.ascontiguousarray(own if factor == 1.0 else own * factor, dtype=np.float64)
 
-    def parts(self) -> Iterator[FloatArray]:
+    def iterate_row_blocks(self) -> Iterator[FloatArray]:
         """Yield all rows (R, C), some at a time."""
         for first in range(0, len(self), _ROWS):
             yield self[first : first + _ROWS]
@@ -73,7 +73,7 @@ class Stacked:
         columns, factors = zip(*((self.columns[c], self.factors[c]) for c in chosen), strict=True)
         return replace(self, columns=columns, factors=factors)
 
-    def kept(self, rows: BoolArray | None) -> Stacked:
+    def select_rows(self, rows: BoolArray | None) -> Stacked:
         """Return the rows (S,) that are true, None for all."""
         if rows is None:
             return self
@@ -119,17 +119,3 @@ class Brief:
     """A data class of arrays that prints on one line: `@dataclass(frozen=True, repr=False)`."""
 
     __repr__ = brief
-
-
-# What a stage wants the user to know, carried in its result.
-
-Severity = Literal["info", "warning"]
-
-
-@dataclass(frozen=True)
-class Notice:
-    """One remark to the user: how severe, what it says, and what it is about (a channel, a camera, a line)."""
-
-    severity: Severity
-    text: str
-    where: str

@@ -24,7 +24,7 @@ _MOST_BENT = 0.75  # length of the bend of a step in that of the step
 _RANK = 1e-12  # diagonal of a triangle, over its largest element, below which columns depend on one another
 
 
-class Point(Protocol):
+class TrialPoint(Protocol):
     """A trial of parameters (P,): its loss, infinite where the parameters are impossible."""
 
     @property
@@ -48,11 +48,11 @@ class Point(Protocol):
         ...
 
 
-P = TypeVar("P", bound=Point)
+P = TypeVar("P", bound=TrialPoint)
 
 
 @dataclass(frozen=True)
-class Rules:
+class LMOptions:
     """When a search ends, and how it is damped.
 
     It ends where a step is foretold to lower the loss by less than max(`foretold`, `foretold_share`·loss), or where one
@@ -62,22 +62,22 @@ class Rules:
     below `least`.
     """
 
-    foretold: float = 0.0
-    foretold_share: float = 1e-10
-    gained: float = 0.0
-    gained_share: float = 0.0
-    wanted: float = np.inf
-    steps: int = 100
-    tries: int = 100
-    first: float = 1e-3
-    grow: float = 10.0
-    shrink: float = 0.1
-    least: float = 1e-9
-    largest: float = 1e9
+    predicted_decrease: float = 0.0
+    predicted_decrease_share: float = 1e-10
+    actual_decrease: float = 0.0
+    actual_decrease_share: float = 0.0
+    tolerance: float = np.inf
+    max_steps: int = 100
+    max_dampings: int = 100
+    initial_damping: float = 1e-3
+    damping_increase: float = 10.0
+    damping_decrease: float = 0.1
+    min_damping: float = 1e-9
+    max_damping: float = 1e9
 
 
 @dataclass(frozen=True)
-class Prior:
+class ParameterPrior:
     """What is known of parameters beforehand: `value` (P,) with standard deviations `u` (P,), infinite where nothing.
 
     Its weight against the data takes the residual's variance at the present point for that of the data.
@@ -103,9 +103,9 @@ class Minimum(Generic[P]):
 def levenberg_marquardt(
     evaluate: Callable[[FloatArray], P | None],
     start: P,
-    rules: Rules,
-    smallest: FloatArray | None = None,
-    prior: Prior | None = None,
+    options: LMOptions,
+    smallest_change: FloatArray | None = None,
+    prior: ParameterPrior | None = None,
     curvature: Callable[[P, FloatArray], FloatArray | None] | None = None,
 ) -> Minimum[P]:
     """Return the least squares next to a start (Marquardt, J. SIAM 11 (1963) 431).
@@ -118,9 +118,9 @@ def levenberg_marquardt(
     """
     if not np.isfinite(start.loss):
         raise ValueError("start: expected parameters for which all residuals are finite, found others")
-    floor = 1e-300 if smallest is None else 1.0 / smallest**2
-    here, damping, losses = start, rules.first, [start.loss]
-    for _ in range(rules.steps):
+    floor = 1e-300 if smallest_change is None else 1.0 / smallest_change**2
+    here, damping, losses = start, options.initial_damping, [start.loss]
+    for _ in range(options.max_steps):
         normal, downhill = here.normal
         variance = here.loss / here.freedom
         if prior is not None:
@@ -128,16 +128,16 @@ def levenberg_marquardt(
             downhill = downhill + variance * (prior.value - here.parameters) / prior.u**2
         scale = np.sqrt(np.maximum(np.diag(normal), floor))
         scaled, target = normal / scale / scale[:, None], downhill / scale
-        for tried in range(rules.tries + 1):
+        for tried in range(options.max_dampings + 1):
             step = _damped(scaled, target, damping) / scale
             foretold = float(step @ (2.0 * downhill - normal @ step))
-            least = max(rules.foretold, rules.foretold_share * here.loss, _NOTHING * losses[0])
-            if not tried and here.loss - _HOPED * foretold > rules.wanted:
+            least = max(options.predicted_decrease, options.predicted_decrease_share * here.loss, _NOTHING * losses[0])
+            if not tried and here.loss - _HOPED * foretold > options.tolerance:
                 return Minimum(here, tuple(losses), False)
             if foretold < least or np.all(np.abs(step) <= _STILL * np.abs(here.parameters)):
                 return Minimum(here, tuple(losses), True)
-            if tried == rules.tries or damping > rules.largest:
-                return Minimum(here, tuple(losses), tried == rules.tries)
+            if tried == options.max_dampings or damping > options.max_damping:
+                return Minimum(here, tuple(losses), tried == options.max_dampings)
             taken: FloatArray | None = step
             if tried and curvature is not None and (along := curvature(here, step)) is not None:
                 bend = 0.5 * _damped(scaled, along / scale, damping) / scale
@@ -147,11 +147,11 @@ def levenberg_marquardt(
             pull = 0.0 if prior is None or there is None else prior.pull(there.parameters) - prior.pull(here.parameters)
             if there is not None and there.loss + variance * pull < here.loss:
                 break
-            damping *= rules.grow
+            damping *= options.damping_increase
         assert there is not None
         gained = here.loss - there.loss
-        little = gained < max(rules.gained, rules.gained_share * here.loss)
-        here, damping = there, max(damping * rules.shrink, rules.least)
+        little = gained < max(options.actual_decrease, options.actual_decrease_share * here.loss)
+        here, damping = there, max(damping * options.damping_decrease, options.min_damping)
         losses.append(here.loss)
         if little:
             return Minimum(here, tuple(losses), True)
@@ -168,7 +168,7 @@ def _damped(scaled: FloatArray, target: FloatArray, damping: float) -> FloatArra
 
 
 @dataclass(frozen=True)
-class Residuals:
+class WhitenedResiduals:
     """A point by its whitened residual r (N,) and Jacobian dr/dx (N, P)."""
 
     parameters: FloatArray
@@ -193,7 +193,7 @@ class Residuals:
 
 
 @dataclass(frozen=True)
-class Eliminated:
+class LinearElimination:
     """Coefficients (B, C) of a design (N, B) by least squares, what they leave of the data (N, C), `basis` (N, B) of
     the design's columns, and `root` (B, B) with root·rootᵀ = (AᵀA)⁻¹."""
 
@@ -202,13 +202,13 @@ class Eliminated:
     basis: FloatArray
     root: FloatArray
 
-    def beside(self, columns: FloatArray) -> FloatArray:
+    def orthogonal_complement(self, columns: FloatArray) -> FloatArray:
         """Return the part of columns (N, …) that the design cannot take up."""
         table = columns.reshape(len(self.basis), -1)
         return np.asarray(columns - (self.basis @ (self.basis.T @ table)).reshape(columns.shape))
 
 
-def eliminate(design: FloatArray, data: FloatArray) -> Eliminated:
+def eliminate(design: FloatArray, data: FloatArray) -> LinearElimination:
     """Return data (N, C) explained by a design (N, B), columns scaled to one length; those that depend share alike."""
     size = np.sqrt(np.einsum("nb,nb->b", design, design))
     size[size == 0.0] = 1.0
@@ -221,24 +221,24 @@ def eliminate(design: FloatArray, data: FloatArray) -> Eliminated:
     else:
         root = np.linalg.inv(triangle) / size[:, None]
         own = root @ (basis.T @ data)
-    return Eliminated(own, data - design @ own, basis, root)
+    return LinearElimination(own, data - design @ own, basis, root)
 
 
-class Changes(NamedTuple):
+class BlockJacobian(NamedTuple):
     """How fitted rows change, `rows` (N, p, C), with the parameters `places` (p,) that move them.
 
     Of rows beside a block's own: products of their changes, `beside` (C, p, p), and of these with what is left of the
     data there, `pull` (C, p).
     """
 
-    places: IntArray
+    parameter_index: IntArray
     rows: FloatArray
-    beside: FloatArray = np.zeros((1, 1, 1))
-    pull: FloatArray = np.zeros((1, 1))
+    complement_normal: FloatArray = np.zeros((1, 1, 1))
+    complement_gradient: FloatArray = np.zeros((1, 1))
 
 
 @dataclass(frozen=True)
-class Block:
+class LinearBlock:
     """Rows `design` (N, B) that explain `data` (N, C) by coefficients of their own.
 
     `changes`: of coefficients (B, C), as `Changes`. Long rows may be given turned, by an orthonormal basis of their
@@ -247,20 +247,20 @@ class Block:
 
     design: FloatArray
     data: FloatArray
-    changes: Callable[[FloatArray], Changes]
-    squares: float = 0.0
-    more: int = 0
+    jacobian: Callable[[FloatArray], BlockJacobian]
+    extra_squares: float = 0.0
+    extra_rows: int = 0
 
 
 @dataclass(frozen=True)
-class Separable:
+class SeparablePoint:
     """A point by blocks whose coefficients are projected out; parameters (P,) are those that blocks share."""
 
     parameters: FloatArray
-    blocks: Sequence[Block]
+    blocks: Sequence[LinearBlock]
 
     @cached_property
-    def solved(self) -> tuple[Eliminated, ...]:
+    def solved(self) -> tuple[LinearElimination, ...]:
         """Coefficients and residuals of every block."""
         return tuple(eliminate(block.design, block.data) for block in self.blocks)
 
@@ -279,28 +279,28 @@ class Separable:
         """Sum of squares, infinite where a design is not finite."""
         if not all(np.all(np.isfinite(block.design)) for block in self.blocks):
             return np.inf
-        beside = sum(block.squares for block in self.blocks)
+        beside = sum(block.extra_squares for block in self.blocks)
         return float(sum((np.vdot(part.residual, part.residual) for part in self.solved), start=beside))
 
     @property
     def freedom(self) -> int:
         """Degrees of freedom, at least 1."""
         linear = sum(part.coefficients.size for part in self.solved)
-        return max(1, sum(block.data.size + block.more for block in self.blocks) - linear - len(self.parameters))
+        return max(1, sum(block.data.size + block.extra_rows for block in self.blocks) - linear - len(self.parameters))
 
     @cached_property
-    def slopes(self) -> tuple[Changes, ...]:
+    def jacobians(self) -> tuple[BlockJacobian, ...]:
         """Changes of every block at its best coefficients."""
         pairs = zip(self.blocks, self.solved, strict=True)
-        return tuple(block.changes(part.coefficients) for block, part in pairs)
+        return tuple(block.jacobian(part.coefficients) for block, part in pairs)
 
     @cached_property
     def normal(self) -> tuple[FloatArray, FloatArray]:
         """Normal equations of Kaufman's Jacobian."""
         count = len(self.parameters)
         normal, downhill = np.zeros((count, count)), np.zeros(count)
-        for part, (places, rows, beside, pull) in zip(self.solved, self.slopes, strict=True):
-            free = part.beside(rows).transpose(0, 2, 1).reshape(-1, len(places))
+        for part, (places, rows, beside, pull) in zip(self.solved, self.jacobians, strict=True):
+            free = part.orthogonal_complement(rows).transpose(0, 2, 1).reshape(-1, len(places))
             normal[np.ix_(places, places)] += free.T @ free + beside.sum(axis=0)
             downhill[places] += free.T @ part.residual.ravel() + pull.sum(axis=0)
         return normal, downhill
@@ -308,16 +308,16 @@ class Separable:
 
 # Minima beside the least one.
 
-REACH = 1.96  # standard uncertainties of 95 %
-REFUTED = 9.0  # χ² above the least from which a minimum is refuted: three standard deviations
+NORMAL_QUANTILE_95 = 1.96  # standard uncertainties of 95 %
+REJECT_CHI2 = 9.0  # χ² above the least from which a minimum is refuted: three standard deviations
 
 
-def far_away(excess: float) -> float:
+def excess_chi2_sigmas(excess: float) -> float:
     """Return how many standard uncertainties away a minimum is whose χ² is larger than the least by `excess`.
 
     By the ratio of the likelihoods √excess; one that is as likely is at the end of a 95 % interval.
     """
-    return float(np.sqrt(max(excess, REACH**2)))
+    return float(np.sqrt(max(excess, NORMAL_QUANTILE_95**2)))
 
 
 def covariance_root(covariance: FloatArray) -> FloatArray:

@@ -71,7 +71,7 @@ class Mechanics:
 
 
 @dataclass(frozen=True)
-class Beside:
+class FrequencyTerms:
     """What depends on frequency beside a `Mechanics`: `mass` (K, n, n) of M, `forcing` (K, n), `rows`, `offset`.
 
     `rows` (K, C, n) and `offset` (K, C) of the responses.
@@ -84,7 +84,7 @@ class Beside:
 
 
 @dataclass(frozen=True)
-class Response:
+class MechanicalResponse:
     """Ratios `value` (K, C) of responses to reference at s (K,), and on demand their derivatives.
 
     `motion` (K, n): p, `below` (K,): what the reference reads, both per unit of the base's motion. `inverse` (K, n, n)
@@ -95,17 +95,19 @@ class Response:
     s: ComplexArray
     value: ComplexArray
     motion: ComplexArray
-    below: ComplexArray
+    reference_reading: ComplexArray
     inverse: ComplexArray
     rows: FloatArray | ComplexArray
     mass: FloatArray | ComplexArray
     damping: FloatArray
-    push: ComplexArray
+    forcing: ComplexArray
 
     @cached_property
     def adjoint(self) -> ComplexArray:
         """Change (K, C, n) of the ratios for one of a force on p: y = D⁻¹ (rows - H · reference) / what that reads."""
-        readings = (self.rows - self.value[:, :, None] * self.mechanics.reference) / self.below[:, None, None]
+        readings = (self.rows - self.value[:, :, None] * self.mechanics.reference) / self.reference_reading[
+            :, None, None
+        ]
         return np.asarray(readings @ self.inverse)
 
     @property
@@ -133,19 +135,21 @@ class Response:
     def by_log_s(self) -> ComplexArray:
         """Derivatives (K, C) by the logarithm of s; what is beside the mechanics is taken as constant."""
         s1 = self.s[:, None]
-        faster = 2.0 * s1 * s1 * (self.push + (self.mass @ self.motion[:, :, None])[:, :, 0])
+        faster = 2.0 * s1 * s1 * (self.forcing + (self.mass @ self.motion[:, :, None])[:, :, 0])
         return np.asarray(-np.sum(self.adjoint * (faster + s1 * (self.motion @ self.damping))[:, None], axis=2))
 
 
-def respond(mechanics: Mechanics, weights: FloatArray, s: ComplexArray, beside: Beside | None = None) -> Response:
+def respond(
+    mechanics: Mechanics, weights: FloatArray, s: ComplexArray, frequency_terms: FrequencyTerms | None = None
+) -> MechanicalResponse:
     """Return the ratios of responses to reference at s (K,) for weights (1+P+E,)."""
     (mass, damping, stiffness), forcing = mechanics.at(weights)
     rows: FloatArray | ComplexArray = mechanics.rows[None]
     whole: FloatArray | ComplexArray = mass[None]
     offset, push = mechanics.offset + 0.0j, np.asarray(forcing[None], np.complex128)
-    if beside is not None:
-        rows, offset = rows + beside.rows, offset + beside.offset
-        whole, push = whole + beside.mass, push + beside.forcing
+    if frequency_terms is not None:
+        rows, offset = rows + frequency_terms.rows, offset + frequency_terms.offset
+        whole, push = whole + frequency_terms.mass, push + frequency_terms.forcing
     s1 = s[:, None]
     s2 = s1 * s1
     dynamic = s2[:, :, None] * whole + s1[:, :, None] * damping + stiffness
@@ -153,7 +157,7 @@ def respond(mechanics: Mechanics, weights: FloatArray, s: ComplexArray, beside: 
     motion = -s2 * (inverse @ push[:, :, None])[:, :, 0]
     below = mechanics.reference_offset + motion @ mechanics.reference
     value = (offset + (rows @ motion[:, :, None])[:, :, 0]) / below[:, None]
-    return Response(mechanics, s, value, motion, below, inverse, rows, whole, damping, push)
+    return MechanicalResponse(mechanics, s, value, motion, below, inverse, rows, whole, damping, push)
 
 
 def poles(mechanics: Mechanics, weights: FloatArray) -> tuple[ComplexArray, ComplexArray]:
@@ -207,7 +211,7 @@ class MassChain:
             if np.any(getattr(self, name) < 0.0):
                 raise ValueError(f"{name}: expected none negative, found {getattr(self, name).tolist()}")
 
-    def transfer(self, frequency_hz: FloatArray, of: str, over: str = BASE) -> Response:
+    def transfer(self, frequency_hz: FloatArray, of: str, over: str = BASE) -> MechanicalResponse:
         """Return the motion of one stage over that of another or of the base, while the base is moved.
 
         `value` (K, 1), `by_term` (K, 1, 3N): derivatives by mass, stiffness, damping of every stage, `by_log_s` (K, 1).

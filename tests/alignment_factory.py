@@ -7,14 +7,21 @@ from functools import cache
 
 import numpy as np
 
-from photogram.alignment.evidence import KnownAxis, KnownDirection, across, calibration_steps, fit_axis, linear_motion
-from photogram.alignment.solve import Alignment
+from photogram.alignment.alignment_evidence import (
+    KnownAxis,
+    KnownDirection,
+    calibration_steps,
+    fit_axis,
+    linear_motion,
+    perpendicular_directions,
+)
+from photogram.alignment.pose_estimation import Alignment
 from photogram.arrays import ComplexArray, FloatArray
 from photogram.camera import ROTATION, Camera, StereoRig, triangulate
 from photogram.geometry import RigidTransform, nearest_rotation, rotation_from_vector, vector_from_rotation
 from photogram.motion import RigidMotion
 from photogram.synthetic.scene import session_covariance
-from photogram.targets.view import Target, TargetView
+from photogram.targets.target_view import Target, TargetView
 
 SIZE_PX = np.array([1280, 1024])
 WORKING_M = 0.45
@@ -113,10 +120,10 @@ def make_world(seed: int) -> World:
 def face(world: World, angle_rad: float, count: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return centre and normal of a face of the body that is turned towards the cameras, and points (N, 3) on it."""
     towards = -world.sensor_from_camera.rotation[:, 2]
-    normal = towards + 0.8 * np.array([np.cos(angle_rad), np.sin(angle_rad)]) @ across(towards)
+    normal = towards + 0.8 * np.array([np.cos(angle_rad), np.sin(angle_rad)]) @ perpendicular_directions(towards)
     normal /= np.linalg.norm(normal)
     centre = BODY_M + 0.02 * normal
-    return centre, normal, centre + world.rng.uniform(-0.03, 0.03, (count, 2)) @ across(normal)
+    return centre, normal, centre + world.rng.uniform(-0.03, 0.03, (count, 2)) @ perpendicular_directions(normal)
 
 
 NOISE = np.diag([1e-7] * 3 + [1e-6] * 3) ** 2
@@ -163,7 +170,7 @@ def phasor_of(pose: FloatArray, time_s: FloatArray, frequency_hz: float) -> Comp
 
 def off(direction: FloatArray, u_rad: float, rng: np.random.Generator) -> FloatArray:
     """Return a direction as somebody states it who is wrong by about u in either direction across it."""
-    stated = direction + u_rad * rng.normal(size=2) @ across(direction)
+    stated = direction + u_rad * rng.normal(size=2) @ perpendicular_directions(direction)
     return np.asarray(stated / np.linalg.norm(stated))
 
 

@@ -6,12 +6,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from photogram.arrays import FloatArray, Notice
-from photogram.calibration.result import CalibratedPicture, CalibratedView, Calibration, Determined, Dropped, Parameter
+from photogram.arrays import FloatArray
+from photogram.calibration.calibration_result import (
+    CalibratedImage,
+    CalibratedView,
+    Calibration,
+    CalibrationParameter,
+    ParameterState,
+    Rejection,
+)
 from photogram.camera import RIG_PARAMETERS, Camera, StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.synthetic.scene import session_covariance
-from photogram.targets.view import Target
+from photogram.targets.target_view import Target
+from shakercal._common.notices import Notice
 
 SIZE_PX = np.array([2448, 2048])
 SPACING_M = 3.5e-3
@@ -65,7 +73,7 @@ def _view(place: int, rig: StereoRig, shape: FloatArray, session: Session, rng: 
     facing = rotation_from_vector(np.array([0.0, -0.2, 0.0])) @ np.diag([1.0, -1.0, -1.0])
     turned = rotation_from_vector(np.array([0.0, 0.0, rng.uniform(-0.6, 0.6)]))
     pose = RigidTransform(tilted @ facing @ turned, CENTRE_M + rng.uniform(-1, 1, 3) * [0.06, 0.06, 0.05])
-    pictures: list[CalibratedPicture | None] = []
+    pictures: list[CalibratedImage | None] = []
     for name, pixel in zip(session.names, rig.project(pose.apply(shape)), strict=True):
         if len(pictures) == 1 and place in session.missing_right:
             pictures.append(None)
@@ -78,7 +86,7 @@ def _view(place: int, rig: StereoRig, shape: FloatArray, session: Session, rng: 
         seen = ((pixel > 12) & (pixel < SIZE_PX - 12)).all(axis=1)
         normalised = np.linalg.norm(off, axis=1) / np.hypot(session.noise_px, session.unmodelled_px / 2)
         arrays = (LATTICE[seen], (pixel + off)[seen], off[seen], normalised[seen], ~wrong[seen])
-        pictures.append(CalibratedPicture(f"{name}-{place + 1:02d}.tif", *arrays))
+        pictures.append(CalibratedImage(f"{name}-{place + 1:02d}.tif", *arrays))
     root = np.diag([2e-6] * 3 + [2e-5] * 3) @ (np.eye(6) + 0.2 * rng.normal(size=(6, 6)))
     return CalibratedView(pose, root @ root.T, *pictures)
 
@@ -89,7 +97,7 @@ def _calibration(rig: StereoRig, views: tuple[CalibratedView, ...], shape: Float
     residuals = [np.concatenate([picture.residual_px[picture.used] for picture in side]) for side in sides]
     rms = [float(np.sqrt((each**2).sum(axis=1).mean())) for each in (*residuals, np.concatenate(residuals))]
     reason = "residual more than 4 times its uncertainty"
-    left_out = [Dropped(p.name, int((~p.used).sum()), reason) for side in sides for p in side if not p.used.all()]
+    left_out = [Rejection(p.name, int((~p.used).sum()), reason) for side in sides for p in side if not p.used.all()]
     return Calibration(
         rig=rig,
         target=Target("dots", SPACING_M),
@@ -103,31 +111,33 @@ def _calibration(rig: StereoRig, views: tuple[CalibratedView, ...], shape: Float
         shape_index=LATTICE,
         shape_m=shape,
         scale_u=session.scale_u,
-        covered=(_covered(sides[0]), _covered(sides[1])),
-        dropped=(
-            Dropped(f"{session.names[0]}-15.tif", 0, "blurred: edges of 6.1 px, sharp ones have 1.2 px"),
-            Dropped(f"{session.names[1]}-06.tif", 0, "no ring markers found"),
+        coverage=(_covered(sides[0]), _covered(sides[1])),
+        rejections=(
+            Rejection(f"{session.names[0]}-15.tif", 0, "blurred: edges of 6.1 px, sharp ones have 1.2 px"),
+            Rejection(f"{session.names[1]}-06.tif", 0, "no ring markers found"),
             *left_out,
         ),
         notices=(
-            Notice("info", "the target is bent by 60 µm; its shape was estimated", "target"),
+            Notice("note", "the target is bent by 60 µm; its shape was estimated", "target"),
             Notice("warning", "the lower left corner of the right picture is empty; add views there", "coverage"),
         ),
     )
 
 
-def _covered(pictures: list[CalibratedPicture]) -> float:
+def _covered(pictures: list[CalibratedImage]) -> float:
     """Share of the 8 x 6 cells of the picture in which there is a point."""
     points = np.concatenate([picture.position_px[picture.used] for picture in pictures])
     counts, _, _ = np.histogram2d(points[:, 0], points[:, 1], bins=(8, 6), range=[[-0.5, n - 0.5] for n in SIZE_PX])
     return float((counts > 0).mean())
 
 
-def _parameters(rig: StereoRig) -> tuple[Parameter, ...]:
+def _parameters(rig: StereoRig) -> tuple[CalibrationParameter, ...]:
     """All 24 with the state that their value and uncertainty give."""
     value, variance = rig.values[:24], np.diagonal(rig.covariance)[:24]
     parameters = []
     for name, size, u, unit in zip(RIG_PARAMETERS[:24], value, np.sqrt(variance), UNITS, strict=True):
-        state: Determined = "indistinct" if unit == "1" and abs(size) < 2 * u else "determined"
-        parameters.append(Parameter(name, float(size), float(u), unit, "open" if unit == "1" and u > 1 else state))
+        state: ParameterState = "indistinct" if unit == "1" and abs(size) < 2 * u else "determined"
+        parameters.append(
+            CalibrationParameter(name, float(size), float(u), unit, "open" if unit == "1" and u > 1 else state)
+        )
     return tuple(parameters)

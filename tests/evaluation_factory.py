@@ -12,29 +12,29 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.estimation.consistency import CommonEstimate, Consistency
 from fusion.estimation.fuse import Acceleration
+from fusion.estimation.instrument_consistency import CommonEstimate, Consistency
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty
 from fusion.instruments.channel import Outputs
-from fusion.phasors.channels import ChannelResult
+from fusion.phasors.channel_phasors import ChannelResult
 from fusion.phasors.stereo_phasors import StereoResult
 from fusion.phasors.timing import ClockResult, Grid
 from fusion.recording.environment import Environment
-from fusion.recording.rig import Load, Rig, Sensor
-from fusion.recording.toml import Stated, UncertainInput
+from fusion.recording.rig import Rig, RigLoad, Sensor
+from fusion.recording.toml import UncertainInput, UncertaintyStatement
 from fusion.sensitivity.analyse import Evaluation
-from fusion.sensitivity.load import LoadResult
+from fusion.sensitivity.load_phasors import LoadResult
 from fusion.sensitivity.ratio import Sensitivity
 from photogram.epipolar import EpipolarCheck
 from photogram.motion import RigidMotion
-from shaker.arrays import Notice
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS, component_units
-from shaker.lines.frequencies import Lines
+from shaker.lines.frequencies import LineFrequencies
 from shaker.sine.aliasing import exposure_gain
-from shaker.sine.fit import fit_sines
 from shaker.sine.phasor import Phasors
+from shaker.sine.sine_fit import fit_sines
 from shaker.timebase.tie import ClockTie
 from shaker.timebase.trigger import TriggerFit
+from shakercal._common.notices import Notice
 
 FREQUENCY_HZ = np.array([106.2503, 212.5006, 425.0012])
 ACCELERATION = np.array(
@@ -64,7 +64,7 @@ class Choice:
     mounting: str = "1"
 
 
-CERTIFIED = Stated(value=6.9605, U=0.0020, k=2.0, certificate="M-2026-117", valid_until=date(2028, 3, 2))
+CERTIFIED = UncertaintyStatement(value=6.9605, U=0.0020, k=2.0, certificate="M-2026-117", valid_until=date(2028, 3, 2))
 """What a certificate says of the load mass."""
 
 
@@ -324,7 +324,7 @@ def _trigger(start_s: float, resolution_s: float, rng: np.random.Generator) -> T
     )
 
 
-LINES = Lines(
+LINES = LineFrequencies(
     frequency_hz=FREQUENCY_HZ,
     u_frequency_hz=np.array([1e-5, 4e-4, 3e-4]),
     nominal_hz=np.full(3, 106.25),
@@ -333,7 +333,7 @@ LINES = Lines(
     notices=(),
 )
 NOTICES = (
-    Notice("info", "edge 90 of 211 is missing; its frame keeps its place", "camera_trigger"),
+    Notice("note", "edge 90 of 211 is missing; its frame keeps its place", "camera_trigger"),
     Notice("warning", "318.75 Hz is left out: <u> above its limit & more", "top"),
 )
 
@@ -358,7 +358,7 @@ def _manifest(folder: Path, choice: Choice) -> Any:
         format=1,
         name="10 kN shaker, load mass 7 kg",
         sensor=sensor if choice.sensor else None,
-        load=Load(mass=6.9605, mass_uncertainty=0.0010, **point),
+        load=RigLoad(mass=6.9605, mass_uncertainty=0.0010, **point),
         environment=Environment(temperature=23.0),
     )
     excitation = SimpleNamespace(kind="sine", direction=(0.0, 0.0, 1.0), frequencies=(106.25,))

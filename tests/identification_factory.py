@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from shaker.identification.measured import InertiaError, MeasuredTransfer, Placement, RelativeError
+from shaker.identification.measured_curves import CurveError, InertiaError, MeasuredTransfer, Placement
 from shaker.sine.phasor import Phasors
 
 FloatArray = NDArray[np.float64]
@@ -48,7 +48,7 @@ def state_space(
     return np.array(moved)
 
 
-def again(record: MeasuredTransfer, value: ComplexArray | None = None, **words: Any) -> MeasuredTransfer:
+def replace_ratio(record: MeasuredTransfer, value: ComplexArray | None = None, **words: Any) -> MeasuredTransfer:
     """The curve of a recording along z, or another value, with other noise and errors."""
     value = record.ratio.value if value is None else value
     return recording(record.name, record.ratio.frequency_hz, value, record.mass_matrix, ALONG_Z, **words)
@@ -65,7 +65,7 @@ def recording(
     rng: np.random.Generator | None = None,
     tops: Sequence[Placement] | None = None,
     base: Placement | None = None,
-    errors: Sequence[RelativeError] = (),
+    errors: Sequence[CurveError] = (),
     inertia_errors: Sequence[InertiaError] = (),
     line_correlation: ComplexArray | None = None,
     added_decay_per_s: float = 0.0,

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from support import write_daq
 
 from fusion.recording.toml import to_toml
-from fusion.simulate.chirp import Chirp, Suspension, rig_file, write_chirps
+from fusion.simulate.chirp import Chirp, SimulatedSuspension, rig_file, write_chirps
 from fusion.simulate.preset import read_preset
 from fusion.simulate.world import Draws, true_part
 
 QUICK = read_preset(Chirp, "chirp.chirp", sample_rate_hz=12800.0, period_s=0.64, periods=4, band_hz=(800.0, 2400.0))
-SMALL = read_preset(Suspension, "masses", chirp=QUICK)
+SMALL = read_preset(SimulatedSuspension, "masses", chirp=QUICK)
 STIFFNESS, DAMPING, LAG_S, SENSITIVITY = SMALL.stiffness[0], SMALL.damping[0], 50e-6, 2e-7
 SINES_HZ = (200.0, 400.0, 600.0, 800.0, 1000.0)
 SINE_LOAD = "9kg"
@@ -24,14 +24,16 @@ Below = Callable[..., NDArray[np.complex128]]
 _RATE_HZ, _LENGTH_S, _DRIVE_MPS2, _NOISE = 12800.0, 0.5, 20.0, 2e-3
 
 
-def write_campaign(folder: Path, stand: Suspension = SMALL, seed: int = 1) -> Path:
+def write_campaign(folder: Path, stand: SimulatedSuspension = SMALL, seed: int = 1) -> Path:
     """Write rigs and a chirp of each load into a new folder and return it; what is uncertain is drawn."""
     folder.mkdir(parents=True)
     write_chirps(folder, stand, Draws(seed, True))
     return folder
 
 
-def write_sines(folder: Path, seed: int = 1, stand: Suspension = SMALL, below: Below = SMALL.transfer) -> list[Path]:
+def write_sines(
+    folder: Path, seed: int = 1, stand: SimulatedSuspension = SMALL, below: Below = SMALL.transfer
+) -> list[Path]:
     """Add a recording of each sine to a campaign and return their folders.
 
     `below`: motion of what the sensor's spring moves over that of the base, of a rigid load that of the load.
@@ -39,7 +41,7 @@ def write_sines(folder: Path, seed: int = 1, stand: Suspension = SMALL, below: B
     return [_write_sine(folder, frequency, seed, stand, below) for frequency in SINES_HZ]
 
 
-def _write_sine(folder: Path, frequency: float, seed: int, stand: Suspension, below: Below) -> Path:
+def _write_sine(folder: Path, frequency: float, seed: int, stand: SimulatedSuspension, below: Below) -> Path:
     """One sine: acceleration of base and load, output Fz."""
     draws, rng = Draws(seed, True), np.random.default_rng([seed, round(frequency)])
     load, internal = true_part(SMALL.loads[SINE_LOAD], draws), true_part(SMALL.internal, draws)

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from fusion.estimation.fuse import Acceleration
 from fusion.estimation.measurement_model import Observation
 from fusion.estimation.uncertainty import Contribution, Uncertainty
-from fusion.instruments.channel import ChainUncertainty, Reading, RelativeError, observe_channels
+from fusion.instruments.channel import ChainUncertainty, ChannelReading, ChannelRelativeError, observe_channels
 from fusion.instruments.stereo import StereoReading
 from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.sine.phasor import Phasors
@@ -72,16 +72,16 @@ def output(
     value: np.ndarray,
     covariance: np.ndarray = QUIET,
     dof: float = 100.0,
-    further: tuple[RelativeError, ...] = (),
+    further_errors: tuple[ChannelRelativeError, ...] = (),
     frequency: np.ndarray = FREQUENCY,
     **stated: Any,
-) -> Reading:
+) -> ChannelReading:
     """An output of the sensor, Fz unless it is named, with the covariance (2, 2) of its noise."""
     entry = channel_entry(**{"name": "Fz", "quantity": "output"} | stated)
     entry.channel = entry.name
     spread, freedom = np.tile(covariance, (len(value), 1, 1)), np.full(len(value), dof)
     found = Phasors(frequency, value[:, None].astype(complex), spread, (entry.name,), ("V/V",), freedom)
-    return Reading(entry, found, ChainUncertainty(), further)
+    return ChannelReading(entry, found, ChainUncertainty(), further_errors)
 
 
 def channel_entry(**changes: Any) -> Any:
@@ -108,7 +108,7 @@ def channels(rows: Sequence[tuple[str, Any, Any]], noise: np.ndarray, quantity: 
     """Channels (name, point, direction) that read zero; `noise` (K,) of each."""
     blank = phasors(np.zeros((len(noise), 1)), noise[:, None])
     entries = [channel_entry(quantity=quantity, name=n, point=p, direction=d, **stated) for n, p, d in rows]
-    return observe_channels([Reading(entry, blank, ChainUncertainty()) for entry in entries], GRAVITY)[0]
+    return observe_channels([ChannelReading(entry, blank, ChainUncertainty()) for entry in entries], GRAVITY)[0]
 
 
 def lasers(points: Any = 8, noise: float = 1e-5, truth: np.ndarray = TRUTH, **stated: Any) -> Observation:
@@ -116,7 +116,7 @@ def lasers(points: Any = 8, noise: float = 1e-5, truth: np.ndarray = TRUTH, **st
     places = CIRCLE[:points] if isinstance(points, int) else points
     rows = [(f"p{i}", point, (0.0, 0.0, 1.0)) for i, point in enumerate(places)]
     size = np.abs(truth[:, 2]) / OMEGA[: len(truth)]
-    return exact(channels(rows, noise * size, "velocity", **{"common": "laser"} | (stated or LASER)), truth)
+    return exact_reading(channels(rows, noise * size, "velocity", **{"common": "laser"} | (stated or LASER)), truth)
 
 
 def beam() -> Observation:
@@ -131,15 +131,17 @@ def triaxial() -> Observation:
 def camera(noise_m: float = 1e-9, **stated: Any) -> Observation:
     """A camera pair without errors; `noise_m` along its x."""
     sigma = noise_m * np.array([1, 1, 3, 30, 30, 10.0])
-    return exact(StereoReading("top", stereo_entry(**(stated or CAMERA)), phasors(np.zeros((2, 6)), sigma)).observed())
+    return exact_reading(
+        StereoReading("top", stereo_entry(**(stated or CAMERA)), phasors(np.zeros((2, 6)), sigma)).observation()
+    )
 
 
-def exact(observation: Observation, truth: np.ndarray = TRUTH) -> Observation:
+def exact_reading(observation: Observation, truth: np.ndarray = TRUTH) -> Observation:
     """What an instrument reads of a motion without any error."""
     return with_values(observation, np.einsum("kmj,kj->km", observation.design, truth))
 
 
-def measured(
+def simulated_readings(
     seen: Sequence[Observation], rng: np.random.Generator, truth: np.ndarray = TRUTH, drawn: bool = True
 ) -> list[Observation]:
     """What instruments read of a motion, with drawn common errors and noise."""
@@ -154,7 +156,7 @@ def measured(
     return found
 
 
-def without(observation: Observation, gone: np.ndarray) -> Observation:
+def drop_readings(observation: Observation, gone: np.ndarray) -> Observation:
     """An instrument that lacks some readings (K, M)."""
     value = np.where(gone, complex(np.nan, np.nan), observation.phasors.value)
     missing = np.tile(gone, (1, 2))
@@ -166,7 +168,7 @@ def with_values(observation: Observation, value: np.ndarray) -> Observation:
     return replace(observation, phasors=replace(observation.phasors, value=value))
 
 
-def turned(observation: Observation, axis: int, angle_rad: float) -> Observation:
+def rotated_frame(observation: Observation, axis: int, angle_rad: float) -> Observation:
     """A camera frame that is turned: translations and rotations come out in other axes."""
     matrix = np.kron(np.eye(2), Rotation.from_rotvec(angle_rad * np.eye(3)[axis]).as_matrix())
     return with_values(observation, observation.phasors.value @ matrix.T)

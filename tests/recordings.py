@@ -15,7 +15,7 @@ PATIENCE_S = 600.0
 T = TypeVar("T")
 
 
-def once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], T]) -> T:
+def make_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], T]) -> T:
     """Return what `make` returns, which is pickled beside the folder that it was given, for all processes of a run.
 
     The first process that asks makes it, under a lock; what it leaves appears whole or not at all.

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lsim
 
-from shaker.release.record import Reading, StepRecord
+from shaker.release.record import ReleaseReading, StepRecord
 
 FloatArray = NDArray[np.float64]
 _FINE = 10
@@ -78,7 +78,7 @@ def _integrated(truth: Truth) -> FloatArray:
     return np.asarray(truth.baseline + truth.gain * truth.amplitude * total[::_FINE])
 
 
-def reading_of(record: StepRecord, onset_s: float, release_s: float = 0.0, **stated: object) -> Reading:
+def reading_of(record: StepRecord, onset_s: float, release_s: float = 0.0, **stated: object) -> ReleaseReading:
     """What is known of the only channel of a record; levels are means of its samples."""
     samples = record.samples[0]
     before = samples[: int(onset_s * record.sample_rate_hz) - 10]
@@ -89,7 +89,7 @@ def reading_of(record: StepRecord, onset_s: float, release_s: float = 0.0, **sta
     levels = {"baseline": baseline, "u_baseline": 0.01, "steady": steady, "u_steady": 0.01, "noise": np.std(before)}
     gains = {"sign": int(np.sign(steady - baseline)), "static_gain": gain, "u_static_gain": 1e-3, "clipped": False}
     names = {"record": record.name, "channel": record.channels[0], "component": record.component, "unit": record.unit}
-    return Reading(**{**names, "release": "", **times, **rise, **levels, **gains, **stated})  # type: ignore[arg-type]
+    return ReleaseReading(**{**names, "release": "", **times, **rise, **levels, **gains, **stated})  # type: ignore[arg-type]
 
 
 def two_masses(moving: float, load: float, numbers: FloatArray) -> FloatArray:

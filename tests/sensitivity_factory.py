@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from shaker.identification.measured import MeasuredSensitivity, RelativeError
+from shaker.identification.measured_curves import CurveError, MeasuredSensitivity
 from shaker.identification.sensitivity import SpringPrior
 
 FloatArray = NDArray[np.float64]
@@ -45,7 +45,7 @@ def measured(chain: ComplexArray, rng: np.random.Generator | None = None) -> Mea
         value=value,
         covariance=np.full((len(FREQUENCY), 1, 1), size**2) * np.eye(2),
         unit="(V/V)/N",
-        errors=(RelativeError("masses", scale), RelativeError("timing", turn)),
+        errors=(CurveError("masses", scale), CurveError("timing", turn)),
         static=static,
         u_static=U_STATIC * STATIC,
     )

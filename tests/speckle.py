@@ -30,14 +30,14 @@ def camera(middle: tuple[int, int], distortion: tuple[float, ...] = (0, 0, 0, 0,
     return Camera.from_parameters(np.array([FOCAL, FOCAL, *middle, *distortion]), 2 * np.array(middle))
 
 
-def two_places(tilt: float = 0.0) -> list[RigidTransform]:
+def two_poses(tilt: float = 0.0) -> list[RigidTransform]:
     """Camera from body of two cameras that see pixels of PIXEL_M, 28° apart."""
     away = RigidTransform(np.eye(3), np.array([0, 0, FOCAL * PIXEL_M]))
     turns = (np.array([0, 0, 0, tilt, angle, 0]) for angle in np.radians([-14.0, 14.0]))
     return [away @ RigidTransform.from_pose(turn) for turn in turns]
 
 
-def rendered(
+def render_images(
     poses: np.ndarray,
     half_m: tuple[float, float],
     middle: tuple[int, int],
@@ -46,7 +46,7 @@ def rendered(
     noisy: bool = True,
 ) -> Stereo:
     """A speckled face before two cameras, 28° apart: both cameras' images, rig, body_from_left."""
-    one, body, places = camera(middle), face(half_m, seed), two_places()
+    one, body, places = camera(middle), face(half_m, seed), two_poses()
     rng = np.random.default_rng(seed + 1) if noisy else None
     pictures = [[render(view_of(one, place), body, pose[None], np.ones(1)) for pose in poses] for place in places]
     left, right = (sequence([sensor.digitise(each, rng) for each in side], sensor.full_scale) for side in pictures)

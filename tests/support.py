@@ -19,7 +19,7 @@ from fusion.cli import main
 from fusion.estimation.uncertainty import Uncertainty
 from fusion.recording.load import load_manifest
 from fusion.sensitivity.analyse import Evaluation
-from fusion.sensitivity.evaluate import evaluate_recording
+from fusion.sensitivity.recording_evaluation import evaluate_recording
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 
@@ -92,14 +92,14 @@ def key_tables(section: str, level: str = "###") -> dict[str, dict[str, str]]:
     return {title: dict(row.findall(table)) for title, table in zip(titles, tables, strict=True)}
 
 
-def told_columns(document: str, file: str) -> list[str]:
+def documented_columns(document: str, file: str) -> list[str]:
     """The columns of a table of results, as the document that users read lists them."""
     text = (DOCS / document).read_text(encoding="utf-8")
     (columns,) = re.findall(rf"^\| `{re.escape(file)}` \| `([^`]*)`", text, re.MULTILINE)
     return str(columns).split(", ")
 
 
-def told_keys(models: dict[str, type[BaseModel]]) -> dict[str, dict[str, str]]:
+def documented_keys(models: dict[str, type[BaseModel]]) -> dict[str, dict[str, str]]:
     """What these tables have to say: that a key is required, inherited or optional, or what it is by default."""
     return {title: {key: _told(model, key) for key in model.model_fields} for title, model in models.items()}
 
@@ -120,18 +120,18 @@ def _told(model: type[BaseModel], key: str) -> str:
     return zeros if len(default) else "none"
 
 
-def state(folder: Path) -> dict[str, bytes]:
+def folder_contents(folder: Path) -> dict[str, bytes]:
     """Every file of a folder, whether or not it was written anew."""
     return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
-class Refused(Protocol):
+class RefusedCommand(Protocol):
     """Run a command that refuses its input, and return the one sentence that it says on stderr."""
 
     def __call__(self, *arguments: object, status: int = 2) -> str: ...
 
 
-def refusals(capsys: pytest.CaptureFixture[str]) -> Refused:
+def refusals(capsys: pytest.CaptureFixture[str]) -> RefusedCommand:
     """Return a function that runs a command and holds it to what every refusal owes."""
 
     def run(*arguments: object, status: int = 2) -> str:
@@ -147,7 +147,7 @@ def refusals(capsys: pytest.CaptureFixture[str]) -> Refused:
 
 
 PAGES = (
-    "fusion.report.recording.render_report",
+    "fusion.report.recording_report.render_report",
     "fusion.campaign.joint_report.render_campaign",
     "fusion.report.folder.Command.page",
 )
@@ -159,14 +159,14 @@ def without_pages(patch: pytest.MonkeyPatch) -> None:
         patch.setattr(place, lambda *_: "<!doctype html>\n")
 
 
-def far(value: np.ndarray, truth: np.ndarray, uncertainty: Uncertainty) -> list[float]:
+def region_distance(value: np.ndarray, truth: np.ndarray, uncertainty: Uncertainty) -> list[float]:
     """How far C values of the first line lie from the truth, over the edge of their 95 % regions: inside below 1."""
     error, regions = np.ravel(value - truth), uncertainty.at_lines([0]).regions(np.reshape(value, (1, -1)))[0]
     parts = np.stack([error.real, error.imag], axis=-1)[..., None]
     return np.sqrt(parts.swapaxes(1, 2) @ np.linalg.solve(regions, parts)).ravel().tolist()
 
 
-def untold(file: h5py.File) -> list[str]:
+def undescribed_datasets(file: h5py.File) -> list[str]:
     """Return the paths of data sets without words, of numbers without a unit, and of axes without a name."""
     found: list[str] = []
 

@@ -30,6 +30,7 @@ LAYERS = {
         "decoupling",
     ),
     "fusion": (
+        "errors",
         "base",
         "estimation",
         "instruments",
@@ -44,7 +45,7 @@ LAYERS = {
     ),
 }
 """Entries of each package by layer: an entry imports from its own layer and from those above it in the list."""
-MOST_ENTRIES = {"photogram": 17, "shaker": 16, "fusion": 14}
+MOST_ENTRIES = {"photogram": 17, "shaker": 16, "fusion": 15}
 LONGEST_CHAIN, LONGEST_FILE, LONGEST_FUNCTION, MOST_ARGUMENTS = 15, 600, 60, 7
 
 
@@ -128,7 +129,7 @@ def test_one_function_opens_hdf5_and_one_writes_results() -> None:
         name: _calls(name, ("write_text", "write_bytes", "open")) for name in MODULES if name.startswith("fusion.")
     }
     writers = {name for name, made in calls.items() if any(map(writes.match, made))}
-    assert writers == {"fusion.report.files", "fusion.cli"}, "fusion.cli: what nobody reads"
+    assert writers == {"fusion.report.atomic_files", "fusion.cli"}, "fusion.cli: what nobody reads"
 
 
 def test_no_circles_and_no_long_chains() -> None:

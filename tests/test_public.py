@@ -18,8 +18,8 @@ import fusion
 import photogram
 import shaker
 from fusion.cli import commands
-from fusion.recording.excitation import KINDS, Excitation, Kind
-from photogram.camera import Points
+from fusion.recording.excitation import KINDS, ExcitationEntry, Kind
+from photogram.camera import Points3D
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ("Acceleration", "Evaluation", "LoadResult", "Sensitivity")
@@ -63,7 +63,7 @@ def test_the_example_of_fusion_runs_and_its_results_are_described(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "reader", ["open_sequence", "read_picture", "read_calibration", "import_calibration", "read_point_tables"]
+    "reader", ["open_sequence", "read_image", "read_calibration", "import_calibration", "read_point_tables"]
 )
 def test_readers_of_images_and_cameras_take_texts_as_paths(reader, tmp_path):
     path = str(tmp_path / "missing.png")
@@ -88,7 +88,7 @@ def test_a_command_that_evaluates_no_recordings_is_refused():
 
 
 def test_results_of_photogram_print_on_one_line_with_sizes():
-    points = Points(np.zeros((3, 40, 3)), np.zeros((3, 40, 3, 3)), np.zeros((3, 40)))
+    points = Points3D(np.zeros((3, 40, 3)), np.zeros((3, 40, 3, 3)), np.zeros((3, 40)))
     assert repr(points) == "Points(position_m (3, 40, 3), covariance_m2 (3, 40, 3, 3), reprojection_px (3, 40))"
     camera = photogram.Camera.from_parameters(np.array([1000.0, 1000, 320, 240, 0, 0, 0, 0, 0]), np.array([640, 480]))
     pose = photogram.RigidTransform.identity()
@@ -113,4 +113,4 @@ def test_every_kind_of_excitation_is_evaluated_by_commands_that_exist():
     for kind in KINDS.values():
         assert kind.commands
         assert set(kind.commands) <= names
-        assert {*kind.required, *kind.allowed} <= set(Excitation.model_fields) - {"kind"}
+        assert {*kind.required, *kind.allowed} <= set(ExcitationEntry.model_fields) - {"kind"}

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from unittest.mock import patch
 
-from fusion.base import InputError
+from fusion.errors import InputError
 
 if TYPE_CHECKING:
     from fusion.campaign.run import Job, Outcome
@@ -20,7 +20,7 @@ def whole_job(job: Job) -> Outcome:
     """Everything that a run does with a recording but its figures, which take most of the time."""
     from fusion.campaign.run import run_job
 
-    with patch("fusion.report.recording.render_report", lambda _: "<!doctype html>"):
+    with patch("fusion.report.recording_report.render_report", lambda _: "<!doctype html>"):
         return run_job(job)
 
 
@@ -83,9 +83,9 @@ def threads() -> dict[str, int]:
 
 def wait_for_ever(begun: Path) -> None:
     """Say who waits, and do so with something half-made."""
-    from fusion.report.files import claimed, temporary
+    from fusion.report.atomic_files import file_lock, temporary_path
 
-    with claimed(begun), temporary(begun) as partial:
+    with file_lock(begun), temporary_path(begun) as partial:
         partial.write_text("")
         begun.write_text(str(os.getpid()))
         time.sleep(600.0)

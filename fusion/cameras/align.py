@@ -15,62 +15,53 @@ from pathlib import Path
 
 import numpy as np
 
-from fusion.base import (
-    K2,
-    AnyNotice,
-    ComputeError,
-    Identity,
-    InputError,
-    ProgressCallback,
-    Settings,
-    check_new_file,
-    no_progress,
-)
+from fusion.base import K2, FileIdentity, ProgressCallback, Settings, check_new_file, no_progress
 from fusion.cameras.align_manifest import (
     AlignmentFile,
     AxisBlock,
-    Motion,
-    Pair,
-    known_pose,
+    CalibratedPair,
+    MotionBlock,
     orientation_notices,
+    prior_pose_evidence,
     read_alignment,
     read_pair,
-    still_evidence,
+    static_evidence,
 )
-from fusion.cameras.calibrate import PICTURE_SUFFIXES
+from fusion.cameras.calibrate import IMAGE_FILE_SUFFIXES
+from fusion.errors import ComputeError, InputError
 from fusion.instruments.stereo import CALIBRATION
-from fusion.phasors.again import looked_again
-from fusion.phasors.channels import find_channel_lines
+from fusion.phasors.channel_phasors import find_channel_lines
+from fusion.phasors.shutter_refinement import refine_rolling_shutter
 from fusion.phasors.stereo_motion import (
     StereoMotion,
     measure_images,
     measure_points,
     motion_lines,
-    open_images,
+    prepare_images,
     sensor_from_camera,
 )
 from fusion.phasors.stereo_phasors import stereo_phasors
 from fusion.phasors.timing import TimeBase, tie_daqs
-from fusion.recording.files import read_daqs
+from fusion.recording.daq_records import read_daqs
 from fusion.recording.load import Manifest, load_manifest
-from fusion.report.files import write_whole
+from fusion.report.atomic_files import write_atomically
 from fusion.report.folder import hash_files, sha256
-from photogram.alignment.evidence import (
-    Evidence,
+from photogram.alignment.alignment_evidence import (
     KnownAxis,
     KnownDirection,
-    by_parameters,
+    PoseEvidence,
     calibration_steps,
     fit_axis,
     linear_motion,
+    parameter_derivatives,
 )
-from photogram.alignment.solve import Alignment, align
-from photogram.arrays import Notice
+from photogram.alignment.pose_estimation import Alignment, align
 from photogram.camera import StereoRig, triangulate
 from photogram.geometry import RigidTransform
-from photogram.images.orientation import orientations, tag_notices
+from photogram.images.orientation import read_orientations, tag_notices
 from photogram.motion import RigidMotion, fit_motion
 from shaker.arrays import FloatArray
+from shakercal._common.notices import Notice
 
 log = logging.getLogger("shakercal")
 
@@ -103,32 +94,32 @@ def align_file(
     """
     if output is not None:
         check_new_file(output, force=force)
-    read = {path.resolve(): seen} if (seen := Identity.of(path)) else {}
+    read = {path.resolve(): seen} if (seen := FileIdentity.of(path)) else {}
     file = read_alignment(path, allow_outside)
-    blocks: list[Motion | AxisBlock] = [*file.motion, *file.axis]
+    blocks: list[MotionBlock | AxisBlock] = [*file.motion, *file.axis]
     recorded = [load_manifest(name, allow_outside).files for block in blocks for name in block.recordings]
     stated_files = list(_paths(file.model_dump()))
     named = [path, *stated_files, *(name for files in recorded for name in files)]
     inputs = hash_files(named, path.parent, read)
     pair = None if file.calibration is None else read_pair(path, file.calibration, file.scale_uncertainty)
-    evidence = [] if pair is None else still_evidence(path, file, pair)
+    evidence = [] if pair is None else static_evidence(path, file, pair)
     moving, stated, notices = _moving_evidence(path, file, pair, settings, progress, allow_outside)
     evidence += moving
     notices += orientation_notices(file)
     if file.pose is not None:
-        evidence.append(known_pose(file.pose))
+        evidence.append(prior_pose_evidence(file.pose))
     shown = file.pose is not None or file.target_view or file.common_view  # by which the search knows where to start
     try:
         alignment = align(evidence, None if shown else stated)
     except ValueError as error:
         raise ComputeError(f"{path}: {error}".replace("start: ", "").replace("evidence: ", "")) from error
-    turned = tag_notices(orientations(p for p in stated_files if p.suffix.lower() in PICTURE_SUFFIXES))
+    turned = tag_notices(read_orientations(p for p in stated_files if p.suffix.lower() in IMAGE_FILE_SUFFIXES))
     for notice in (*turned, *notices, *alignment.notices):
         log.log(logging.WARNING if notice.severity == "warning" else logging.INFO, "%s", notice.text)
     text = pose_text(file, alignment, pair)
     inputs.check()
     if output is not None:
-        write_whole(output, text)
+        write_atomically(output, text)
     return text
 
 
@@ -158,24 +149,24 @@ class _Recorded:
 def _moving_evidence(
     path: Path,
     file: AlignmentFile,
-    pair: Pair | None,
+    pair: CalibratedPair | None,
     settings: Settings,
     progress: ProgressCallback,
     allow_outside: bool,
-) -> tuple[list[Evidence], RigidTransform | None, list[AnyNotice]]:
+) -> tuple[list[PoseEvidence], RigidTransform | None, list[Notice]]:
     """Evaluate all recordings that alignment.toml names; return also the pose that the first states, and remarks."""
-    evidence: list[Evidence] = []
-    notices: list[AnyNotice] = []
+    evidence: list[PoseEvidence] = []
+    notices: list[Notice] = []
     stated = None
     steps = 0 if pair is None else len(pair.steps)
-    blocks: list[Motion | AxisBlock] = [*file.motion, *file.axis]
+    blocks: list[MotionBlock | AxisBlock] = [*file.motion, *file.axis]
     for block in blocks:
-        kind = "motion" if isinstance(block, Motion) else "axis"
+        kind = "motion" if isinstance(block, MotionBlock) else "axis"
         key = f"{kind}.{block.name}.recordings"
         manifests = [load_manifest(recording, allow_outside=allow_outside) for recording in block.recordings]
         recorded = [_record(path, key, file, manifest, settings, progress) for manifest in manifests]
         stated = recorded[0].sensor_from_camera if stated is None else stated
-        if isinstance(block, Motion):
+        if isinstance(block, MotionBlock):
             direction = _known_direction(path, block, manifests)
             each = [_direction(block, direction, item, steps) for item in recorded]
         else:
@@ -203,10 +194,10 @@ def _record(
     if file.calibration is None or calibration is None or sha256(calibration) != sha256(file.calibration):
         found = "none" if file.calibration is None else "another calibration"
         raise InputError(path, "calibration", found, f"the one that {manifest.rig_path} names for {file.stereo}")
-    opened = replace(open_images(manifest, base, images), depth_m=None)  # by the pose that is sought
+    opened = replace(prepare_images(manifest, base, images), depth_m=None)  # by the pose that is sought
     measured = measure_images(opened, settings, progress)
     lines = find_channel_lines(manifest, base) or motion_lines(manifest, base, [measured])[0]
-    measured = looked_again(measured, (opened,), lines)
+    measured = refine_rolling_shutter(measured, (opened,), lines)
     fixed = measured.sight.pair.model_copy(update={"pose_by_calibration": None})  # effects in the camera's own frame
     return _Recorded(manifest, base, replace(measured, sight=replace(measured.sight, pair=fixed)))
 
@@ -219,9 +210,11 @@ def _turned(
     return (turn @ value)[None], (turn @ covariance @ turn.T)[None], (changes @ turn.T)[:, None]
 
 
-def _direction(block: Motion, direction: FloatArray, item: _Recorded, steps: int) -> tuple[Evidence, list[AnyNotice]]:
+def _direction(
+    block: MotionBlock, direction: FloatArray, item: _Recorded, steps: int
+) -> tuple[PoseEvidence, list[Notice]]:
     """Return the direction in which the body moved at its strongest line; its error is the block's."""
-    name, notices = f"motion {block.name}", list[AnyNotice]()
+    name, notices = f"motion {block.name}", list[Notice]()
     moved, covariance, changes, minor = _strongest(item)
     to_camera = item.sensor_from_camera.inverse()
     changes = np.pad(changes, ((0, steps - len(changes)), (0, 0)))
@@ -236,7 +229,7 @@ def _direction(block: Motion, direction: FloatArray, item: _Recorded, steps: int
     return KnownDirection(name, motion, covariance, place, direction, effects, u), notices
 
 
-def _known_direction(path: Path, block: Motion, manifests: Sequence[Manifest]) -> FloatArray:
+def _known_direction(path: Path, block: MotionBlock, manifests: Sequence[Manifest]) -> FloatArray:
     """Return the direction that the block states, else that of its recordings' excitation."""
     if block.direction is not None:
         return np.array(block.direction)
@@ -271,9 +264,9 @@ def _strongest(item: _Recorded) -> tuple[FloatArray, FloatArray, FloatArray, flo
     return linear_motion(value[line], covariance, effects)
 
 
-def _axis(block: AxisBlock, item: _Recorded, pair: Pair | None) -> tuple[Evidence, list[AnyNotice]]:
+def _axis(block: AxisBlock, item: _Recorded, pair: CalibratedPair | None) -> tuple[PoseEvidence, list[Notice]]:
     """Return the axis about which the body turned; its known place has the block's error."""
-    name, notices = f"axis {block.name}", list[AnyNotice]()
+    name, notices = f"axis {block.name}", list[Notice]()
     to_camera = item.sensor_from_camera.inverse()
     try:
         axis = fit_axis(item.measured.motion)
@@ -291,7 +284,7 @@ def _axis(block: AxisBlock, item: _Recorded, pair: Pair | None) -> tuple[Evidenc
     return KnownAxis(name, line, covariance, point, direction, effects, u_point, u), notices
 
 
-def _axis_effects(item: _Recorded, pair: Pair | None, line: FloatArray) -> FloatArray:
+def _axis_effects(item: _Recorded, pair: CalibratedPair | None, line: FloatArray) -> FloatArray:
     """Return the changes (P, 6) of the axis for each step of the rig, from a few frames and subsets.
 
     The path from the tracks onward is evaluated again with each perturbed rig. What the calibration does to an axis is
@@ -327,7 +320,7 @@ def _axis_effects(item: _Recorded, pair: Pair | None, line: FloatArray) -> Float
     return np.array([turned(pair.rig.perturbed(step)) - nominal for step in pair.steps]).reshape(-1, 6)
 
 
-def pose_text(file: AlignmentFile, alignment: Alignment, pair: Pair | None) -> str:
+def pose_text(file: AlignmentFile, alignment: Alignment, pair: CalibratedPair | None) -> str:
     """Return the block in the syntax of rig.toml, with comments on its uncertainty and its origin.
 
     How the pose answers the pair's calibration is written beside `pose_uncertainty`, which contains it, so that a run,
@@ -338,9 +331,9 @@ def pose_text(file: AlignmentFile, alignment: Alignment, pair: Pair | None) -> s
     frame = f"the left camera of {file.other.stereo}" if relative and file.other else "the sensor frame"
     u, answers = alignment.u, np.zeros((0, 0))
     if pair is not None and pair.rig.covariance is not None and not relative:
-        if not pair.alone:  # no run asks it of a camera alone
+        if not pair.is_single:  # no run asks it of a camera alone
             covered = len(calibration_steps(pair.rig))
-            answers = by_parameters(alignment.by_calibration[:, :covered], pair.steps[:covered])
+            answers = parameter_derivatives(alignment.by_calibration[:, :covered], pair.steps[:covered])
             answers = answers if answers[:, 24:].any() else answers[:, :24]
         u = np.sqrt(np.diagonal(alignment.held_covariance) + (alignment.by_calibration**2).sum(axis=1))
     held = K2 * np.sqrt(np.diagonal(alignment.held_covariance))
@@ -348,7 +341,7 @@ def pose_text(file: AlignmentFile, alignment: Alignment, pair: Pair | None) -> s
     origin = [f"{count} {one if count == 1 else many}" for count, one, many in blocks if count]
     origin += ["the pose known before"] if file.pose is not None else []
     said = " and ".join([", ".join(origin[:-1]), origin[-1]] if len(origin) > 1 else origin)
-    camera = "camera" if pair is not None and pair.alone else "left camera"
+    camera = "camera" if pair is not None and pair.is_single else "left camera"
     comments = [
         f"Pose of the {camera} of {file.stereo} in {frame}, from {said}.",
         f"U (k = 2): position {_numbers(1e3 * K2 * u[:3])} mm, rotation {_numbers(1e3 * K2 * u[3:])} mrad (x, y, z).",

@@ -12,24 +12,24 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import BeforeValidator, model_validator
 
-from fusion.base import AnyNotice, InputError, as_input_error
+from fusion.errors import InputError, as_input_error
 from fusion.recording.toml import read_text, read_toml, validate
 from fusion.recording.values import (
     ZERO3,
     ZERO6,
-    Block,
     Context,
     Direction,
     ExistingFile,
     ExistingFiles,
     FreeVector,
+    ManifestBlock,
     NotNegative,
     PathScope,
-    PoseSpread,
+    PoseUncertainty,
     Positive,
     Rotation,
-    Spread3,
     Text,
+    Uncertainty3,
     Version,
     array_of_tables,
     describe,
@@ -37,25 +37,25 @@ from fusion.recording.values import (
     repeated_name,
     vector,
 )
-from photogram.alignment.evidence import (
-    Evidence,
+from photogram.alignment.alignment_evidence import (
     KnownFace,
     KnownPixels,
     KnownPoints,
     KnownPoses,
+    PoseEvidence,
     StatedFrame,
     calibration_steps,
-    seen_points,
-    seen_target,
+    measure_target_pose,
+    triangulate_points,
 )
-from photogram.arrays import Notice
-from photogram.calibration.file import is_single, read_calibration, read_camera
-from photogram.calibration.start import look_alikes
+from photogram.calibration.calibration_file import is_single, read_calibration, read_camera
+from photogram.calibration.initial_bundle import target_symmetries
 from photogram.camera import LEFT, RIG_PARAMETERS, StereoRig
 from photogram.geometry import RigidTransform, displacement_jacobian
-from photogram.images.files import read_picture
-from photogram.targets.view import LONGEST_M, SHORTEST_M, Target, TargetView, find_target
+from photogram.images.image_files import read_image
+from photogram.targets.target_view import LONGEST_M, SHORTEST_M, Target, TargetView, find_target
 from shaker.arrays import FloatArray
+from shakercal._common.notices import Notice
 
 
 def _size(value: Any) -> tuple[int, int]:
@@ -72,18 +72,18 @@ Pixel = Annotated[tuple[float, float], BeforeValidator(vector(2))]
 Blocks = BeforeValidator(array_of_tables)
 
 
-class Point(Block):
+class PointBlock(ManifestBlock):
     """A point of known place, and where both cameras see it, or the only one."""
 
     name: Text
     position: FreeVector
-    position_uncertainty: Spread3 = ZERO3
+    position_uncertainty: Uncertainty3 = ZERO3
     left: Pixel
     right: Pixel | None = None
     pixel_uncertainty: Positive
 
 
-class Face(Block):
+class FaceBlock(ManifestBlock):
     """A flat face of known place, and a table of points that both cameras see on it."""
 
     name: Text
@@ -95,7 +95,7 @@ class Face(Block):
     pixel_uncertainty: Positive
 
 
-class TargetBlock(Block):
+class TargetBlock(ManifestBlock):
     """The calibration target of the views."""
 
     kind: Literal["chessboard", "charuco", "dots", "asymmetric-dots"]
@@ -114,7 +114,7 @@ class TargetBlock(Block):
         return self
 
 
-class TargetViewBlock(Block):
+class TargetViewBlock(ManifestBlock):
     """The target mounted at a known pose, x_sensor = rotation · x_target + translation, and its pictures."""
 
     name: Text
@@ -122,7 +122,7 @@ class TargetViewBlock(Block):
     right: ExistingFiles = ()
     rotation: Rotation
     translation: FreeVector
-    pose_uncertainty: PoseSpread = ZERO6
+    pose_uncertainty: PoseUncertainty = ZERO6
 
     @model_validator(mode="after")
     def _pictures(self) -> Self:
@@ -133,7 +133,7 @@ class TargetViewBlock(Block):
         return self
 
 
-class CommonView(Block):
+class CommonView(ManifestBlock):
     """Pictures of the target, wherever it was held, by both stereo pairs."""
 
     name: Text
@@ -143,7 +143,7 @@ class CommonView(Block):
     other_right: ExistingFile
 
 
-class OtherPair(Block):
+class OtherPair(ManifestBlock):
     """The stereo pair that took part in common views; without a pose the result is relative to its left camera."""
 
     stereo: Text
@@ -151,7 +151,7 @@ class OtherPair(Block):
     scale_uncertainty: NotNegative | None = None
     rotation: Rotation | None = None
     translation: FreeVector | None = None
-    pose_uncertainty: PoseSpread = ZERO6
+    pose_uncertainty: PoseUncertainty = ZERO6
 
     @model_validator(mode="after")
     def _whole_pose(self) -> Self:
@@ -161,7 +161,7 @@ class OtherPair(Block):
         return self
 
 
-class Motion(Block):
+class MotionBlock(ManifestBlock):
     """Recordings in one set-up, in which the sensor's origin moves along a known direction."""
 
     name: Text
@@ -170,23 +170,23 @@ class Motion(Block):
     direction_uncertainty: NotNegative
 
 
-class AxisBlock(Block):
+class AxisBlock(ManifestBlock):
     """Recordings in one set-up, in which the body turns about a known axis."""
 
     name: Text
     recordings: ExistingFiles
     point: FreeVector
-    point_uncertainty: Spread3 = ZERO3
+    point_uncertainty: Uncertainty3 = ZERO3
     direction: Direction
     direction_uncertainty: NotNegative
 
 
-class KnownPose(Block):
+class PosePriorBlock(ManifestBlock):
     """What was known of the pose before."""
 
     rotation: Rotation
     translation: FreeVector
-    pose_uncertainty: PoseSpread
+    pose_uncertainty: PoseUncertainty
 
     @model_validator(mode="after")
     def _no_certainty(self) -> Self:
@@ -195,22 +195,22 @@ class KnownPose(Block):
         return self
 
 
-class AlignmentFile(Block):
+class AlignmentFile(ManifestBlock):
     """alignment.toml: the evidence on where a stereo pair's left camera stands in the sensor frame."""
 
     format: Version
     stereo: Text
     calibration: ExistingFile | None = None
     scale_uncertainty: NotNegative | None = None
-    datum_uncertainty: PoseSpread = ZERO6
-    pose: KnownPose | None = None
+    datum_uncertainty: PoseUncertainty = ZERO6
+    pose: PosePriorBlock | None = None
     target: TargetBlock | None = None
     other: OtherPair | None = None
-    point: Annotated[tuple[Point, ...], Blocks] = ()
-    face: Annotated[tuple[Face, ...], Blocks] = ()
+    point: Annotated[tuple[PointBlock, ...], Blocks] = ()
+    face: Annotated[tuple[FaceBlock, ...], Blocks] = ()
     target_view: Annotated[tuple[TargetViewBlock, ...], Blocks] = ()
     common_view: Annotated[tuple[CommonView, ...], Blocks] = ()
-    motion: Annotated[tuple[Motion, ...], Blocks] = ()
+    motion: Annotated[tuple[MotionBlock, ...], Blocks] = ()
     axis: Annotated[tuple[AxisBlock, ...], Blocks] = ()
 
     @model_validator(mode="after")
@@ -249,7 +249,7 @@ def read_alignment(path: Path, allow_outside: bool = False) -> AlignmentFile:
 
 
 @dataclass(frozen=True, eq=False)
-class Pair:
+class CalibratedPair:
     """A calibrated stereo pair and the steps (P, 32) that stand for its calibration's errors.
 
     `alone`: of the left camera alone, which the rig then holds on the right as well.
@@ -257,10 +257,10 @@ class Pair:
 
     rig: StereoRig
     steps: FloatArray
-    alone: bool = False
+    is_single: bool = False
 
 
-def read_pair(path: Path, calibration: Path, scale_u: float | None, key: str = "") -> Pair:
+def read_pair(path: Path, calibration: Path, scale_u: float | None, key: str = "") -> CalibratedPair:
     """Read a calibration that `path` names; one without covariance needs a stated scale, under `key`."""
     with as_input_error(calibration):
         if is_single(calibration):
@@ -269,10 +269,10 @@ def read_pair(path: Path, calibration: Path, scale_u: float | None, key: str = "
     if rig.covariance is None and scale_u is None:
         expected = "the relative standard uncertainty of all lengths, required without a calibration's covariance"
         raise InputError(path, f"{key}scale_uncertainty", "nothing", expected)
-    return Pair(rig, calibration_steps(rig, scale_u or 0.0))
+    return CalibratedPair(rig, calibration_steps(rig, scale_u or 0.0))
 
 
-def _alone(path: Path, calibration: Path, scale_u: float | None, key: str) -> Pair:
+def _alone(path: Path, calibration: Path, scale_u: float | None, key: str) -> CalibratedPair:
     """A camera alone, whose lengths are those of what it sees."""
     if scale_u is not None:
         raise InputError(
@@ -282,31 +282,31 @@ def _alone(path: Path, calibration: Path, scale_u: float | None, key: str) -> Pa
     covariance = np.zeros((len(RIG_PARAMETERS),) * 2)
     covariance[np.ix_(LEFT, LEFT)] = own
     rig = StereoRig(camera, camera, RigidTransform.identity(), covariance)
-    return Pair(rig, calibration_steps(rig), alone=True)
+    return CalibratedPair(rig, calibration_steps(rig), is_single=True)
 
 
-def _check_cameras(path: Path, file: AlignmentFile, pair: Pair) -> None:
+def _check_cameras(path: Path, file: AlignmentFile, pair: CalibratedPair) -> None:
     """Refuse evidence that takes two cameras of one, and points that one of two does not see."""
     file_told = "" if file.calibration is None else f"{file.calibration.name} being of one camera"
-    if pair.alone:
+    if pair.is_single:
         for kind in ("face", "common_view", "motion", "axis"):
             if getattr(file, kind):
                 raise InputError(path, kind, "one", f"[[point]] or [[target_view]], {file_told}")
         for key in (f"target_view.{view.name}.right" for view in file.target_view if view.right):
             raise InputError(path, key, "pictures", f"none, {file_told}")
     for point in file.point:
-        if pair.alone and point.right is not None:
+        if pair.is_single and point.right is not None:
             raise InputError(path, f"point.{point.name}.right", "a pixel", f"none, {file_told}")
-        if not pair.alone and point.right is None:
+        if not pair.is_single and point.right is None:
             raise InputError(path, f"point.{point.name}.right", "nothing", "its pixel in the right camera")
 
 
-def orientation_notices(file: AlignmentFile) -> list[AnyNotice]:
+def orientation_notices(file: AlignmentFile) -> list[Notice]:
     """Return what is said of a target that looks alike after a turn, where nothing else shows how the cameras stand."""
     if file.target is None or not (file.target_view or file.common_view):
         return []
     target = Target(file.target.kind, file.target.spacing, file.target.size, file.target.dictionary)
-    if not look_alikes(target) or file.pose or file.point or file.face or file.motion or file.axis:
+    if not target_symmetries(target) or file.pose or file.point or file.face or file.motion or file.axis:
         return []
     told = (
         "the target looks alike after a turn in its plane: its first axis is taken to point to the right of the left "
@@ -315,11 +315,11 @@ def orientation_notices(file: AlignmentFile) -> list[AnyNotice]:
     return [Notice("warning", told, "target")]
 
 
-def still_evidence(path: Path, file: AlignmentFile, pair: Pair) -> list[Evidence]:
+def static_evidence(path: Path, file: AlignmentFile, pair: CalibratedPair) -> list[PoseEvidence]:
     """Return the evidence of points, faces and target views."""
     _check_cameras(path, file, pair)
     datum = StatedFrame("datum", np.array(file.datum_uncertainty))
-    evidence: list[Evidence] = [_points(path, file.point, pair, datum)] if file.point else []
+    evidence: list[PoseEvidence] = [_points(path, file.point, pair, datum)] if file.point else []
     evidence += [_face(path, face, pair, datum) for face in file.face]
     if file.target is not None:
         target = Target(file.target.kind, file.target.spacing, file.target.size, file.target.dictionary)
@@ -332,29 +332,29 @@ def still_evidence(path: Path, file: AlignmentFile, pair: Pair) -> list[Evidence
     return evidence
 
 
-def known_pose(known: KnownPose) -> Evidence:
+def prior_pose_evidence(prior: PosePriorBlock) -> PoseEvidence:
     """Return what was known of the pose before, the uncertainties those of sensor origin and rotation about it."""
-    translation, u = np.array(known.translation), np.array(known.pose_uncertainty)
+    translation, u = np.array(prior.translation), np.array(prior.pose_uncertainty)
     moved = np.eye(6)
     moved[:3] = displacement_jacobian(translation)
     covariance = moved @ np.diag(u**2) @ moved.T
-    pose = RigidTransform(np.array(known.rotation), translation)
+    pose = RigidTransform(np.array(prior.rotation), translation)
     own = (RigidTransform.identity(),)
     return KnownPoses(
         ("the pose known before",), own, np.zeros((1, 6, 6)), (pose,), covariance[None], np.zeros((0, 1, 6))
     )
 
 
-def _points(path: Path, points: Sequence[Point], pair: Pair, datum: StatedFrame) -> Evidence:
+def _points(path: Path, points: Sequence[PointBlock], pair: CalibratedPair, datum: StatedFrame) -> PoseEvidence:
     """Return the fiducials, triangulated where two cameras see them."""
     names, left = tuple(f"point {point.name}" for point in points), np.array([point.left for point in points])
     u_px, known = np.array([point.pixel_uncertainty for point in points]), np.array([p.position for p in points])
     spread = np.array([point.position_uncertainty for point in points])[:, :, None] ** 2 * np.eye(3)
-    if pair.alone:
+    if pair.is_single:
         noise = u_px[:, None, None] ** 2 * np.eye(2)
         return KnownPixels(names, pair.rig.left, left, noise, known, spread, pair.steps[:, LEFT], datum)
     right = np.array([point.right for point in points])
-    position, covariance, effects = seen_points(pair.rig, pair.steps, left, right, u_px)
+    position, covariance, effects = triangulate_points(pair.rig, pair.steps, left, right, u_px)
     for point, place in zip(points, position, strict=True):
         if not np.isfinite(place).all():
             expected = "pixels of one point in front of both cameras"
@@ -362,10 +362,10 @@ def _points(path: Path, points: Sequence[Point], pair: Pair, datum: StatedFrame)
     return KnownPoints(names, position, covariance, known, spread, effects, datum)
 
 
-def _face(path: Path, face: Face, pair: Pair, datum: StatedFrame) -> KnownFace:
+def _face(path: Path, face: FaceBlock, pair: CalibratedPair, datum: StatedFrame) -> KnownFace:
     """Return the points of a face, triangulated; pixels whose rays do not meet are left out."""
     pixels = _pixel_table(face.pixels)
-    position, covariance, effects = seen_points(
+    position, covariance, effects = triangulate_points(
         pair.rig, pair.steps, pixels[:, :2], pixels[:, 2:], face.pixel_uncertainty
     )
     met = np.isfinite(position).all(axis=1)
@@ -404,7 +404,7 @@ def _pixel_table(file: Path) -> FloatArray:
 
 
 def _seen(
-    path: Path, key: str, pictures: Mapping[str, Path | None], target: Target, pair: Pair
+    path: Path, key: str, pictures: Mapping[str, Path | None], target: Target, pair: CalibratedPair
 ) -> tuple[RigidTransform, FloatArray, FloatArray]:
     """Return `seen_target` of the left and right picture, which are given by the names that they have in the block."""
     views: list[TargetView | None] = []
@@ -413,7 +413,7 @@ def _seen(
             views.append(None)
             continue
         with as_input_error(path, f"{key}.{side}"):
-            image, full_scale = read_picture(picture)
+            image, full_scale = read_image(picture)
             view = find_target(image, target, picture.name, full_scale)
         size = (pair.rig.right if side.endswith("right") else pair.rig.left).size_px.tolist()
         if view.size_px.tolist() != size:
@@ -421,10 +421,12 @@ def _seen(
             raise InputError(path, f"{key}.{side}", shown, f"{size[0]} x {size[1]} as the calibration")
         views.append(view)
     with as_input_error(path, key):
-        return seen_target(pair.rig, pair.steps, target, *views)
+        return measure_target_pose(pair.rig, pair.steps, target, *views)
 
 
-def _views(path: Path, block: TargetViewBlock, target: Target, pair: Pair, datum: StatedFrame) -> Iterator[KnownPoses]:
+def _views(
+    path: Path, block: TargetViewBlock, target: Target, pair: CalibratedPair, datum: StatedFrame
+) -> Iterator[KnownPoses]:
     """Yield the pictures of the target at one known pose, whose error they share."""
     name, u = f"target view {block.name}", np.array(block.pose_uncertainty)
     common = {name: np.diag(u)[np.flatnonzero(u)][:, None]}
@@ -438,11 +440,11 @@ def _views(path: Path, block: TargetViewBlock, target: Target, pair: Pair, datum
 
 
 def _common(
-    path: Path, views: Sequence[CommonView], other: OtherPair, target: Target, pair: Pair
+    path: Path, views: Sequence[CommonView], other: OtherPair, target: Target, pair: CalibratedPair
 ) -> Iterator[KnownPoses]:
     """Yield the target seen by both pairs, its pose in the sensor frame (or the other camera's) by the other pair."""
     second = read_pair(path, other.calibration, other.scale_uncertainty, "other.")
-    if second.alone:
+    if second.is_single:
         raise InputError(path, "other.calibration", f"{other.calibration.name}, of one camera", "that of a pair")
     placed = RigidTransform.identity()
     if other.rotation is not None and other.translation is not None:

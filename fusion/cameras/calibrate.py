@@ -19,29 +19,30 @@ from typing import Any, Literal
 
 import numpy as np
 
-from fusion.base import InputError, ProgressCallback, as_input_error, check_new_file, natural_key, no_progress, versions
-from fusion.cameras.quantities import axes_angle_rad, baseline_m, points_of_board
-from fusion.cameras.report import render_camera_report
-from fusion.report.files import write_whole, writing
+from fusion.base import ProgressCallback, check_new_file, natural_key, no_progress, versions
+from fusion.cameras.camera_quantities import axes_angle_rad, baseline_m, points_of_board
+from fusion.cameras.camera_report import render_camera_report
+from fusion.errors import InputError, as_input_error
+from fusion.report.atomic_files import report_write_errors, write_atomically
 from fusion.report.folder import Provenance, hash_files
-from fusion.report.table import plain
-from fusion.report.terminal import say
-from photogram.arrays import Notice
+from fusion.report.table import quantity_text
+from fusion.report.terminal import print_text
 from photogram.calibration.bundle import ShapeKind
-from photogram.calibration.exchange.read import import_calibration
-from photogram.calibration.exchange.write import export_calibration
-from photogram.calibration.file import read_calibration, write_calibration, write_camera
-from photogram.calibration.result import Calibration, Dropped
-from photogram.calibration.scale import KnownLength, with_length
+from photogram.calibration.calibration_file import read_calibration, write_calibration, write_camera
+from photogram.calibration.calibration_result import Calibration, Rejection
+from photogram.calibration.exchange.calibration_export import export_calibration
+from photogram.calibration.exchange.calibration_import import import_calibration
+from photogram.calibration.initial_bundle import FEWEST_VIEWS, LensKind, ViewPair
+from photogram.calibration.scale import KnownLength, scale_to_length
 from photogram.calibration.session import calibrate_pair
-from photogram.calibration.start import FEWEST_VIEWS, LensKind, Pair
-from photogram.images.files import read_picture
-from photogram.images.orientation import orientations, tag_notices
+from photogram.images.image_files import read_image
+from photogram.images.orientation import read_orientations, tag_notices
 from photogram.targets.charuco import dictionary_of
-from photogram.targets.view import Target, TargetNotFound, TargetView, find_target
+from photogram.targets.target_view import Target, TargetNotFound, TargetView, find_target
+from shakercal._common.notices import Notice
 
 log = logging.getLogger("shakercal")
-PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".pgm")
+IMAGE_FILE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".pgm")
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ class CameraSettings:
     shape: ShapeKind | Literal["auto"] = "auto"
     scale_u: float = 0.0
     lens: LensKind | Literal["auto"] = "auto"
-    known: KnownLength | None = None
+    known_length: KnownLength | None = None
 
 
 def calibrate_cameras(
@@ -70,16 +71,16 @@ def calibrate_cameras(
     """
     pictures = [*left, *(right or [])]
     views: list[TargetView | None] = []
-    failed: list[Dropped] = []
+    failed: list[Rejection] = []
     find = partial(_find, _targets(settings.target, pictures[0]))
     with ThreadPoolExecutor(max_workers=min(8, os.cpu_count() or 1)) as workers:
         for path, view in zip(pictures, workers.map(find, pictures), strict=True):
             views.append(view if isinstance(view, TargetView) else None)
             if isinstance(view, TargetView) and view.lost:
-                failed.append(Dropped(str(path), view.lost, view.lost_why))
-            failed += [] if isinstance(view, TargetView) else [Dropped(str(path), 0, str(view))]
+                failed.append(Rejection(str(path), view.lost, view.loss_reasons))
+            failed += [] if isinstance(view, TargetView) else [Rejection(str(path), 0, str(view))]
             progress("find target", len(views), len(pictures))
-    pairs: list[Pair] = [(view, None) for view in views]
+    pairs: list[ViewPair] = [(view, None) for view in views]
     if right is not None:
         pairs = list(zip(views[: len(left)], views[len(left) :], strict=True))
     sides = [("left ", left)] + ([("right ", right)] if right is not None else [])
@@ -92,15 +93,15 @@ def calibrate_cameras(
     progress("adjust", 0, 1)
     with as_input_error(_folder(pictures)):
         calibration = calibrate_pair(pairs, settings.target, settings.shape, settings.scale_u, settings.lens)
-    if settings.known is not None:
+    if settings.known_length is not None:
         with as_input_error(_folder(pictures), "--known-length"):
-            calibration = with_length(calibration, settings.known)
+            calibration = scale_to_length(calibration, settings.known_length)
     progress("adjust", 1, 1)
-    notices = (*tag_notices(orientations(pictures)), *calibration.notices)
-    return replace(calibration, dropped=(*failed, *calibration.dropped), notices=notices)
+    notices = (*tag_notices(read_orientations(pictures)), *calibration.notices)
+    return replace(calibration, rejections=(*failed, *calibration.rejections), notices=notices)
 
 
-def split_pictures(arguments: Sequence[str]) -> tuple[list[Path], list[Path]]:
+def split_images(arguments: Sequence[str]) -> tuple[list[Path], list[Path]]:
     """Return left and right pictures: of two arguments each a folder, a pattern or a file; of more, half and half."""
     parts = [_expanded(argument) for argument in arguments]
     if len(parts) == 2:
@@ -125,11 +126,11 @@ def print_calibration(calibration: Calibration, output: Path, page: Path) -> Non
     distances = [float(np.linalg.norm(view.left_from_target.translation_m)) for view in calibration.views]
     print(f"{pairs} pairs, rms {calibration.rms_px:.3f} px (left {rms[0]:.3f}, right {rms[1]:.3f})")
     print(f"target {min(distances):.3g} to {max(distances):.3g} m from the left camera")
-    print(f"baseline {plain(1e3 * baseline.value, 2e3 * baseline.u)} mm", end=", ")
-    print(f"axes at {plain(np.degrees(angle.value), np.degrees(2 * angle.u))} deg (U: k = 2)")
+    print(f"baseline {quantity_text(1e3 * baseline.value, 2e3 * baseline.u)} mm", end=", ")
+    print(f"axes at {quantity_text(np.degrees(angle.value), np.degrees(2 * angle.u))} deg (U: k = 2)")
     for item in calibration.parameters:
         if item.name.endswith((".fx", ".fy")):
-            print(f"{item.name} {plain(item.value, 2 * item.u)} px")
+            print(f"{item.name} {quantity_text(item.value, 2 * item.u)} px")
     _print_remarks(calibration)
     print(f"calibration: {output}")
     print(f"report: {page}")
@@ -144,7 +145,7 @@ def run_cameras(
         raise InputError(output, "", found=output.suffix or "no suffix", expected="a name that ends in .json")
     for path in (output, page):
         check_new_file(path, force=force)
-    left, right = split_pictures(arguments)
+    left, right = split_images(arguments)
     inputs = hash_files([*left, *right], _folder([*left, *right]))
     calibration = calibrate_cameras(left, right, settings, progress)
     used: dict[str, str | float | int] = {
@@ -153,14 +154,14 @@ def run_cameras(
         "lens": str(settings.lens),
         "scale_uncertainty": settings.scale_u,
     }
-    if settings.known is not None:
-        used["known_length"] = " ".join(str(value) for value in asdict(settings.known).values())
+    if settings.known_length is not None:
+        used["known_length"] = " ".join(str(value) for value in asdict(settings.known_length).values())
     provenance = Provenance(inputs.hashes, used, versions(), (output.name, page.name))
     text = render_camera_report(calibration, output.stem, provenance, time.monotonic() - started)
     inputs.check()
-    with writing(output):
+    with report_write_errors(output):
         write_calibration(output, calibration.rig, calibration.rms_px)
-    write_whole(page, text)
+    write_atomically(page, text)
     print_calibration(calibration, output, page)
 
 
@@ -175,11 +176,11 @@ def run_camera(
     inputs = hash_files(pictures, _folder(pictures))
     calibration = calibrate_cameras(pictures, None, settings, progress)
     inputs.check()
-    with writing(output):
+    with report_write_errors(output):
         write_camera(output, calibration)
     print(f"{len(calibration.views)} views, rms {calibration.rms_px:.3f} px (U: k = 2)")
     for item in calibration.parameters:
-        print(f"{item.name.removeprefix('left.')} {plain(item.value, 2 * item.u)} {item.unit}")
+        print(f"{item.name.removeprefix('left.')} {quantity_text(item.value, 2 * item.u)} {item.unit}")
     _print_remarks(calibration)
     print(f"calibration: {output}")
 
@@ -191,11 +192,11 @@ def _print_remarks(calibration: Calibration) -> None:
     every = points_of_board(calibration.target)
     of = "" if every is None else f" of {every}"
     print(f"points found: {min(points.values())} to {max(points.values())}{of} in a picture")
-    for dropped in calibration.dropped:
+    for dropped in calibration.rejections:
         what = f"{dropped.points} of {points[dropped.name]} points left out, " if dropped.points else "left out: "
-        say(f"{dropped.name}: {what}{dropped.reason}")
+        print_text(f"{dropped.name}: {what}{dropped.reason}")
     for notice in calibration.notices:
-        say(f"{notice.severity}: {notice.text}")
+        print_text(f"{notice.severity}: {notice.text}")
 
 
 def _targets(target: Target, first: Path) -> tuple[Target, ...]:
@@ -205,7 +206,7 @@ def _targets(target: Target, first: Path) -> tuple[Target, ...]:
     """
     if target.kind == "charuco" and target.dictionary is None and target.size is not None:
         with suppress(OSError, ValueError):
-            dictionary = dictionary_of(read_picture(first)[0], target.size)
+            dictionary = dictionary_of(read_image(first)[0], target.size)
             if dictionary is not None:
                 return replace(target, dictionary=dictionary), target
     return (target,)
@@ -216,7 +217,7 @@ def _find(targets: Sequence[Target], path: Path) -> TargetView | str:
     if not path.exists():
         raise InputError(path, "", found="no such file", expected="a picture")
     try:
-        image, full_scale = read_picture(path)
+        image, full_scale = read_image(path)
     except (OSError, ValueError) as error:
         return str(error).removeprefix(f"{path}: ")
     why = ""
@@ -233,13 +234,13 @@ def _expanded(argument: str) -> list[Path]:
     """Return the pictures that a path, a folder or a pattern names, in natural order."""
     path = Path(argument)
     if path.is_dir():
-        names = [entry for entry in path.iterdir() if entry.suffix.lower() in PICTURE_SUFFIXES]
+        names = [entry for entry in path.iterdir() if entry.suffix.lower() in IMAGE_FILE_SUFFIXES]
     elif path.exists() or not any(sign in argument for sign in "*?["):
         return [path]
     else:
         names = [entry for entry in path.parent.glob(path.name) if entry.is_file()]
     if not names:
-        raise InputError(path, "", found="no pictures", expected=f"files {', '.join(PICTURE_SUFFIXES)}")
+        raise InputError(path, "", found="no pictures", expected=f"files {', '.join(IMAGE_FILE_SUFFIXES)}")
     return sorted(names, key=lambda entry: natural_key(entry.name))
 
 
@@ -257,23 +258,23 @@ def convert_calibration(path: Path, output: Path, force: bool = False, **stated:
     try:
         imported = import_calibration(path, **stated)
     except OSError as error:
-        raise InputError.told_by(error, path) from error
+        raise InputError.from_exception(error, path) from error
     except ValueError as error:
         names = "|".join(stated)
         told = re.sub(rf": ({names}): ", lambda found: f": --{found[1].replace('_', '-')}: ", str(error), count=1)
-        raise InputError.told_by(ValueError(told), path) from error
-    with as_input_error(output), writing(output):
+        raise InputError.from_exception(ValueError(told), path) from error
+    with as_input_error(output), report_write_errors(output):
         write_calibration(output, imported.rig)
     _tell(imported.notices)
     return imported.format
 
 
-def write_for_another_program(path: Path, output: Path, force: bool = False) -> str:
+def export_calibration_file(path: Path, output: Path, force: bool = False) -> str:
     """Write this program's calibration for the program that the suffix of `output` names, and return its name."""
     check_new_file(output, force=force)
     with as_input_error(path):
         rig = read_calibration(path)
-    with as_input_error(output), writing(output):
+    with as_input_error(output), report_write_errors(output):
         program, notices = export_calibration(output, rig)
     _tell(notices)
     return program

@@ -12,23 +12,23 @@ from scipy.linalg import solve_triangular
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from fusion.campaign.drive import Drive, over_lines
+from fusion.campaign.excited_line import ExcitedLine, join_lines
 from fusion.campaign.matrix import MatrixFit
 from fusion.campaign.repeats import (
     BETWEEN,
     LEVERS,
     SAME_FREQUENCY,
     Mean,
-    Repeats,
-    alike,
+    RepeatMean,
     common_outputs,
     drive_value,
     drive_values,
-    known_of,
+    group_excitations,
+    known_matrix_of,
     mean_ratio,
-    over_plain,
-    own_and_shared,
-    plain_mean,
+    relative_to_mean,
+    split_covariance,
+    unweighted_mean,
 )
 from fusion.estimation.coverage import Polar, region, region_matrix
 from fusion.estimation.uncertainty import (
@@ -75,14 +75,14 @@ class Linearity:
 
 
 def find_linearity(
-    drives: Iterable[Drive], capacity: Sequence[float] | None = None, stated: StatedMatrix | None = None
+    drives: Iterable[ExcitedLine], capacity: Sequence[float] | None = None, stated: StatedMatrix | None = None
 ) -> tuple[Linearity, ...]:
     """Return what changes with amplitude wherever one excitation was recorded at amplitudes 1.2 apart.
 
     Of the sensor's elements where what is `stated` of its matrix gives them, as means and curves do.
     """
     found = []
-    for group in alike(drives, capacity, amplitudes_apart=False):
+    for group in group_excitations(drives, capacity, separate_amplitudes=False):
         component = driven_component(group[0].direction, capacity)
         amplitude = [abs(drive.load[component]) for drive in group]
         if max(amplitude) >= SERIES * min(amplitude):
@@ -90,7 +90,7 @@ def find_linearity(
     return tuple(found)
 
 
-def linearity(drives: Sequence[Drive], component: int, stated: StatedMatrix | None = None) -> Linearity:
+def linearity(drives: Sequence[ExcitedLine], component: int, stated: StatedMatrix | None = None) -> Linearity:
     """Return the slope of elements or ratios over amplitude by generalised least squares.
 
     S_n/S̄ = a + b·(A_n - Ā), slope b/a; scales common to all recordings cancel, since their covariance is kept. Scatter
@@ -98,14 +98,14 @@ def linearity(drives: Sequence[Drive], component: int, stated: StatedMatrix | No
     Only outputs with a reading other than zero in all recordings have a slope.
     """
     channels = [name for name in common_outputs(drives) if all(drive.output(name) != 0.0 for drive in drives)]
-    known = known_of(drives, component, stated)
+    known = known_matrix_of(drives, component, stated)
     if known is not None:  # outputs of which the matrix tells no element would be ratios among elements
         channels = [known.channels[row] for row in known.rows if known.channels[row] in channels]
     kind, found = drive_values(drives, component, stated, channels)
-    plain = plain_mean([value for value, _ in found])
-    scaled = over_plain(found, plain)
+    plain = unweighted_mean([value for value, _ in found])
+    scaled = relative_to_mean(found, plain)
     readings = np.array([real_stack(value) for value, _ in scaled])
-    own, shared = own_and_shared(scaled)
+    own, shared = split_covariance(scaled)
     amplitude = np.array([abs(drive.load[component]) for drive in drives])
     width = float(np.ptp(amplitude))
     dof = 2 * (len(drives) - 2)
@@ -188,7 +188,7 @@ def _blocks(count: int, shared: Sequence[Shared]) -> list[tuple[list[int], list[
 # Interpolation of noisy values over frequency, with what is not known between the points.
 
 
-LEAST_POINTS = 5
+MIN_POINTS = 5
 _LENGTHS = np.geomspace(0.05, 10.0, 6)
 """Correlation lengths tried first, in units of the range of ln f."""
 _SIZES = np.geomspace(1e-6, 1.0, 7)
@@ -220,8 +220,8 @@ def interpolation_weights(
     eq. 4.17). Its size and length by restricted maximum likelihood; where points left out are predicted worse than
     that (mean of their normalised squares, ibid. eq. 5.12), its variance is enlarged.
     """
-    if len(frequency_hz) < LEAST_POINTS:
-        raise ValueError(f"frequency_hz: expected at least {LEAST_POINTS} points, found {len(frequency_hz)}")
+    if len(frequency_hz) < MIN_POINTS:
+        raise ValueError(f"frequency_hz: expected at least {MIN_POINTS} points, found {len(frequency_hz)}")
     low, high = float(np.min(frequency_hz)), float(np.max(frequency_hz))
     outside = wanted_hz[(wanted_hz < low) | (wanted_hz > high)]
     if len(outside):
@@ -286,7 +286,7 @@ INTERPOLATION = "interpolation"
 
 
 @dataclass(frozen=True)
-class Curve:
+class SensitivityCurve:
     """E elements of the sensitivity at K frequencies: ratios, elements of single recordings, or of matrices.
 
     `elements`: channel and component of each; `value` (K, E), NaN where there is none; `uncertainty` of K lines, with
@@ -316,11 +316,11 @@ class Curve:
 
 
 def ratio_curves(
-    drives: Iterable[Drive],
+    drives: Iterable[ExcitedLine],
     capacity: Sequence[float] | None = None,
     stated: StatedMatrix | None = None,
     mean: Mean = mean_ratio,
-) -> tuple[Curve, ...]:
+) -> tuple[SensitivityCurve, ...]:
     """Return one curve per driven component: all outputs over it, every frequency the mean of its repeats.
 
     With what is `stated` of the matrix, curves of the sensor's elements instead, where that allows them.
@@ -329,8 +329,8 @@ def ratio_curves(
     component at one frequency (other lever arms) the one with the least of other components is on the curve. `mean`:
     in place of `mean_ratio` (`means_once`).
     """
-    groups: dict[int, list[tuple[float, tuple[Drive, ...]]]] = {}
-    for group in alike(drives, capacity, amplitudes_apart=False):
+    groups: dict[int, list[tuple[float, tuple[ExcitedLine, ...]]]] = {}
+    for group in group_excitations(drives, capacity, separate_amplitudes=False):
         component = driven_component(group[0].direction, capacity)
         # Largest other component of the load over the driven one, moments over 0.1 m.
         size = np.abs(group[0].load) * LEVERS
@@ -342,31 +342,31 @@ def ratio_curves(
             chosen[-1] = impurity, group
     curves = []
     for j in sorted(groups):
-        known = [(group, known_of(group, j, stated)) for _, group in groups[j]]
+        known = [(group, known_matrix_of(group, j, stated)) for _, group in groups[j]]
         means = [mean(group, j, own) for group, own in known if (own is None) == (stated is None)]
         if means:
             curves.append(_ratio_curve(j, means))
     return tuple(curves)
 
 
-def matrix_curve(fits: Sequence[MatrixFit]) -> Curve:
+def matrix_curve(fits: Sequence[MatrixFit]) -> SensitivityCurve:
     """Return the elements of matrices at several frequencies, of one sensor, as one curve."""
     ordered = sorted(fits, key=lambda fit: fit.frequency_hz)
     if not ordered or any(fit.channels != ordered[0].channels for fit in ordered):
         raise ValueError("fits: expected matrices of the same outputs, found others or none")
     channels = ordered[0].channels
-    return Curve(
+    return SensitivityCurve(
         kind="matrix",
         frequency_hz=np.array([fit.frequency_hz for fit in ordered]),
         channels=channels,
         elements=tuple((c, j) for c in range(len(channels)) for j in range(len(LOAD_COMPONENTS))),
         value=np.array([fit.value.ravel() for fit in ordered]),
-        uncertainty=over_lines([fit.uncertainty for fit in ordered]),
+        uncertainty=join_lines([fit.uncertainty for fit in ordered]),
         recordings=tuple(tuple(dict.fromkeys(item.recording for item in fit.agreement)) for fit in ordered),
     )
 
 
-def relative_curve(curve: Curve, static: ArrayLike, u_static: ArrayLike) -> Curve | None:
+def relative_curve(curve: SensitivityCurve, static: ArrayLike, u_static: ArrayLike) -> SensitivityCurve | None:
     """Return the elements over their static sensitivity, of those that have one; None where none has.
 
     `static` (C, 6), in the order of the curve's channels, with standard uncertainties `u_static` (C, 6).
@@ -389,7 +389,7 @@ def relative_curve(curve: Curve, static: ArrayLike, u_static: ArrayLike) -> Curv
     return replace(chosen, value=value, uncertainty=uncertainty)
 
 
-def interpolate(curve: Curve, frequency_hz: FloatArray) -> Curve:
+def interpolate(curve: SensitivityCurve, frequency_hz: FloatArray) -> SensitivityCurve:
     """Return the curve at other frequencies within its range, with the uncertainty of the points and between them.
 
     Real and imaginary part of every element are weighted sums of its points (`fusion.campaign.curve`); what
@@ -408,7 +408,7 @@ def interpolate(curve: Curve, frequency_hz: FloatArray) -> Curve:
     dof = np.inf
     for part in range(2 * count):
         usable = np.flatnonzero(np.isfinite(data[:, part]))
-        if len(usable) < LEAST_POINTS:
+        if len(usable) < MIN_POINTS:
             weight[:, :, part] = np.nan
             continue
         found = interpolation_weights(curve.frequency_hz[usable], data[usable, part], noise[usable, part], wanted)
@@ -420,22 +420,22 @@ def interpolate(curve: Curve, frequency_hz: FloatArray) -> Curve:
     )
 
 
-def _ratio_curve(component: int, means: Sequence[Repeats]) -> Curve:
+def _ratio_curve(component: int, means: Sequence[RepeatMean]) -> SensitivityCurve:
     """Curve of all outputs over one component."""
     channels = tuple(dict.fromkeys(name for mean in means for name in mean.channels))
     parts = [_all_channels(mean, channels) for mean in means]
-    return Curve(
+    return SensitivityCurve(
         kind=means[0].kind,
         frequency_hz=np.array([mean.frequency_hz for mean in means]),
         channels=channels,
         elements=tuple((c, component) for c in range(len(channels))),
         value=np.array([value for value, _ in parts]),
-        uncertainty=over_lines([uncertainty for _, uncertainty in parts]),
+        uncertainty=join_lines([uncertainty for _, uncertainty in parts]),
         recordings=tuple(tuple(dict.fromkeys(mean.recordings)) for mean in means),
     )
 
 
-def _all_channels(mean: Repeats, channels: Sequence[str]) -> tuple[ComplexArray, Uncertainty]:
+def _all_channels(mean: RepeatMean, channels: Sequence[str]) -> tuple[ComplexArray, Uncertainty]:
     """Values and uncertainty in the order of all channels, NaN where this frequency has none."""
     have, want = len(mean.channels), len(channels)
     value = np.full(want, complex(np.nan, np.nan))
@@ -451,7 +451,7 @@ def _all_channels(mean: Repeats, channels: Sequence[str]) -> tuple[ComplexArray,
     return value, replace(found, random=(replace(first, covariance=hidden), *found.random[1:]))
 
 
-def _interpolated(curve: Curve, weight: FloatArray, between: FloatArray, dof: float) -> Uncertainty:
+def _interpolated(curve: SensitivityCurve, weight: FloatArray, between: FloatArray, dof: float) -> Uncertainty:
     """Uncertainty of weighted sums (Q, K, 2E) of the points, and of what lies between them (Q, 2E)."""
     size = np.abs(curve.value)
     size = np.where(size > 0.0, size, np.inf)
@@ -506,7 +506,7 @@ class CurvePoint:
 
 
 def single_points(
-    curve: Curve, element: int, drives: Iterable[Drive], stated: StatedMatrix | None = None
+    curve: SensitivityCurve, element: int, drives: Iterable[ExcitedLine], stated: StatedMatrix | None = None
 ) -> list[tuple[float, str, Polar]]:
     """Return frequency, mounting and value of every recording behind one element of a curve of ratios or elements."""
     c, component = curve.elements[element]
@@ -516,7 +516,7 @@ def single_points(
     for drive in drives:
         line = int(np.argmin(np.abs(curve.frequency_hz - drive.frequency_hz)))
         if (drive.recording, line) in behind and channel in drive.channels:
-            known = known_of([drive], component, stated) if curve.kind == "element" else None
+            known = known_matrix_of([drive], component, stated) if curve.kind == "element" else None
             value, uncertainty = drive_value(drive, component, [channel], known)
             ((point,),) = polar_elements(value[None], uncertainty)
             if point is not None:
@@ -524,6 +524,6 @@ def single_points(
     return found
 
 
-def curve_elements(curve: Curve) -> list[list[Polar | None]]:
+def curve_elements(curve: SensitivityCurve) -> list[list[Polar | None]]:
     """Return every element (K lines of E) with magnitude and phase, None where there is no value."""
     return polar_elements(curve.value, curve.uncertainty)

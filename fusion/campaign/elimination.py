@@ -16,14 +16,14 @@ CHUNK = 512
 
 
 @dataclass(frozen=True)
-class Order:
+class EliminationOrder:
     """Unknowns by the drives on which they act, so that time and memory grow as the drives.
 
     `own` (R, A): slots of unknowns of one drive only; `wide` (W,): unknowns that are columns for all drives; `groups`:
     drives that have nothing but these in common with any other, each with the unknowns that act within it.
     """
 
-    own: BoolArray
+    single: BoolArray
     wide: IntArray
     groups: tuple[tuple[IntArray, IntArray], ...]
 
@@ -41,7 +41,7 @@ class Order:
             yield tuple(chunk)
 
 
-def elimination_order(acting: IntArray, count: int) -> Order:
+def elimination_order(acting: IntArray, count: int) -> EliminationOrder:
     """Return it for the unknowns `acting` (R, A) on each drive, of `count` (-1: none).
 
     What acts on more than half of the drives is wide: there are no more than 2A of these. The others join drives to
@@ -80,4 +80,4 @@ def elimination_order(acting: IntArray, count: int) -> Order:
     for drive, unknown in local:
         groups[top(drive)][1].append(unknown)
     pairs = tuple((np.array(drives), np.array(within, dtype=np.int64)) for drives, within in groups.values())
-    return Order((acting >= 0) & (degree[acting] == 1), np.array(sorted(wide), dtype=np.int64), pairs)
+    return EliminationOrder((acting >= 0) & (degree[acting] == 1), np.array(sorted(wide), dtype=np.int64), pairs)

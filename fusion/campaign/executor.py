@@ -26,7 +26,8 @@ from queue import PriorityQueue
 from typing import TYPE_CHECKING, Any, cast
 from urllib.parse import urlsplit
 
-from fusion.base import PROGRAM, ComputeError, InputError, Returned, __version__, most_threads, undone
+from fusion.base import PROGRAM, LocalResult, __version__, cleanup_on_signal, limit_threads
+from fusion.errors import ComputeError, InputError
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -63,7 +64,7 @@ def with_one_thread(function: Callable[..., Any], *arguments: Any) -> Any:
         torch.set_num_threads(1)
     cv2.setNumThreads(1)
     try:
-        with one_blas_thread(), threadpool_limits(1), most_threads(1):
+        with one_blas_thread(), threadpool_limits(1), limit_threads(1):
             return function(*arguments)
     finally:
         cv2.setNumThreads(threads)
@@ -76,31 +77,31 @@ _ALONE = threading.Lock()  # threads of one process share the logger and what th
 
 
 @dataclass(frozen=True, eq=False)
-class Answer(Returned):
+class LoggedResult(LocalResult):
     """What a task returned or raised, and what it logged."""
 
-    told: tuple[logging.LogRecord, ...] = ()
+    log_records: tuple[logging.LogRecord, ...] = ()
 
-    def __reduce__(self) -> tuple[Callable[..., Answer], tuple[bytes]]:
+    def __reduce__(self) -> tuple[Callable[..., LoggedResult], tuple[bytes]]:
         """Travel in one piece: a cluster hands over large arrays apart, read where they lie in a message.
 
         There they begin at any byte, and kernels and sums over such an array are others than over one that numpy made.
         """
-        return _arrived, (pickle.dumps((self.value, self.error, self.told)),)
+        return _arrived, (pickle.dumps((self.value, self.error, self.log_records)),)
 
     def log(self, name: str) -> None:
         """Log what the task logged, behind the name of what it was about."""
-        for record in self.told:
+        for record in self.log_records:
             if log.isEnabledFor(record.levelno):
                 log.log(record.levelno, "%s: %s", name, record.getMessage())
 
 
-def _arrived(packed: bytes) -> Answer:
+def _arrived(packed: bytes) -> LoggedResult:
     """Return the answer that has travelled."""
-    return Answer(*pickle.loads(packed))
+    return LoggedResult(*pickle.loads(packed))
 
 
-def call(function: Callable[..., Any], *arguments: Any) -> Answer:
+def call(function: Callable[..., Any], *arguments: Any) -> LoggedResult:
     """Call a function, one at a time in a process; answers among its arguments are opened.
 
     What it logs is kept instead of told here. An exception carries the place it came from as its note.
@@ -111,11 +112,11 @@ def call(function: Callable[..., Any], *arguments: Any) -> Answer:
         log.handlers, log.propagate = [keeper], False
         log.setLevel(logging.DEBUG)
         try:
-            opened = [argument.opened() if isinstance(argument, Answer) else argument for argument in arguments]
-            return Answer(function(*opened), None, tuple(keeper.kept))
+            opened = [argument.unwrap() if isinstance(argument, LoggedResult) else argument for argument in arguments]
+            return LoggedResult(function(*opened), None, tuple(keeper.kept))
         except Exception as error:
             error.add_note(traceback.format_exc())
-            return Answer(None, error, tuple(keeper.kept))
+            return LoggedResult(None, error, tuple(keeper.kept))
         finally:
             log.handlers, log.propagate = before[:2]
             log.setLevel(before[2])
@@ -138,11 +139,11 @@ class _Keeper(logging.Handler):
 
 ATTEMPTS = 3
 """How often a task is begun before the death of its workers counts as the task's own failure."""
-FAREWELL_S = 5.0
+SHUTDOWN_S = 5.0
 """How long a worker may take to end when it is told to, or to start."""
-NOTICED_S = 0.5
+SIGNAL_DELAY_S = 0.5
 """How long the end of this process may take to be known after that of a worker."""
-NOTHING_MORE = 1 << 60
+STOP_RANK = 1 << 60
 
 
 @dataclass(order=True)
@@ -153,7 +154,7 @@ class _Task:
     number: int
     function: Callable[..., Any] = field(compare=False)
     arguments: tuple[Any, ...] = field(compare=False)
-    future: Future[Answer] = field(compare=False, default_factory=Future)
+    future: Future[LoggedResult] = field(compare=False, default_factory=Future)
 
 
 class Workers:
@@ -168,7 +169,7 @@ class Workers:
         self._starting = threading.Lock()
         self._stop, self._stopper = multiprocessing.Pipe(duplex=False)
         self._living: set[_Worker] = set()
-        self._ended_by_signals = undone(self._kill)
+        self._ended_by_signals = cleanup_on_signal(self._kill)
         self._leaders = [threading.Thread(target=self._lead, daemon=True) for _ in range(size)]
 
     def __enter__(self) -> Workers:
@@ -181,7 +182,7 @@ class Workers:
         """End the workers, whatever they are doing; tasks without an answer are cancelled."""
         self._stopper.close()
         for _ in self._leaders:
-            self.submit(-NOTHING_MORE, call)
+            self.submit(-STOP_RANK, call)
         for leader in self._leaders:
             leader.join()
         while not self._queue.empty():
@@ -193,11 +194,11 @@ class Workers:
         """End all workers at once; waits for none of the locks that the process's first thread may hold."""
         with suppress(OSError):
             self._stopper.close()
-        self._starting.acquire(timeout=FAREWELL_S)  # one that is being started would tell that its parent is gone
+        self._starting.acquire(timeout=SHUTDOWN_S)  # one that is being started would tell that its parent is gone
         for worker in self._living.copy():
             worker.kill()
 
-    def submit(self, rank: int, function: Callable[..., Any], *arguments: Any) -> Future[Answer]:
+    def submit(self, rank: int, function: Callable[..., Any], *arguments: Any) -> Future[LoggedResult]:
         """Have a module's function called by a worker; of the tasks that wait, the lowest rank comes first.
 
         Futures among the arguments are done: the function receives what they hold.
@@ -211,7 +212,7 @@ class Workers:
     def _lead(self) -> None:
         """Hand tasks to a worker, and to another when it dies, until the workers are to end."""
         worker: _Worker | None = None
-        while (task := self._queue.get()).rank > -NOTHING_MORE:
+        while (task := self._queue.get()).rank > -STOP_RANK:
             try:
                 worker = self._complete(task, worker)
             except Exception as error:  # told where the answer is awaited
@@ -239,7 +240,7 @@ class Workers:
             if answer is not None:
                 task.future.set_result(answer)
                 return worker
-            if self._stop.poll(NOTICED_S):  # what ends all processes may reach a worker first
+            if self._stop.poll(SIGNAL_DELAY_S):  # what ends all processes may reach a worker first
                 break
             status, worker = self._end(worker), None
             log.warning("a worker process ended with status %s; another one begins its work again", status)
@@ -247,7 +248,7 @@ class Workers:
             task.future.cancel()
         else:
             text = f"{ATTEMPTS} worker processes ended while they computed it; does the memory suffice?"
-            task.future.set_result(Answer(None, ComputeError(text), ()))
+            task.future.set_result(LoggedResult(None, ComputeError(text), ()))
         return worker
 
 
@@ -272,12 +273,12 @@ class _Worker:
                     os.environ[name] = value
         other.close()
 
-    def ask(self, task: tuple[Callable[..., Any], tuple[Any, ...]], stop: Any) -> Answer | None:
+    def ask(self, task: tuple[Callable[..., Any], tuple[Any, ...]], stop: Any) -> LoggedResult | None:
         """Have the process compute a task; None when it died meanwhile or `stop` was closed."""
         try:
             self._connection.send(task)
             if self._connection in wait([self._connection, self._process.sentinel, stop]):
-                return cast(Answer, pickle.loads(self._connection.recv_bytes()))
+                return cast(LoggedResult, pickle.loads(self._connection.recv_bytes()))
         except (EOFError, BrokenPipeError, ConnectionResetError):
             log.debug("the connection to a worker broke")
         return None
@@ -286,13 +287,13 @@ class _Worker:
         """End the process at once and wait until it is gone."""
         with suppress(ValueError, OSError):  # that has been closed
             self._process.kill()
-            self._process.join(FAREWELL_S)
+            self._process.join(SHUTDOWN_S)
 
     def end(self) -> int | None:
         """End the process and return its exit status; what it was making is removed by whoever runs it."""
         self._connection.close()
         self._process.terminate()
-        self._process.join(FAREWELL_S)
+        self._process.join(SHUTDOWN_S)
         if self._process.is_alive():
             self._process.kill()
             self._process.join()
@@ -334,7 +335,9 @@ def _serve(connection: Connection) -> None:
             packed = pickle.dumps(answer)
         except Exception as error:  # one that cannot travel is told in its own words
             what = error if answer.error is None else answer.error
-            packed = pickle.dumps(Answer(None, RuntimeError(f"{type(what).__name__}: {what}"), answer.told))
+            packed = pickle.dumps(
+                LoggedResult(None, RuntimeError(f"{type(what).__name__}: {what}"), answer.log_records)
+            )
         with suppress(OSError):
             connection.send_bytes(packed)
 
@@ -357,9 +360,9 @@ SCHEDULER_PORT = 8786
 OPTION = "--scheduler"
 
 
-AWAY_S = 300.0
+SCHEDULER_TIMEOUT_S = 300.0
 """How long a scheduler that is gone is waited for; whoever starts it again may need some minutes."""
-BUSY_S = 600.0
+BUSY_TIMEOUT_S = 600.0
 """How long a worker waits for a recording that another one, cut off from the scheduler, still computes."""
 
 
@@ -369,7 +372,7 @@ class Cluster:
     What they were to do is asked for again where the scheduler is started anew at its address.
     """
 
-    patience_s = BUSY_S
+    patience_s = BUSY_TIMEOUT_S
 
     def __init__(self, client: Client) -> None:
         self._client = client
@@ -382,25 +385,25 @@ class Cluster:
         """How many workers there are at present."""
         return len(self._client.nthreads())
 
-    def submit(self, rank: int, function: Callable[..., Any], *arguments: Any) -> ClusterAnswer:
+    def submit(self, rank: int, function: Callable[..., Any], *arguments: Any) -> ClusterTask:
         """Have a module's function called by a worker; of the tasks that wait, the lowest rank comes first.
 
         Answers among the arguments are there: the function receives what they hold, from wherever that is. A worker
         that dies is nobody's loss: Dask computes again, elsewhere, what it had.
         """
-        return ClusterAnswer(self, rank, (function, *arguments))
+        return ClusterTask(self, rank, (function, *arguments))
 
     def client(self) -> Client:
         """Return the connection to the scheduler, a new one where it was lost; `ComputeError` where none answers."""
         from distributed import Client
 
         with self._reconnecting:
-            told, end = False, time.monotonic() + AWAY_S
+            told, end = False, time.monotonic() + SCHEDULER_TIMEOUT_S
             while self._client.status != "running":
                 if self.ended or time.monotonic() > end:
                     raise ComputeError("the Dask scheduler is gone; start the run again where there is one")
                 if not told:
-                    log.warning("the Dask scheduler does not answer; it is waited for %.0f s", AWAY_S)
+                    log.warning("the Dask scheduler does not answer; it is waited for %.0f s", SCHEDULER_TIMEOUT_S)
                     told = True
                 if self._client.status == "closed":
                     with suppress(OSError):
@@ -414,27 +417,27 @@ class Cluster:
         self._client.close()
 
 
-class ClusterAnswer:
+class ClusterTask:
     """The answer of a task, asked for again where the scheduler lost it or its workers died."""
 
     def __init__(self, cluster: Cluster, rank: int, task: tuple[Any, ...]) -> None:
         self._cluster, self._rank, self._task = cluster, rank, task
-        self._answer: Future[Answer] = Future()
+        self._answer: Future[LoggedResult] = Future()
         self._killed = 0
-        self.future: ClusterFuture[Answer]
+        self.future: ClusterFuture[LoggedResult]
         self._begin()
 
     def _begin(self) -> None:
         """Have the task computed, after those among its arguments that the scheduler has lost."""
         client, held = self._cluster.client(), []
         for argument in self._task:
-            if isinstance(argument, ClusterAnswer) and argument.future.cancelled():
+            if isinstance(argument, ClusterTask) and argument.future.cancelled():
                 argument._begin()
-            held.append(argument.future if isinstance(argument, ClusterAnswer) else argument)
+            held.append(argument.future if isinstance(argument, ClusterTask) else argument)
         self.future = client.submit(call, with_one_thread, *held, priority=-self._rank, pure=False)
         self.future.add_done_callback(self._ended)
 
-    def _ended(self, future: ClusterFuture[Answer]) -> None:
+    def _ended(self, future: ClusterFuture[LoggedResult]) -> None:
         """Fetch the answer; called in a thread of its own as soon as there is one or none will be."""
         from distributed import CancelledError
         from distributed.scheduler import KilledWorker
@@ -455,17 +458,17 @@ class ClusterAnswer:
         except BaseException as error:  # told where the answer is awaited
             self._answer.set_exception(error)
 
-    def add_done_callback(self, told: Callable[[ClusterAnswer], object]) -> None:
+    def add_done_callback(self, told: Callable[[ClusterTask], object]) -> None:
         """Have a function called as soon as there is an answer or none will be."""
         self._answer.add_done_callback(lambda _: told(self))
 
-    def result(self) -> Answer:
+    def result(self) -> LoggedResult:
         """Return the answer; `ComputeError` where the cluster has none."""
         return self._answer.result()
 
 
 @contextmanager
-def connected(address: str) -> Iterator[Cluster]:
+def connect_cluster(address: str) -> Iterator[Cluster]:
     """Yield the cluster whose scheduler answers at an address such as tcp://10.0.0.1:8786; leave it as it is."""
     try:
         from distributed import Client

@@ -14,11 +14,11 @@ from urllib.parse import quote
 import numpy as np
 from markupsafe import Markup
 
-from fusion.base import DASH, counted, gather
+from fusion.base import DASH, count_text
+from fusion.campaign.campaign_figures import draw_crosstalk, draw_curve, draw_excitation, draw_outputs
 from fusion.campaign.curve import CurvePoint, Linearity
-from fusion.campaign.drive import Shelf
-from fusion.campaign.figures import draw_crosstalk, draw_curve, draw_excitation, draw_outputs
-from fusion.campaign.joint import (
+from fusion.campaign.excited_line import DiskStore
+from fusion.campaign.joint_evaluation import (
     CampaignEvaluation,
     curve_points,
     curve_tables,
@@ -28,13 +28,13 @@ from fusion.campaign.joint import (
     main_points,
 )
 from fusion.campaign.matrix import CrossTalk
-from fusion.campaign.matrix_solve import LEAST_SINGULAR
-from fusion.campaign.recorded import Recorded, read_recorded
-from fusion.campaign.repeats import Repeats
+from fusion.campaign.matrix_solve import MIN_SINGULAR
+from fusion.campaign.recording_results import RecordingResults, read_recorded
+from fusion.campaign.repeats import RepeatMean
 from fusion.campaign.unknowns import JointUnknown
 from fusion.estimation.coverage import Polar, polar
 from fusion.estimation.uncertainty import polar_elements
-from fusion.report.files import workshop, write_files, write_together, writing
+from fusion.report.atomic_files import report_write_errors, staging_dir, write_files, write_together
 from fusion.report.folder import (
     CURVE_FILE,
     RESULT_FILE,
@@ -47,8 +47,9 @@ from fusion.report.folder import (
     write_provenance,
 )
 from fusion.report.h5 import EVIDENCE, h5_content, write_fields, write_value
-from fusion.report.labelled import CAMPAIGN_FILE
-from fusion.report.recording import (
+from fusion.report.h5_tree import Group
+from fusion.report.labelled_results import CAMPAIGN_FILE
+from fusion.report.recording_report import (
     CAMPAIGN_FILES,
     CROSSTALK_FILE,
     MERGED_FILES,
@@ -57,25 +58,25 @@ from fusion.report.recording import (
     merged_table,
     sensitivity_elements,
 )
-from fusion.report.stored import Group
 from fusion.report.table import (
-    Column,
     Table,
-    capital,
+    TableColumn,
+    capitalise,
     csv_text,
-    fixed,
-    measured,
     number,
-    on_page,
+    page_column,
     polar_columns,
-    signed,
+    quantity_html,
+    scaled_html,
+    signed_text,
     small,
     table,
-    word,
+    text_column,
 )
 from fusion.sensitivity.analyse import NO_RESULT
 from shaker.arrays import FloatArray
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, typeset
+from shakercal._common.notices import gather
 
 
 class CrossTalkElement(NamedTuple):
@@ -89,30 +90,30 @@ class CrossTalkElement(NamedTuple):
     holds_zero: bool
 
 
-CURVE: list[Column[CurvePoint]] = [
-    Column("frequency_hz", lambda point: point.frequency_hz),
-    word("channel", lambda point: point.channel),
-    word("component", lambda point: point.component),
+CURVE: list[TableColumn[CurvePoint]] = [
+    TableColumn("frequency_hz", lambda point: point.frequency_hz),
+    text_column("channel", lambda point: point.channel),
+    text_column("component", lambda point: point.component),
     *polar_columns("magnitude", lambda point: point.element),
-    Column("k", lambda point: point.element.k),
-    Column("U_magnitude", lambda point: point.element.expanded_magnitude),
-    Column("U_phase_rad", lambda point: point.element.expanded_phase_rad),
-    Column("relative", lambda point: np.nan if point.relative is None else point.relative.magnitude),
-    Column("u_relative", lambda point: np.nan if point.relative is None else point.relative.u_magnitude),
-    Column("U_relative", lambda point: np.nan if point.relative is None else point.relative.expanded_magnitude),
-    word("unit", lambda point: point.unit),
-    Column("recordings", lambda point: point.recordings),
-    Column("mountings", lambda point: point.mountings),
-    word("kind", lambda point: point.kind),
+    TableColumn("k", lambda point: point.element.k),
+    TableColumn("U_magnitude", lambda point: point.element.expanded_magnitude),
+    TableColumn("U_phase_rad", lambda point: point.element.expanded_phase_rad),
+    TableColumn("relative", lambda point: np.nan if point.relative is None else point.relative.magnitude),
+    TableColumn("u_relative", lambda point: np.nan if point.relative is None else point.relative.u_magnitude),
+    TableColumn("U_relative", lambda point: np.nan if point.relative is None else point.relative.expanded_magnitude),
+    text_column("unit", lambda point: point.unit),
+    TableColumn("recordings", lambda point: point.recordings),
+    TableColumn("mountings", lambda point: point.mountings),
+    text_column("kind", lambda point: point.kind),
     *polar_columns("magnitude", lambda point: point.element, freedom=True),
 ]
-CROSSTALK: list[Column[CrossTalkElement]] = [
-    Column("frequency_hz", lambda element: element.frequency_hz),
-    word("channel", lambda element: element.channel),
-    word("component", lambda element: element.component),
+CROSSTALK: list[TableColumn[CrossTalkElement]] = [
+    TableColumn("frequency_hz", lambda element: element.frequency_hz),
+    text_column("channel", lambda element: element.channel),
+    text_column("component", lambda element: element.component),
     *polar_columns("magnitude", lambda element: element.value),
-    Column("U_region", lambda element: element.half_axis),
-    word("holds_zero", lambda element: "yes" if element.holds_zero else "no"),
+    TableColumn("U_region", lambda element: element.half_axis),
+    text_column("holds_zero", lambda element: "yes" if element.holds_zero else "no"),
     *polar_columns("magnitude", lambda element: element.value, freedom=True),
 ]
 
@@ -178,7 +179,7 @@ def campaign_h5(evaluation: CampaignEvaluation, files: Sequence[str]) -> bytes:
     return h5_content(fill)
 
 
-def campaign_origin(recorded: Sequence[Recorded]) -> Provenance:
+def campaign_origin(recorded: Sequence[RecordingResults]) -> Provenance:
     """Return the inputs of all recordings, with the settings and versions that the first was evaluated with."""
     hashes: dict[str, str] = {}
     for entry in recorded:
@@ -199,26 +200,28 @@ def recordings_table(evaluation: CampaignEvaluation) -> Table | None:
     """Every recording that could be evaluated, its name leading to its report, then the others with the reason."""
     blank = "\N{NO-BREAK SPACE}"
 
-    def name(entry: Recorded) -> str:
+    def name(entry: RecordingResults) -> str:
         link = f"{quote(entry.folder)}/{REPORT_FILE}"
         return Markup('<a href="{}">{}</a><br><span class="below">{}</span>').format(link, entry.name, entry.folder)
 
-    def excitation(entry: Recorded) -> str:
+    def excitation(entry: RecordingResults) -> str:
         direction = f",{blank}".join(f"{number:.4g}" for number in entry.direction)
         return f"{entry.kind}{blank}({direction})" if direction else entry.kind
 
-    def result(entry: Recorded) -> str:
+    def result(entry: RecordingResults) -> str:
         if any(notice.where == NO_RESULT for notice in entry.notices):
             return "driven lines without a result"
-        return "evaluated" if entry.drives else "no load or no output"
+        return "evaluated" if entry.excited_lines else "no load or no output"
 
-    columns: list[Column[Recorded]] = [
-        on_page("recording", name, "l"),
-        on_page("mounting", lambda entry: entry.mounting, "l"),
-        on_page("excitation", excitation, "l"),
-        on_page("frequency / Hz", lambda entry: ", ".join(f"{d.frequency_hz:.6g}" for d in entry.drives) or DASH),
-        on_page("warnings", lambda entry: str(sum(notice.severity == "warning" for notice in entry.notices))),
-        on_page("result", result, "l"),
+    columns: list[TableColumn[RecordingResults]] = [
+        page_column("recording", name, "l"),
+        page_column("mounting", lambda entry: entry.mounting, "l"),
+        page_column("excitation", excitation, "l"),
+        page_column(
+            "frequency / Hz", lambda entry: ", ".join(f"{d.frequency_hz:.6g}" for d in entry.excited_lines) or DASH
+        ),
+        page_column("warnings", lambda entry: str(sum(notice.severity == "warning" for notice in entry.notices))),
+        page_column("result", result, "l"),
     ]
     caption, count = "Recordings in the order of the tables; names lead to their reports", len(evaluation.recorded)
     if count > MOST_ROWS:
@@ -241,7 +244,9 @@ def _agreement_table(evaluation: CampaignEvaluation) -> Table | None:
     for name in names:
         own = [cells.get((name, k)) for k in range(len(fits))]
         mounting = next(item.mounting for item in own if item is not None)
-        rows.append((name, mounting, *(DASH if item is None else signed(item.normalised_deviation) for item in own)))
+        rows.append(
+            (name, mounting, *(DASH if item is None else signed_text(item.normalised_deviation) for item in own))
+        )
     total = tuple(f"{fit.chi2:.1f} / {fit.dof}" for fit in fits)
     rows.append((Markup("<b>χ² / degrees of freedom</b>"), "", *total))
     head = ("recording", "mounting", *(f"{fit.frequency_hz:.6g} Hz" for fit in fits))
@@ -259,15 +264,15 @@ def _rank_sentences(evaluation: CampaignEvaluation) -> list[str]:
         sentences.append(
             f"{places if count > 1 else f'At {where[0]:.6g} Hz'} the recordings excite six independent loads. The "
             f"weakest of them is {number(float(least.excitation.singular[-1]))} times its standard uncertainty at "
-            f"{least.frequency_hz:.6g} Hz; a matrix needs {LEAST_SINGULAR:g}."
+            f"{least.frequency_hz:.6g} Hz; a matrix needs {MIN_SINGULAR:g}."
         )
-    return sentences + [f"{capital(notice.text)}." for notice in evaluation.refused]
+    return sentences + [f"{capitalise(notice.text)}." for notice in evaluation.refused]
 
 
 def repeats_table(evaluation: CampaignEvaluation) -> Table | None:
     """What recordings and mountings of one excitation scatter by, for the output that belongs to the load."""
 
-    def expanded(found: Repeats) -> tuple[str, str]:
+    def expanded(found: RepeatMean) -> tuple[str, str]:
         """U of the mean in per cent, and its factor."""
         channel = main_channel(evaluation, found.channels, found.component)
         ((element,),) = polar_elements(found.value[None, [channel]], found.uncertainty.at([channel]))
@@ -275,21 +280,21 @@ def repeats_table(evaluation: CampaignEvaluation) -> Table | None:
             return DASH, DASH
         return small(100.0 * element.expanded_magnitude / element.magnitude), f"{element.k:.2f}"
 
-    def percent(found: Repeats, share: FloatArray) -> str:
+    def percent(found: RepeatMean, share: FloatArray) -> str:
         """A standard deviation: a dash where nothing tells it, zero where nothing is left."""
         own = share[main_channel(evaluation, found.channels, found.component)]
         return DASH if not np.isfinite(own) else small(100.0 * own) if own > 0.0 else "0"
 
-    columns: list[Column[Repeats]] = [
-        on_page("frequency / Hz", lambda found: f"{found.frequency_hz:.4f}"),
-        on_page("load", lambda found: LOAD_COMPONENTS[found.component], "l"),
-        on_page("amplitude", lambda found: f"{found.amplitude:.4g} {typeset(LOAD_UNITS[found.component])}"),
-        on_page("recordings", lambda found: str(len(found.recordings))),
-        on_page("mountings", lambda found: str(len(set(found.mountings)))),
-        on_page("within / %", lambda found: percent(found, found.within)),
-        on_page("between / %", lambda found: percent(found, found.between)),
-        on_page("U of magnitude / %", lambda found: expanded(found)[0]),
-        on_page("k", lambda found: expanded(found)[1]),
+    columns: list[TableColumn[RepeatMean]] = [
+        page_column("frequency / Hz", lambda found: f"{found.frequency_hz:.4f}"),
+        page_column("load", lambda found: LOAD_COMPONENTS[found.component], "l"),
+        page_column("amplitude", lambda found: f"{found.amplitude:.4g} {typeset(LOAD_UNITS[found.component])}"),
+        page_column("recordings", lambda found: str(len(found.recordings))),
+        page_column("mountings", lambda found: str(len(set(found.mountings)))),
+        page_column("within / %", lambda found: percent(found, found.within)),
+        page_column("between / %", lambda found: percent(found, found.between)),
+        page_column("U of magnitude / %", lambda found: expanded(found)[0]),
+        page_column("k", lambda found: expanded(found)[1]),
     ]
     caption = (
         "Repeats: relative standard deviation of a recording (within) and of a mounting (between) beyond what is "
@@ -305,23 +310,23 @@ def linearity_table(evaluation: CampaignEvaluation) -> Table | None:
         """Change of magnitude and phase with U, and the verdict."""
         channel = main_channel(evaluation, found.channels, found.component)
         size, u = complex(found.change[channel]), polar(1.0 + 0.0j, found.covariance[channel], found.dof)
-        magnitude = fixed(100.0 * size.real, 100.0 * u.expanded_magnitude, 0)
-        turn = fixed(1e3 * size.imag, 1e3 * u.expanded_phase_rad, 0)
+        magnitude = scaled_html(100.0 * size.real, 100.0 * u.expanded_magnitude, 0)
+        turn = scaled_html(1e3 * size.imag, 1e3 * u.expanded_phase_rad, 0)
         return magnitude, turn, "linear within U" if found.linear[channel] else "not linear"
 
     def amplitudes(found: Linearity) -> str:
         low, high = float(np.min(found.amplitude)), float(np.max(found.amplitude))
         return f"{low:.4g} to {high:.4g} {typeset(LOAD_UNITS[found.component])}"
 
-    columns: list[Column[Linearity]] = [
-        on_page("frequency / Hz", lambda found: f"{found.frequency_hz:.4f}"),
-        on_page("load", lambda found: LOAD_COMPONENTS[found.component], "l"),
-        on_page("amplitudes", amplitudes),
-        on_page("recordings", lambda found: str(len(found.recordings))),
-        on_page("kind", lambda found: found.kind, "l"),
-        on_page("change of magnitude / %", lambda found: change(found)[0]),
-        on_page("of phase / mrad", lambda found: change(found)[1]),
-        on_page("verdict", lambda found: change(found)[2], "l"),
+    columns: list[TableColumn[Linearity]] = [
+        page_column("frequency / Hz", lambda found: f"{found.frequency_hz:.4f}"),
+        page_column("load", lambda found: LOAD_COMPONENTS[found.component], "l"),
+        page_column("amplitudes", amplitudes),
+        page_column("recordings", lambda found: str(len(found.recordings))),
+        page_column("kind", lambda found: found.kind, "l"),
+        page_column("change of magnitude / %", lambda found: change(found)[0]),
+        page_column("of phase / mrad", lambda found: change(found)[1]),
+        page_column("verdict", lambda found: change(found)[2], "l"),
     ]
     caption = "Linearity: change of the sensitivity from the smallest to the largest amplitude, with U"
     return table(caption, columns, evaluation.linearity)
@@ -332,15 +337,17 @@ def unknowns_table(evaluation: CampaignEvaluation) -> Table | None:
 
     def value(found: JointUnknown) -> str:
         unit = "" if found.unit == "1" else found.unit
-        return measured(found.u * found.estimate, 2.0 * found.u * found.remaining, unit)
+        return quantity_html(found.u * found.estimate, 2.0 * found.u * found.remaining, unit)
 
-    columns: list[Column[JointUnknown]] = [
-        on_page("unknown", lambda found: found.name, "l"),
-        on_page("stated u", lambda found: f"{found.u:.2g} {'' if found.unit == '1' else typeset(found.unit)}".strip()),
-        on_page("value by the campaign", value),
-        on_page("u / u stated", lambda found: f"{found.remaining:.2f}"),
-        on_page("recordings that tell of it", lambda found: str(found.recordings)),
-        on_page("", lambda found: "stays as stated" if found.stated else "", "l"),
+    columns: list[TableColumn[JointUnknown]] = [
+        page_column("unknown", lambda found: found.name, "l"),
+        page_column(
+            "stated u", lambda found: f"{found.u:.2g} {'' if found.unit == '1' else typeset(found.unit)}".strip()
+        ),
+        page_column("value by the campaign", value),
+        page_column("u / u stated", lambda found: f"{found.remaining:.2f}"),
+        page_column("recordings that tell of it", lambda found: str(found.recordings)),
+        page_column("", lambda found: "stays as stated" if found.is_as_stated else "", "l"),
     ]
     caption = "What the recordings together say of the rig: deviation from what is stated, with U (k = 2)"
     return table(caption, columns, sorted(evaluation.unknowns, key=lambda found: found.remaining)[:MOST_ROWS])
@@ -358,7 +365,7 @@ def _crosstalk_table(found: CrossTalk) -> Table:
             elif found.holds_zero[c, j]:
                 cells.append(Markup("&lt; {}").format(f"{size + half_axis:.2g}"))
             else:
-                cells.append(fixed(size, half_axis, 0))
+                cells.append(scaled_html(size, half_axis, 0))
         rows.append(tuple(cells))
     caption = (
         f"Cross-talk at {found.frequency_hz:.6g} Hz in per cent of the rated output, ± half axis of its 95 % region"
@@ -373,7 +380,7 @@ def render_campaign(evaluation: CampaignEvaluation) -> str:
     """HTML text of the page; style and figures are inside, nothing is fetched from elsewhere."""
     mains = main_points(evaluation, curve_points(evaluation))
     ratios = [curve for curve in evaluation.curves if curve.kind == "ratio" and len(curve.channels) > 1]
-    stated = None if evaluation.sensor is None else evaluation.sensor.stated
+    stated = None if evaluation.sensor is None else evaluation.sensor.stated_matrix
     # Where there are elements, ratios are in the tables only.
     drawn = [
         [p for p in points if p.kind != "ratio" or all(other.kind != "element" for other in points)]
@@ -391,7 +398,7 @@ def render_campaign(evaluation: CampaignEvaluation) -> str:
         "name": evaluation.name,
         "subject": _subject(evaluation),
         "headlines": headlines(evaluation, mains),
-        "curves": [draw_curve(points, evaluation.curves, evaluation.drives, stated) for points in drawn],
+        "curves": [draw_curve(points, evaluation.curves, evaluation.excited_lines, stated) for points in drawn],
         "curve_tables": curve_tables(mains),
         "outputs": [draw_outputs(c, main_channel(evaluation, c.channels, c.elements[0][1])) for c in ratios],
         "maps": [picture for picture in [draw_crosstalk(evaluation.cross_talks)] if picture],
@@ -403,7 +410,7 @@ def render_campaign(evaluation: CampaignEvaluation) -> str:
         "linearity": linearity_table(evaluation),
         "unknowns": unknowns_table(evaluation),
         "recordings": recordings_table(evaluation),
-        "count": counted(len(evaluation.recorded) + len(evaluation.failed), "recording"),
+        "count": count_text(len(evaluation.recorded) + len(evaluation.failed), "recording"),
         "notes": gathered[len(of_recordings) :],
         **frame,
     }
@@ -419,7 +426,7 @@ def _subject(evaluation: CampaignEvaluation) -> list[tuple[str, str]]:
     count = f"{len(recorded)} evaluated"
     facts.append(("Recordings", f"{count}, {len(evaluation.failed)} failed" if evaluation.failed else count))
     facts.append(("Mountings", str(len({entry.mounting for entry in recorded}))))
-    frequency = [drive.frequency_hz for entry in recorded for drive in entry.drives]
+    frequency = [drive.frequency_hz for entry in recorded for drive in entry.excited_lines]
     if frequency:
         ends = f"{min(frequency):.6g} Hz", f"{max(frequency):.6g} Hz"
         facts.append(("Frequencies", " to ".join(dict.fromkeys(ends))))
@@ -443,20 +450,20 @@ def join_campaign(
     top: Path, name: str, folders: Sequence[Path], failed: Mapping[str, str]
 ) -> tuple[CampaignEvaluation, list[Path]]:
     """Write the joint files as `write_campaign` does, and return what they tell, too."""
-    inputs = InputFiles.watched(folder / file for folder in folders for file in (*MERGED_FILES, RESULT_FILE))
+    inputs = InputFiles.without_hashes(folder / file for folder in folders for file in (*MERGED_FILES, RESULT_FILE))
     with ExitStack() as stack:
-        with writing(top):
-            shelf = Shelf(stack.enter_context(TemporaryFile(dir=workshop(top))))
+        with report_write_errors(top):
+            shelf = DiskStore(stack.enter_context(TemporaryFile(dir=staging_dir(top))))
             entries = (read_recorded(folder) for folder in folders)
             recorded = [_shelved(entry, shelf) for entry in entries]
         evaluation = evaluate_campaign(name, recorded, failed, shelf.put)
         return evaluation, _write(top, evaluation, folders, inputs)
 
 
-def _shelved(entry: Recorded, shelf: Shelf) -> Recorded:
+def _shelved(entry: RecordingResults, shelf: DiskStore) -> RecordingResults:
     """Return a recording of which the large tables are on the shelf."""
-    knowledge = None if entry.knowledge is None else shelf.keep(entry.knowledge())
-    return replace(entry, drives=tuple(map(shelf.put, entry.drives)), knowledge=knowledge)
+    knowledge = None if entry.knowledge is None else shelf.store(entry.knowledge())
+    return replace(entry, excited_lines=tuple(map(shelf.put, entry.excited_lines)), knowledge=knowledge)
 
 
 def _write(top: Path, evaluation: CampaignEvaluation, folders: Sequence[Path], inputs: InputFiles) -> list[Path]:

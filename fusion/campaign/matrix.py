@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fusion.campaign.drive import FREQUENCY_TOLERANCE, LOADS, Drive
+from fusion.campaign.excited_line import FREQUENCY_TOLERANCE, LOADS, ExcitedLine
 from fusion.campaign.matrix_solve import (
-    Excitation,
-    Solution,
+    LoadExcitation,
+    MatrixSolution,
     Stack,
     changes,
     drives_excite,
@@ -21,8 +21,8 @@ from fusion.campaign.matrix_solve import (
     solve,
     stack_drives,
 )
-from fusion.estimation.consistency import deleted
 from fusion.estimation.coverage import region
+from fusion.estimation.instrument_consistency import leave_out_rows
 from fusion.estimation.uncertainty import (
     Contribution,
     Uncertainty,
@@ -30,9 +30,10 @@ from fusion.estimation.uncertainty import (
     real_design,
 )
 from fusion.sensitivity.ratio import Sensitivity
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, check_shape
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shape
 from shaker.labels import LOAD_COMPONENTS
 from shaker.sine.phasor import real_stacked_diagonal
+from shakercal._common.notices import Notice
 
 # The complex matrix of sensitivities at one frequency, from several recordings, with all that makes it uncertain.
 
@@ -40,7 +41,7 @@ from shaker.sine.phasor import real_stacked_diagonal
 DISAGREEMENT = "disagreement of the recordings"
 DISCREPANCY_RANGE = (1e-9, 10.0)
 RANK_TOLERANCE = 1e-9
-FAR = 100.0
+REJECT_CHI2 = 100.0
 """Chi-square per degree of freedom beyond which readings are not described by what is stated."""
 
 
@@ -75,7 +76,7 @@ class MatrixFit:
     value: ComplexArray
     uncertainty: Uncertainty
     load_size: FloatArray
-    excitation: Excitation
+    excitation: LoadExcitation
     chi2: float
     dof: int
     discrepancy: float
@@ -103,7 +104,7 @@ class MatrixFit:
         )
 
 
-def fit_matrix(drives: Sequence[Drive], channels: Sequence[str] | None = None) -> MatrixFit:
+def fit_matrix(drives: Sequence[ExcitedLine], channels: Sequence[str] | None = None) -> MatrixFit:
     """Return the matrix S of outputs = S · load at the frequency of several drives, by maximum likelihood.
 
     Loads and outputs err, and what drives share is one unknown for all of them (`fusion.campaign.matrix_solve`). All
@@ -153,7 +154,7 @@ def fit_matrix(drives: Sequence[Drive], channels: Sequence[str] | None = None) -
     worst = fit.worst
     if fit.dof == 0 or worst is None:
         text = f"{len(agreement)} recordings at {fit.frequency_hz:.6g} Hz just determine the matrix: none tests it"
-        notices.append(Notice("info", text, "matrix"))
+        notices.append(Notice("note", text, "matrix"))
     elif tau > 0.0:
         text = (
             f"recordings at {fit.frequency_hz:.6g} Hz disagree beyond their uncertainties (chi-square {fit.chi2:.3g} "
@@ -164,21 +165,21 @@ def fit_matrix(drives: Sequence[Drive], channels: Sequence[str] | None = None) -
     return replace(fit, notices=tuple(notices))
 
 
-def _agreement(stack: Stack, solution: Solution) -> tuple[Agreement, ...]:
+def _agreement(stack: Stack, solution: MatrixSolution) -> tuple[Agreement, ...]:
     """Every drive's outputs against what all others say of them."""
     judged = []
     for r, (drive, usable) in enumerate(zip(stack.drives, np.tile(stack.usable, (1, 2)), strict=True)):
-        rows, own = np.flatnonzero(usable), (solution.projector[r], solution.left[r], solution.size[r])
-        chi2, count, _ = deleted(*own, rows, RANK_TOLERANCE)
+        rows, own = np.flatnonzero(usable), (solution.projector[r], solution.projected_residual[r], solution.size[r])
+        chi2, count, _ = leave_out_rows(*own, rows, RANK_TOLERANCE)
         deviation = float(np.sqrt(chi2 / count)) if count else np.nan
         judged.append(Agreement(drive.recording, drive.mounting, drive.frequency_hz, deviation, count))
     return tuple(judged)
 
 
-def _solve(stack: Stack) -> tuple[Solution, Solution, float]:
+def _solve(stack: Stack) -> tuple[MatrixSolution, MatrixSolution, float]:
     """Solution, what stated uncertainties alone say of it, and the relative disagreement it needs (0: none)."""
     start = judge(stack)
-    if start.chi2 < FAR * max(start.dof, 1):
+    if start.chi2 < REJECT_CHI2 * max(start.dof, 1):
         plain = solve(stack)
         if not estimated_noise(stack, plain).fails(plain.chi2, plain.dof, plain.projector):
             return plain, plain, 0.0
@@ -192,7 +193,7 @@ def _spread(stack: Stack, tau: float) -> FloatArray:
     return np.asarray(tau * np.linalg.norm(stack.load, axis=1)[:, None] * np.max(np.abs(matrix), axis=1))
 
 
-def _disagreeing(stack: Stack) -> tuple[Solution, float]:
+def _disagreeing(stack: Stack) -> tuple[MatrixSolution, float]:
     """Solution with the relative disagreement that makes chi-square its degrees of freedom, approached from above."""
     unit = _spread(stack, 1.0)
 
@@ -214,12 +215,12 @@ def _disagreeing(stack: Stack) -> tuple[Solution, float]:
     return solve(stack, tau * unit), tau
 
 
-def _uncertainty(stack: Stack, solution: Solution, tau: float) -> Uncertainty:
+def _uncertainty(stack: Stack, solution: MatrixSolution, tau: float) -> Uncertainty:
     """Uncertainty of the 6C elements in their units: readings' own errors, shared unknowns, disagreement."""
     random: tuple[Contribution, ...] = ()
     for r, gain in enumerate(solution.gain):
         parts = [*random, *stack.output_noise[r].transformed(gain[None]).random]
-        parts += stack.load_noise[r].transformed(-(gain @ solution.through[r])[None]).random
+        parts += stack.load_noise[r].transformed(-(gain @ solution.load_design[r])[None]).random
         random = merge_contributions(parts)
     if tau > 0.0:
         # One error for drives mounted and driven alike.

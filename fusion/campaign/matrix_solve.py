@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from fusion.campaign.drive import LOADS, Drive
-from fusion.campaign.elimination import Order, elimination_order
+from fusion.campaign.elimination import EliminationOrder, elimination_order
+from fusion.campaign.excited_line import LOADS, ExcitedLine
 from fusion.estimation.uncertainty import Influence, Uncertainty, as_complex, real_design, real_stack
 from fusion.estimation.variance_components import EstimatedNoise
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
@@ -24,7 +24,7 @@ SLOPE = 1.0
 """Standard uncertainty of dln S/dln f: what is not known of a sensor below a third of its resonance."""
 SAME_LINE = 1e-7
 """Relative difference of frequencies that changes no sensitivity."""
-LINES_APART = "lines apart"
+LINE_SPACING = "lines apart"
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Stack:
     standard uncertainty, `output_effect` (R, A, C) its outputs, relative to these.
     """
 
-    drives: tuple[Drive, ...]
+    drives: tuple[ExcitedLine, ...]
     channels: tuple[str, ...]
     load_size: FloatArray
     output_size: FloatArray
@@ -61,28 +61,28 @@ class Stack:
         return np.isfinite(self.output)
 
     @cached_property
-    def own_load_covariance(self) -> FloatArray:
+    def individual_load_covariance(self) -> FloatArray:
         """Return the covariance (R, 12, 12) of every drive's load without what drives share."""
         return np.concatenate([noise.covariance for noise in self.load_noise])
 
     @cached_property
-    def own_output_covariance(self) -> FloatArray:
+    def individual_output_covariance(self) -> FloatArray:
         """Return the covariance (R, 2C, 2C) of every drive's outputs without what drives share."""
         return np.concatenate([noise.covariance for noise in self.output_noise])
 
     def load_covariance(self) -> FloatArray:
         """Return the whole covariance (R, 12, 12) of every drive's load, common errors included."""
         effect = real_stack(self.load_effect)
-        return np.asarray(self.own_load_covariance + effect.swapaxes(1, 2) @ effect)
+        return np.asarray(self.individual_load_covariance + effect.swapaxes(1, 2) @ effect)
 
     @cached_property
-    def order(self) -> Order:
+    def order(self) -> EliminationOrder:
         """Return in which order unknowns are eliminated."""
         acts = np.any(self.load_effect != 0.0, axis=2) | np.any(self.output_effect != 0.0, axis=2)
         return elimination_order(np.where(acts, self.acting, -1), len(self.unknowns))
 
 
-def stack_drives(drives: Sequence[Drive], channels: Sequence[str]) -> Stack:
+def stack_drives(drives: Sequence[ExcitedLine], channels: Sequence[str]) -> Stack:
     """Return drives as one stack, their outputs in the order of `channels`; a channel not recorded has no reading.
 
     Each component of the load is measured in its largest among the drives, each output likewise.
@@ -99,7 +99,7 @@ def stack_drives(drives: Sequence[Drive], channels: Sequence[str]) -> Stack:
             of_load.scaled(np.asarray((1.0 / load_size)[None], dtype=np.complex128)),
             _outputs_in_order(of_outputs, drive, wanted, output_size),
         )
-        for drive, (of_load, of_outputs) in ((drive, drive.shared()) for drive in drives)
+        for drive, (of_load, of_outputs) in ((drive, drive.campaign_uncertainties()) for drive in drives)
     ]
     known = {influence.name: influence for both in sized for part in both for influence in part.influences}
     place = {name: number for number, name in enumerate(known)}
@@ -142,7 +142,7 @@ def _size(values: ComplexArray) -> FloatArray:
 
 
 def _outputs_in_order(
-    uncertainty: Uncertainty, drive: Drive, channels: tuple[str, ...], size: FloatArray
+    uncertainty: Uncertainty, drive: ExcitedLine, channels: tuple[str, ...], size: FloatArray
 ) -> Uncertainty:
     """Uncertainty of the outputs by the names wanted, in units of their size; zero where there is no reading."""
     have, want = len(drive.channels), len(channels)
@@ -151,7 +151,7 @@ def _outputs_in_order(
         if np.isfinite(drive.output(channel)):
             column = drive.channels.index(channel)
             matrix[row, column] = matrix[row + want, column + have] = 1.0 / size[row]
-    return uncertainty.where_known().transformed(matrix[None])
+    return uncertainty.nan_as_zero().transformed(matrix[None])
 
 
 def _with_slopes(stack: Stack) -> Stack:
@@ -169,7 +169,7 @@ def _with_slopes(stack: Stack) -> Stack:
         for number, (part, turn) in enumerate((("in phase", 1.0), ("out of phase", 1.0j))):
             effects[:, 2 * place + number, place] = SLOPE * turn * away
             name = f"change of {channel} with frequency at {stack.frequency_hz:.6g} Hz, {part}"
-            unknowns.append(Influence(name, LINES_APART, SLOPE, "", np.zeros((1, 2)), "rig"))
+            unknowns.append(Influence(name, LINE_SPACING, SLOPE, "", np.zeros((1, 2)), "rig"))
     further = np.broadcast_to(len(stack.unknowns) + np.arange(len(unknowns)), effects.shape[:2])
     none = np.zeros((drives, len(unknowns), LOADS), np.complex128)
     return replace(
@@ -184,9 +184,9 @@ def _with_slopes(stack: Stack) -> Stack:
 # Whether recordings excite all six components of the load, and what is missing where they do not.
 
 
-LEAST_SINGULAR = 10.0
+MIN_SINGULAR = 10.0
 """Least size of an excitation in its standard uncertainties: its elements of the matrix are then known to 10 %."""
-LEAST_SHARE = 1e-3
+MIN_SHARE = 1e-3
 """Least size of an excitation beside the largest, every component in units of its largest load."""
 MEMBER = 0.05
 """Share of a missing direction above which a component takes part in it."""
@@ -214,7 +214,7 @@ class MissingExcitationError(ValueError):
 
 
 @dataclass(frozen=True)
-class Excitation:
+class LoadExcitation:
     """How strongly R drives excite six independent loads.
 
     `singular` (6,): of the loads whitened by their covariance, largest first: amplitude of an independent load in its
@@ -232,7 +232,7 @@ class Excitation:
         return not self.missing
 
 
-def excitation(stack: Stack, drives: Sequence[int] | NDArray[np.int64] | None = None) -> Excitation:
+def excitation(stack: Stack, drives: Sequence[int] | NDArray[np.int64] | None = None) -> LoadExcitation:
     """Return how strongly some of the drives (all by default) excite six independent loads.
 
     With w_r the loads and Γ_r their complex covariances, the whitened singular values are the roots of
@@ -245,7 +245,7 @@ def excitation(stack: Stack, drives: Sequence[int] | NDArray[np.int64] | None = 
     return _excitation(stack.load[chosen], np.sum(stack.load_covariance()[chosen], axis=0))
 
 
-def drives_excite(drives: Sequence[Drive]) -> Excitation:
+def drives_excite(drives: Sequence[ExcitedLine]) -> LoadExcitation:
     """Return `excitation` of drives that are not stacked yet, which takes no table of all unknowns by all drives."""
     size = np.tile(_size(np.stack([drive.load for drive in drives])), 2)
     covariance = np.sum([drive.load_uncertainty.covariance[0] for drive in drives], axis=0)
@@ -253,7 +253,7 @@ def drives_excite(drives: Sequence[Drive]) -> Excitation:
     return _excitation(load, covariance / np.outer(size, size))
 
 
-def _excitation(load: ComplexArray, both: FloatArray) -> Excitation:
+def _excitation(load: ComplexArray, both: FloatArray) -> LoadExcitation:
     """How strongly loads (R, 6) with the sum of their covariances (12, 12) excite six independent ones."""
     from scipy.linalg import eigh
 
@@ -267,14 +267,14 @@ def _excitation(load: ComplexArray, both: FloatArray) -> Excitation:
     signal, noise = signal / np.outer(size, size), noise / np.outer(size, size) + FLOOR**2 * np.eye(LOADS)
     singular = np.sqrt(np.maximum(eigh(signal, noise, eigvals_only=True), 0.0))[::-1]
     share = np.sqrt(np.maximum(np.linalg.eigvalsh(signal), 0.0))[::-1]
-    least = LEAST_SINGULAR**2 * noise + (LEAST_SHARE * share[0]) ** 2 * np.eye(LOADS)
+    least = MIN_SINGULAR**2 * noise + (MIN_SHARE * share[0]) ** 2 * np.eye(LOADS)
     values, vectors = np.linalg.eigh(signal - least)
     lacking = vectors[:, values < 0.0]
     missing = _missing(np.asarray(lacking @ lacking.conj().T))
-    return Excitation(singular, share / (share[0] if share[0] > 0.0 else 1.0), missing)
+    return LoadExcitation(singular, share / (share[0] if share[0] > 0.0 else 1.0), missing)
 
 
-def require_six(found: Excitation, drives: int) -> None:
+def require_six(found: LoadExcitation, drives: int) -> None:
     """Raise `MissingExcitationError` unless the drives excite six independent loads, saying what to add."""
     if found.determines:
         return
@@ -316,7 +316,7 @@ DIGITS = 1e-10
 
 
 @dataclass(frozen=True)
-class Point:
+class LinearisationPoint:
     """Where the likelihood is linearised: matrix (C, 6), loads (R, 6), errors (E,)."""
 
     matrix: ComplexArray
@@ -325,7 +325,7 @@ class Point:
 
 
 @dataclass(frozen=True)
-class Solution:
+class MatrixSolution:
     """Matrix, loads and unknowns that fit a stack best, in its units.
 
     `matrix` (C, 6), `load` (R, 6), `errors` (E,) in standard uncertainties; `point`: about which the model was linear.
@@ -339,13 +339,13 @@ class Solution:
     matrix: ComplexArray
     load: ComplexArray
     errors: FloatArray
-    point: Point
+    point: LinearisationPoint
     residual: FloatArray
     noise: FloatArray
     size: FloatArray
     gain: FloatArray
-    through: FloatArray
-    left: FloatArray
+    load_design: FloatArray
+    projected_residual: FloatArray
     projector: FloatArray
     step: float
     chi2: float
@@ -369,7 +369,7 @@ class _Linear:
     noise: FloatArray
 
 
-def solve(stack: Stack, discrepancy: FloatArray | None = None) -> Solution:
+def solve(stack: Stack, discrepancy: FloatArray | None = None) -> MatrixSolution:
     """Return the matrix S, the loads L_r and the unknowns e of greatest likelihood.
 
     Readings are l_r = L_r + E_r(L_r)·e + noise and y_r = (1 + Σ_k ρ_rk·e_k) ∘ (S·L_r) + noise, e with unit priors, E_r
@@ -384,16 +384,19 @@ def solve(stack: Stack, discrepancy: FloatArray | None = None) -> Solution:
     for _ in range(ITERATIONS):
         if solution.step <= CONVERGED:
             return solution
-        solution = _step(stack, Point(solution.matrix, solution.load, solution.errors), extra)
+        solution = _step(stack, LinearisationPoint(solution.matrix, solution.load, solution.errors), extra)
     raise ValueError(f"drives: expected loads that determine a matrix, found none after {ITERATIONS} iterations")
 
 
-def estimated_noise(stack: Stack, solution: Solution) -> EstimatedNoise:
+def estimated_noise(stack: Stack, solution: MatrixSolution) -> EstimatedNoise:
     """Return how well the noise of loads and outputs is known that a solution's readings were judged by."""
     parts = []
     for r, usable in enumerate(np.tile(stack.usable, (1, 2))):
         rows = r * len(usable) + np.flatnonzero(usable)
-        for noise, turn in ((stack.output_noise[r], np.eye(len(usable))), (stack.load_noise[r], solution.through[r])):
+        for noise, turn in (
+            (stack.output_noise[r], np.eye(len(usable))),
+            (stack.load_noise[r], solution.load_design[r]),
+        ):
             own = turn[usable]
             for part in noise.random:
                 dof = np.inf if part.dof is None else float(part.dof[0])
@@ -401,17 +404,17 @@ def estimated_noise(stack: Stack, solution: Solution) -> EstimatedNoise:
     return EstimatedNoise.of_parts(parts, solution.residual.size)
 
 
-def judge(stack: Stack, solution: Solution | None = None) -> Solution:
+def judge(stack: Stack, solution: MatrixSolution | None = None) -> MatrixSolution:
     """Return one step from a solution, or from the start, with stated uncertainties only: what they say of it.
 
     Where readings disagree a thousandfold, the greatest likelihood drives the unknowns far beyond where the model is
     linear, and what it says of a single reading is meaningless; one step does not.
     """
-    point = _start(stack) if solution is None else Point(solution.matrix, solution.load, solution.errors)
+    point = _start(stack) if solution is None else LinearisationPoint(solution.matrix, solution.load, solution.errors)
     return _step(stack, point, np.zeros(stack.output.shape))
 
 
-def changes(stack: Stack, solution: Solution) -> FloatArray:
+def changes(stack: Stack, solution: MatrixSolution) -> FloatArray:
     """Return by how much every unknown changes [Re, Im] of the matrix for one standard uncertainty (E, 12C)."""
     total = np.zeros((len(stack.unknowns), solution.gain.shape[1]))
     for group in stack.order.chunks():
@@ -421,16 +424,16 @@ def changes(stack: Stack, solution: Solution) -> FloatArray:
     return total
 
 
-def _start(stack: Stack) -> Point:
+def _start(stack: Stack) -> LinearisationPoint:
     """Matrix by least squares as if the loads were exact."""
     rows = [
         np.linalg.lstsq(stack.load[usable], stack.output[usable, c], rcond=None)[0]
         for c, usable in enumerate(stack.usable.T)
     ]
-    return Point(np.array(rows), stack.load, np.zeros(len(stack.unknowns)))
+    return LinearisationPoint(np.array(rows), stack.load, np.zeros(len(stack.unknowns)))
 
 
-def _linearise(stack: Stack, point: Point, drives: IntArray) -> _Linear:
+def _linearise(stack: Stack, point: LinearisationPoint, drives: IntArray) -> _Linear:
     """First-order model of the readings of some drives about a point."""
     channels, acting = len(stack.channels), point.errors[stack.acting[drives]]
     load, given, output = point.load[drives], stack.load[drives], stack.output[drives]
@@ -450,7 +453,9 @@ def _linearise(stack: Stack, point: Point, drives: IntArray) -> _Linear:
     effects = output_effect - through @ (of_load.swapaxes(1, 2) * size[:, None, None])
     known = np.tile(np.isfinite(output), (1, 2))
     turn = real_design(through)
-    noise = stack.own_output_covariance[drives] + turn @ stack.own_load_covariance[drives] @ turn.swapaxes(1, 2)
+    noise = stack.individual_output_covariance[drives] + turn @ stack.individual_load_covariance[
+        drives
+    ] @ turn.swapaxes(1, 2)
     noise = np.where(known[:, :, None] & known[:, None], noise, 0.0)
     return _Linear(
         residual=np.where(known, real_stack(residual), 0.0),
@@ -492,7 +497,7 @@ class _White:
         return q, rest - q @ upper[:count, count:], upper[count:, count:]
 
 
-def _whitened(stack: Stack, point: Point, discrepancy: FloatArray) -> Iterator[_White]:
+def _whitened(stack: Stack, point: LinearisationPoint, discrepancy: FloatArray) -> Iterator[_White]:
     """Yield the readings of all drives, linearised and whitened."""
     order, readings = stack.order, real_stack(stack.output)
     digits = (DIGITS * np.max(np.abs(readings[np.isfinite(readings)]))) ** 2
@@ -506,7 +511,7 @@ def _whitened(stack: Stack, point: Point, discrepancy: FloatArray) -> Iterator[_
         raised = extra[drives] + np.maximum(floor - diagonal, 0.0)
         linear = replace(linear, noise=linear.noise + raised[:, :, None] * np.eye(raised.shape[1]))
         root = np.linalg.cholesky(linear.noise)
-        alone = np.linalg.solve(root, np.where(order.own[drives][:, None], linear.effects, 0.0))
+        alone = np.linalg.solve(root, np.where(order.single[drives][:, None], linear.effects, 0.0))
         one = np.broadcast_to(np.eye(raised.shape[1]), root.shape)
         upper = np.asarray(np.linalg.qr(np.concatenate([alone.swapaxes(1, 2), one], axis=1), mode="r"))
         turn = np.linalg.solve(upper.swapaxes(1, 2), np.linalg.solve(root, one))
@@ -524,7 +529,7 @@ def _whitened(stack: Stack, point: Point, discrepancy: FloatArray) -> Iterator[_
         yield _White(drives, linear, turn, turn @ np.concatenate(parts, axis=2), tuple(groups))
 
 
-def _upper(stack: Stack, point: Point, discrepancy: FloatArray, width: int) -> FloatArray:
+def _upper(stack: Stack, point: LinearisationPoint, discrepancy: FloatArray, width: int) -> FloatArray:
     """Triangular factor (P - 1, P) of the system of all drives in wide unknowns and matrix, the right side last.
 
     The system [A X y; 1 0 0], whitened, is equivalent to a covariance noise + A·Aᵀ but keeps its digits.
@@ -538,7 +543,7 @@ def _upper(stack: Stack, point: Point, discrepancy: FloatArray, width: int) -> F
     return np.asarray(np.linalg.qr(np.concatenate([upper, *pending]), mode="r")[: width - 1])
 
 
-def _step(stack: Stack, point: Point, discrepancy: FloatArray) -> Solution:
+def _step(stack: Stack, point: LinearisationPoint, discrepancy: FloatArray) -> MatrixSolution:
     """One Gauss-Newton step: generalised least squares for the matrix, then loads and errors from what is left."""
     drives, channels = stack.output.shape
     known, shape, wide = np.tile(stack.usable, (1, 2)), (drives, 2 * channels, 2 * channels), len(stack.order.wide)
@@ -570,10 +575,10 @@ def _step(stack: Stack, point: Point, discrepancy: FloatArray) -> Solution:
         np.add.at(errors, stack.acting[own], (linear.effects.swapaxes(1, 2) @ left[own][..., None])[..., 0])
     # What is left of a drive's outputs is shared with the noise of its load. Readings at the point,
     # l(L, e) = L + E(L)·e, leave l - l(L, e) - E·(e_new - e) - noise to the step of L.
-    shared = (stack.own_load_covariance @ (through.swapaxes(1, 2) @ left[..., None]))[..., 0]
+    shared = (stack.individual_load_covariance @ (through.swapaxes(1, 2) @ left[..., None]))[..., 0]
     apart = real_stack(stack.load - point.load) - real_stack(_shift(stack, point, errors)) + shared
     load = point.load + as_complex((steps @ apart[..., None])[..., 0])
-    return Solution(
+    return MatrixSolution(
         matrix=point.matrix + as_complex(found[wide:]).reshape(channels, LOADS),
         load=load,
         errors=errors,
@@ -582,8 +587,8 @@ def _step(stack: Stack, point: Point, discrepancy: FloatArray) -> Solution:
         noise=noise,
         size=size,
         gain=gain,
-        through=through,
-        left=left,
+        load_design=through,
+        projected_residual=left,
         projector=projector,
         step=float(np.max(np.abs(found[wide:]) / spread)),
         chi2=float(np.sum(residual * left)),
@@ -591,7 +596,7 @@ def _step(stack: Stack, point: Point, discrepancy: FloatArray) -> Solution:
     )
 
 
-def _shift(stack: Stack, point: Point, errors: FloatArray) -> ComplexArray:
+def _shift(stack: Stack, point: LinearisationPoint, errors: FloatArray) -> ComplexArray:
     """Return by how much errors (E,) change the loads (R, 6), which are as large as at a point."""
     weight = stack.load.conj() / np.sum(np.abs(stack.load) ** 2, axis=1, keepdims=True)
     size = np.sum(weight * point.load, axis=1, keepdims=True)

@@ -9,10 +9,10 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from fusion.campaign.drive import Drive, Stored
-from fusion.campaign.unknowns import SECOND
+from fusion.campaign.excited_line import ExcitedLine, LazyUncertainty
+from fusion.campaign.unknowns import SECOND_ORDER
 from fusion.estimation.coverage import coverage_factor
-from fusion.estimation.fuse import OPEN
+from fusion.estimation.fuse import EXPLANATIONS
 from fusion.estimation.measurement_model import BODY_SIZE_M
 from fusion.estimation.uncertainty import (
     Contribution,
@@ -23,9 +23,10 @@ from fusion.estimation.uncertainty import (
     real_stack,
     total_variance,
 )
-from fusion.sensitivity.ratio import KnownMatrix, StatedMatrix, driven_component, known_matrix
-from shaker.arrays import ComplexArray, FloatArray, IntArray, Notice
+from fusion.sensitivity.ratio import PriorMatrix, StatedMatrix, driven_component, prior_matrix
+from shaker.arrays import ComplexArray, FloatArray, IntArray
 from shaker.sine.phasor import real_stacked_diagonal
+from shakercal._common.notices import Notice
 
 SAME_FREQUENCY = 1e-4
 """Relative difference of frequencies at which a sensitivity is the same."""
@@ -33,13 +34,13 @@ SAME_DIRECTION = 1e-3
 SAME_LOAD = 0.05
 """Difference of any load component (moments over 0.1 m), relative to the driven one, within one excitation."""
 WITHIN, BETWEEN = "repeatability", "mounting anew"
-TURNED = "phases that differ"
+PHASE_DIFFERENCES = "phases that differ"
 """Label of what a mean of complex values lacks in magnitude because of them."""
 LEVERS = np.array([1.0, 1.0, 1.0, *np.full(3, 1.0 / BODY_SIZE_M)])
 
 
 @dataclass(frozen=True)
-class Repeats:
+class RepeatMean:
     """Mean over N recordings of one excitation: the sensor's elements of the driven load, else ratios of the outputs.
 
     `component`: 0..5, of the load; `amplitude`: its mean. `value` (C,), `uncertainty` (K = 1) with names that hold
@@ -65,9 +66,9 @@ class Repeats:
     kind: Literal["ratio", "element"] = "ratio"
 
 
-def drive_element(drive: Drive, known: KnownMatrix) -> tuple[ComplexArray, Uncertainty]:
+def drive_element(drive: ExcitedLine, known: PriorMatrix) -> tuple[ComplexArray, Uncertainty]:
     """Return the sensor's elements (E,) of one drive by what is known of the matrix, otherwise as `drive_ratio`."""
-    of_load, of_outputs = drive.shared()
+    of_load, of_outputs = drive.campaign_uncertainties()
     places = [drive.channels.index(channel) for channel in known.channels]
     outputs, load = drive.outputs[None, places], drive.load[None]
     # Loads that nobody observed lie within their uncertainty.
@@ -75,20 +76,20 @@ def drive_element(drive: Drive, known: KnownMatrix) -> tuple[ComplexArray, Uncer
     return known.elements(outputs, load)[0], known.uncertainty(outputs, load, of_outputs.at(places), of_load, given)
 
 
-def known_of(drives: Sequence[Drive], component: int, stated: StatedMatrix | None) -> KnownMatrix | None:
+def known_matrix_of(drives: Sequence[ExcitedLine], component: int, stated: StatedMatrix | None) -> PriorMatrix | None:
     """Return what is known of the matrix of the outputs that all drives have, None where nothing is."""
     usable = common_outputs(drives)
     if stated is None or not usable:
         return None
-    return known_matrix(stated, usable, component, np.array([drives[0].output(channel) for channel in usable]))
+    return prior_matrix(stated, usable, component, np.array([drives[0].output(channel) for channel in usable]))
 
 
-def drive_ratio(drive: Drive, component: int, channels: Sequence[str]) -> tuple[ComplexArray, Uncertainty]:
+def drive_ratio(drive: ExcitedLine, component: int, channels: Sequence[str]) -> tuple[ComplexArray, Uncertainty]:
     """Return output over one load component of one drive (C,), with names that hold between recordings (K = 1).
 
     dS = (dU - S·dL)/L; what outputs and load share acts on both.
     """
-    of_load, of_outputs = drive.shared()
+    of_load, of_outputs = drive.campaign_uncertainties()
     places = [drive.channels.index(channel) for channel in channels]
     load = drive.load[component]
     ratio = drive.outputs[places] / load
@@ -98,7 +99,7 @@ def drive_ratio(drive: Drive, component: int, channels: Sequence[str]) -> tuple[
 
 
 def drive_value(
-    drive: Drive, component: int, channels: Sequence[str], known: KnownMatrix | None
+    drive: ExcitedLine, component: int, channels: Sequence[str], known: PriorMatrix | None
 ) -> tuple[ComplexArray, Uncertainty]:
     """Return the sensor's elements of some outputs (C,) in one drive where its matrix is `known`, otherwise ratios."""
     if known is None:
@@ -109,10 +110,10 @@ def drive_value(
 
 
 def drive_values(
-    drives: Sequence[Drive], component: int, stated: StatedMatrix | None, channels: Sequence[str]
+    drives: Sequence[ExcitedLine], component: int, stated: StatedMatrix | None, channels: Sequence[str]
 ) -> tuple[Literal["ratio", "element"], list[tuple[ComplexArray, Uncertainty]]]:
     """Return what is told of some outputs: the sensor's elements where the matrix as stated gives all, else ratios."""
-    known = known_of(drives, component, stated)
+    known = known_matrix_of(drives, component, stated)
     if known is not None and not set(channels) <= {known.channels[row] for row in known.rows}:
         known = None
     kind: Literal["ratio", "element"] = "ratio" if known is None else "element"
@@ -120,11 +121,11 @@ def drive_values(
 
 
 def find_repeats(
-    drives: Iterable[Drive],
+    drives: Iterable[ExcitedLine],
     capacity: Sequence[float] | None = None,
     stated: StatedMatrix | None = None,
     mean: Mean | None = None,
-) -> tuple[Repeats, ...]:
+) -> tuple[RepeatMean, ...]:
     """Return the drives in groups of one excitation, each with its mean, ascending in frequency.
 
     One excitation: frequencies within 1e-4, directions within 1e-3, and every load component (moments over 0.1 m)
@@ -132,26 +133,26 @@ def find_repeats(
     that. `mean`: in place of `mean_ratio` (`means_once`).
     """
     mean = mean_ratio if mean is None else mean
-    groups = [(group, driven_component(group[0].direction, capacity)) for group in alike(drives, capacity)]
-    return tuple(mean(group, component, known_of(group, component, stated)) for group, component in groups)
+    groups = [(group, driven_component(group[0].direction, capacity)) for group in group_excitations(drives, capacity)]
+    return tuple(mean(group, component, known_matrix_of(group, component, stated)) for group, component in groups)
 
 
-def alike(
-    drives: Iterable[Drive], capacity: Sequence[float] | None = None, *, amplitudes_apart: bool = True
-) -> tuple[tuple[Drive, ...], ...]:
+def group_excitations(
+    drives: Iterable[ExcitedLine], capacity: Sequence[float] | None = None, *, separate_amplitudes: bool = True
+) -> tuple[tuple[ExcitedLine, ...], ...]:
     """Return the drives in groups of one excitation, ascending in frequency.
 
     With `amplitudes_apart` false loads are compared after they have been scaled to one amplitude.
     """
-    groups: list[list[Drive]] = []
-    near: list[list[Drive]] = []
+    groups: list[list[ExcitedLine]] = []
+    near: list[list[ExcitedLine]] = []
     for drive in sorted(drives, key=lambda drive: drive.frequency_hz):
         component = driven_component(drive.direction, capacity)
         if drive.load[component] == 0.0 or not drive.observed[component]:
             continue
         # Frequencies ascend: a group that began lower cannot take any drive that is still to come.
         near = [g for g in near if np.log(drive.frequency_hz / g[0].frequency_hz) <= SAME_FREQUENCY]
-        match = next((g for g in near if _same(g[0], drive, component, amplitudes_apart=amplitudes_apart)), None)
+        match = next((g for g in near if _same(g[0], drive, component, amplitudes_apart=separate_amplitudes)), None)
         if match is None:
             groups.append([drive])
             near.append(groups[-1])
@@ -160,7 +161,7 @@ def alike(
     return tuple(tuple(group) for group in groups)
 
 
-def _same(first: Drive, other: Drive, component: int, *, amplitudes_apart: bool) -> bool:
+def _same(first: ExcitedLine, other: ExcitedLine, component: int, *, amplitudes_apart: bool) -> bool:
     """Whether two drives are one excitation; phases follow the start of the recording, and a sign is one of them."""
     if abs(np.log(other.frequency_hz / first.frequency_hz)) > SAME_FREQUENCY:
         return False
@@ -175,7 +176,7 @@ def _same(first: Drive, other: Drive, component: int, *, amplitudes_apart: bool)
     return bool(np.max(np.abs(loads[0] - loads[1])) <= SAME_LOAD * loads[0][component])
 
 
-def mean_ratio(drives: Sequence[Drive], component: int, known: KnownMatrix | None = None) -> Repeats:
+def mean_ratio(drives: Sequence[ExcitedLine], component: int, known: PriorMatrix | None = None) -> RepeatMean:
     """Return the mean over recordings of one excitation of output over a load component, of elements if `known`.
 
     Everything that mountings do not share (noise, unknowns of a recording and of a mounting, stated or not) is in what
@@ -196,9 +197,11 @@ def mean_ratio(drives: Sequence[Drive], component: int, known: KnownMatrix | Non
         raise ValueError("drives: expected an output that all recordings of one excitation have, found none")
     usable = usable if known is None else [known.channels[row] for row in known.rows]
     each = (drive_value(drive, component, usable, known) for drive in drives)
-    found: list[tuple[ComplexArray, Uncertainty]] = [(value, Stored.of(uncertainty)) for value, uncertainty in each]
-    plain = plain_mean([value for value, _ in found])
-    scaled = over_plain(found, plain)
+    found: list[tuple[ComplexArray, Uncertainty]] = [
+        (value, LazyUncertainty.of(uncertainty)) for value, uncertainty in each
+    ]
+    plain = unweighted_mean([value for value, _ in found])
+    scaled = relative_to_mean(found, plain)
     mountings = [drive.mounting for drive in drives]
     scatter = _components(scaled, mountings)
     weight = _weights(scaled, mountings, scatter)
@@ -213,7 +216,7 @@ def mean_ratio(drives: Sequence[Drive], component: int, known: KnownMatrix | Non
         np.sqrt(total_variance(matrix[None])[0]) if dof else np.full(len(usable), np.nan)
         for matrix, dof in ((scatter.within, scatter.within_dof), (scatter.between, scatter.between_dof))
     )
-    return Repeats(
+    return RepeatMean(
         frequency_hz=float(np.mean([drive.frequency_hz for drive in drives])),
         direction=drives[0].direction,
         component=component,
@@ -232,18 +235,18 @@ def mean_ratio(drives: Sequence[Drive], component: int, known: KnownMatrix | Non
     )
 
 
-Mean = Callable[[Sequence[Drive], int, KnownMatrix | None], Repeats]
+Mean = Callable[[Sequence[ExcitedLine], int, PriorMatrix | None], RepeatMean]
 
 
-def means_once() -> Mean:
+def cached_mean_ratio() -> Mean:
     """Return `mean_ratio` that computes the mean of the same drives once, as long as these are there.
 
     Curves take recordings of all amplitudes together, repeats those of one, which often are the same; what is known of
     the matrix follows from the drives.
     """
-    found: dict[tuple[object, ...], Repeats] = {}
+    found: dict[tuple[object, ...], RepeatMean] = {}
 
-    def mean(drives: Sequence[Drive], component: int, known: KnownMatrix | None) -> Repeats:
+    def mean(drives: Sequence[ExcitedLine], component: int, known: PriorMatrix | None) -> RepeatMean:
         key = (component, known is None, *map(id, drives))
         if key not in found:
             found[key] = mean_ratio(drives, component, known)
@@ -252,14 +255,14 @@ def means_once() -> Mean:
     return mean
 
 
-def at_frequencies(frequency_hz: Sequence[float]) -> str:
+def frequencies_text(frequency_hz: Sequence[float]) -> str:
     """Say at which frequencies: one, or how many from where to where."""
     if len(frequency_hz) == 1:
         return f"{frequency_hz[0]:.6g} Hz"
     return f"{len(frequency_hz)} frequencies, {min(frequency_hz):.6g} to {max(frequency_hz):.6g} Hz"
 
 
-def repeat_notices(means: Iterable[Repeats]) -> tuple[Notice, ...]:
+def repeat_notices(means: Iterable[RepeatMean]) -> tuple[Notice, ...]:
     """Say once for all frequencies what means of several recordings leave out of U, and how little two tell."""
     places: dict[str, list[float]] = {}
     for mean in means:
@@ -273,18 +276,18 @@ def repeat_notices(means: Iterable[Repeats]) -> tuple[Notice, ...]:
             told += f"freedom, which U pays for with up to k = {coverage_factor(1.0):.1f}; "
             told += f"a third makes it {coverage_factor(2.0):.1f}"
             places.setdefault(told, []).append(mean.frequency_hz)
-    found = ((at_frequencies(sorted(where)), told) for told, where in places.items())
-    return tuple(Notice("info", f"{where}: {told}", "repeats") for where, told in found)
+    found = ((frequencies_text(sorted(where)), told) for told, where in places.items())
+    return tuple(Notice("note", f"{where}: {told}", "repeats") for where, told in found)
 
 
-class Nested(NamedTuple):
+class NestedAnova(NamedTuple):
     """Sums of squares of N readings within and between M mountings, as projections of the readings.
 
     `place` (N,): the mounting of each reading; `sizes` (M,): of the mountings. `within_dof` N - M, `between_dof` M - 1;
     `each`: recordings per mounting in the expectation of the mean square between them, NaN of one mounting.
     """
 
-    place: IntArray
+    mounting_index: IntArray
     sizes: FloatArray
     within_dof: int
     between_dof: int
@@ -296,10 +299,10 @@ class Nested(NamedTuple):
 
     def between(self, values: FloatArray, rows: IntArray | None = None) -> FloatArray:
         """Return the means of the mountings of values (N, ...) less the mean of all; of `rows` as above."""
-        return np.asarray(self._means(values, rows) - np.sum(values, axis=0) / len(self.place))
+        return np.asarray(self._means(values, rows) - np.sum(values, axis=0) / len(self.mounting_index))
 
     def _means(self, values: FloatArray, rows: IntArray | None) -> FloatArray:
-        place = self.place if rows is None else self.place[rows]
+        place = self.mounting_index if rows is None else self.mounting_index[rows]
         kinds, own = np.unique(place, return_inverse=True)
         sums = np.zeros((len(kinds), *values.shape[1:]))
         np.add.at(sums, own, values)
@@ -307,13 +310,13 @@ class Nested(NamedTuple):
         return np.asarray((sums / size)[own])
 
 
-def nested(mountings: Sequence[str]) -> Nested:
+def nested_anova(mountings: Sequence[str]) -> NestedAnova:
     """Return the analysis of variance of recordings (N,) by the mounting of each (Searle et al. 1992, 3.6)."""
     kinds = {mounting: number for number, mounting in enumerate(dict.fromkeys(mountings))}
     place = np.array([kinds[mounting] for mounting in mountings])
     sizes, count, dof = np.bincount(place).astype(np.float64), len(place), len(kinds) - 1
     each = (count - float(np.sum(sizes**2)) / count) / dof if dof else np.nan
-    return Nested(place, sizes, count - len(kinds), dof, each)
+    return NestedAnova(place, sizes, count - len(kinds), dof, each)
 
 
 @dataclass(frozen=True)
@@ -326,18 +329,18 @@ class _Scatter:
     between_dof: int
 
 
-def common_outputs(drives: Sequence[Drive]) -> list[str]:
+def common_outputs(drives: Sequence[ExcitedLine]) -> list[str]:
     """Return the outputs that have a reading in all drives."""
     return [name for name in drives[0].channels if all(np.isfinite(drive.output(name)) for drive in drives)]
 
 
-def plain_mean(values: Sequence[ComplexArray]) -> ComplexArray:
+def unweighted_mean(values: Sequence[ComplexArray]) -> ComplexArray:
     """Return the mean (C,) that values are measured in, 1 for an output that is dead."""
     mean = np.mean(values, axis=0)
     return np.asarray(np.where(mean == 0.0, 1.0, mean))
 
 
-def over_plain(
+def relative_to_mean(
     values: Sequence[tuple[ComplexArray, Uncertainty]], plain: ComplexArray
 ) -> list[tuple[ComplexArray, Uncertainty]]:
     """Return values and their uncertainties divided by constants (C,)."""
@@ -345,7 +348,7 @@ def over_plain(
     return [(value / plain, uncertainty.scaled(factor)) for value, uncertainty in values]
 
 
-def own_and_shared(
+def split_covariance(
     values: Sequence[tuple[ComplexArray, Uncertainty]],
 ) -> tuple[FloatArray, list[tuple[list[int], FloatArray]]]:
     """Covariances (N, 2C, 2C) of what readings have alone, and effects (E, n, 2C) of what n of the readings share."""
@@ -369,9 +372,9 @@ def own_and_shared(
 
 def _components(values: Sequence[tuple[ComplexArray, Uncertainty]], mountings: Sequence[str]) -> _Scatter:
     """Variance components of a recording and of a mounting by the analysis of variance."""
-    readings, forms = np.array([real_stack(value) for value, _ in values]), nested(mountings)
+    readings, forms = np.array([real_stack(value) for value, _ in values]), nested_anova(mountings)
     size = readings.shape[1]
-    own, shared = own_and_shared(values)
+    own, shared = split_covariance(values)
 
     def mean_square(form: Callable[..., FloatArray], diagonal: FloatArray, dof: int) -> FloatArray:
         """Mean square of a projection with a diagonal (N,), less what stated uncertainties make of it."""
@@ -387,7 +390,7 @@ def _components(values: Sequence[tuple[ComplexArray, Uncertainty]], mountings: S
         return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
     within = between = np.zeros((size, size))
-    alike = 1.0 / forms.sizes[forms.place]
+    alike = 1.0 / forms.sizes[forms.mounting_index]
     if forms.within_dof:
         within = positive(mean_square(forms.within, 1.0 - alike, forms.within_dof))
     if forms.between_dof:
@@ -411,7 +414,7 @@ def _weights(
     variance = own[:, best] + within
     if not np.all(variance > 0.0):
         return np.full(len(values), 1.0 / len(values))
-    place, precision = nested(mountings).place, 1.0 / variance
+    place, precision = nested_anova(mountings).mounting_index, 1.0 / variance
     total = np.bincount(place, precision)[place]
     weight = precision / total / (between + 1.0 / total)
     return np.asarray(weight / np.sum(weight))
@@ -442,7 +445,7 @@ def _of_mean(
         for influence in uncertainty.influences:
             acts_on.setdefault(influence.name, set()).add(group)
     shared = tuple(influence for influence in total.influences if len(acts_on[influence.name]) > 1)
-    place, means = nested(groups).place, np.zeros((len(kinds), 2 * len(plain)))
+    place, means = nested_anova(groups).mounting_index, np.zeros((len(kinds), 2 * len(plain)))
     share = np.bincount(place, weight)
     readings = np.array([real_stack(value / plain) for value, _ in values])
     np.add.at(means, place, (weight / share[place])[:, None] * readings)
@@ -455,7 +458,7 @@ def _of_mean(
 
 
 def _bounds(
-    weight: FloatArray, uncertainties: Sequence[Uncertainty], drives: Sequence[Drive]
+    weight: FloatArray, uncertainties: Sequence[Uncertainty], drives: Sequence[ExcitedLine]
 ) -> tuple[Contribution, ...]:
     """Return what bounds of motion that no instrument observes, and open explanations, make of a mean.
 
@@ -466,7 +469,7 @@ def _bounds(
         replace(part, covariance=w * part.covariance)
         for w, uncertainty, drive in zip(weight, uncertainties, drives, strict=True)
         for part in uncertainty.random
-        if part.label == OPEN or (part.type == "B" and part.label != SECOND and not all(drive.observed))
+        if part.label == EXPLANATIONS or (part.type == "B" and part.label != SECOND_ORDER and not all(drive.observed))
     )
     return merge_contributions(list(parts))
 
@@ -484,4 +487,4 @@ def _turned_apart(values: ComplexArray, weight: FloatArray) -> Contribution:
     short = np.where(usable, np.maximum(weight @ (off.imag**2 - off.real**2), 0.0), 0.0) / 2.0
     along = real_stack(mean * short / np.sqrt(3.0))
     own = np.outer(along, along) * np.tile(np.eye(values.shape[1]), (2, 2))
-    return Contribution(TURNED, "B", own[None])
+    return Contribution(PHASE_DIFFERENCES, "B", own[None])

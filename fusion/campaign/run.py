@@ -10,29 +10,18 @@ from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
 
-from fusion.base import (
-    AnyNotice,
-    ComputeError,
-    Executor,
-    InputError,
-    Pending,
-    ProgressCallback,
-    Settings,
-    is_interruption,
-    no_progress,
-    told,
-    undone,
-    versions,
-)
-from fusion.campaign.executor import Workers, connected, one_blas_thread
+from fusion.base import Executor, Pending, ProgressCallback, Settings, cleanup_on_signal, no_progress, versions
+from fusion.campaign.executor import Workers, connect_cluster, one_blas_thread
+from fusion.errors import ComputeError, InputError, as_user_error, is_interruption
 from fusion.recording.excitation import kinds_of
-from fusion.recording.load import RECORDING_NAME, Manifest, find_recordings, for_kinds, load_manifest
-from fusion.report.files import Kept, claimed, remove_abandoned, workshop
+from fusion.recording.load import RECORDING_NAME, Manifest, find_recordings, load_manifest, select_kinds
+from fusion.report.atomic_files import Checkpoint, file_lock, remove_abandoned, staging_dir
 from fusion.report.folder import RESULT_FILE, Hashing, check_folder, hashing, is_current, origin_key
-from fusion.report.h5 import opened_results, read_notices
-from fusion.report.recording import REPORT_FILE, check_campaign_folder, write_results
+from fusion.report.h5 import open_results, read_notices
+from fusion.report.recording_report import REPORT_FILE, check_campaign_folder, write_results
 from fusion.sensitivity.analyse import NO_RESULT
-from fusion.sensitivity.evaluate import evaluate_recording
+from fusion.sensitivity.recording_evaluation import evaluate_recording
+from shakercal._common.notices import Notice
 
 RECORDINGS, JOIN = "recordings", "join recordings"
 LISTEN_S = 0.5  # between looks for an interruption
@@ -56,7 +45,7 @@ class Job:
     allow_outside: bool = False
     patience_s: float = 0.0
 
-    def placed(self, patience_s: float = 0.0) -> Job:
+    def with_absolute_paths(self, patience_s: float = 0.0) -> Job:
         """Return the job with paths that hold for a process of any working folder."""
         recording, folder = self.recording.absolute(), self.folder.absolute()
         return replace(self, recording=recording, folder=folder, patience_s=patience_s)
@@ -74,7 +63,7 @@ class Outcome:
     folder: Path
     resumed: bool = False
     error: InputError | ComputeError | None = None
-    notices: tuple[AnyNotice, ...] | None = None
+    notices: tuple[Notice, ...] | None = None
 
     @property
     def name(self) -> str:
@@ -87,7 +76,7 @@ class Outcome:
         return "; ".join(notice.text for notice in self.notices or () if notice.where == NO_RESULT)
 
     @property
-    def told(self) -> str:
+    def summary(self) -> str:
         """Where the report lies, or why there is none."""
         what = "unchanged since the last run" if self.resumed else "written"
         return f"failed, {self.error}" if self.error is not None else f"report ({what}): {self.folder / REPORT_FILE}"
@@ -96,7 +85,7 @@ class Outcome:
 def run_job(job: Job, progress: ProgressCallback = no_progress, executor: Executor | None = None) -> Outcome:
     """Evaluate one recording unless its results are there, and write them; an executor follows its images."""
     manifest = load_manifest(job.recording, allow_outside=job.allow_outside)
-    hashes = hashing(manifest.files, manifest.root, manifest.read)
+    hashes = hashing(manifest.files, manifest.root, manifest.file_identities)
     try:
         return _evaluated(job, manifest, hashes, progress, executor)
     except Exception:
@@ -115,13 +104,13 @@ def _evaluated(
         log.debug("%s: results of the same input are there, nothing to compute", job.folder)
         return Outcome(job.recording, job.folder, resumed=True)
     check_folder(job.folder, hashes, force=job.force)
-    with claimed(job.folder, job.patience_s), one_blas_thread():
+    with file_lock(job.folder, job.patience_s), one_blas_thread():
         if job.patience_s and not job.force and there():  # whoever had it has finished it meanwhile
             return Outcome(job.recording, job.folder)
         if executor is not None:
             for _ in range(executor.size):  # workers begin while the files are opened here
                 executor.submit(0, _ready)
-        kept = Kept(job.folder, partial(origin_key, hashes, job.settings.as_dict(), versions()))
+        kept = Checkpoint(job.folder, partial(origin_key, hashes, job.settings.as_dict(), versions()))
         evaluation = evaluate_recording(manifest, job.settings, hashes, progress, executor, kept)
         write_results(evaluation, job.folder, hashes.all(), force=job.force)
         kept.remove()
@@ -161,7 +150,7 @@ def run_path(
     recordings = find_recordings(path)
     alone = not is_campaign(path)
     if not alone:
-        recordings = for_kinds(recordings, kinds_of("run"))
+        recordings = select_kinds(recordings, kinds_of("run"))
     top = (recordings[0].parent if alone else path) / "results" if output is None else Path(output)
     folders = [top] if alone else [top / recording.parent.name for recording in recordings]
     jobs = [
@@ -170,10 +159,10 @@ def run_path(
     ]
     if not alone:
         check_campaign_folder(top, [folder.name for folder in folders], force=force)
-    above = workshop(top) if alone else top
+    above = staging_dir(top) if alone else top
     # What processes left that have ended is removed from the folder above the results, before and after.
     remove_abandoned(above)
-    with nullcontext() if alone else claimed(top), undone(partial(remove_abandoned, above)):
+    with nullcontext() if alone else file_lock(top), cleanup_on_signal(partial(remove_abandoned, above)):
         with _executor(workers) as executor:
             if alone:
                 return (_with_notices(_run_one(jobs[0], executor, progress)),)
@@ -199,7 +188,7 @@ def _with_notices(outcome: Outcome) -> Outcome:
     """Return an outcome with the notices of results that were there already."""
     if outcome.notices is not None or outcome.error is not None:
         return outcome
-    with opened_results(outcome.folder / RESULT_FILE, "notices") as file:
+    with open_results(outcome.folder / RESULT_FILE, "notices") as file:
         return replace(outcome, notices=read_notices(file))
 
 
@@ -219,7 +208,7 @@ def exit_status(outcomes: Sequence[Outcome]) -> int:
 def _executor(workers: int | str) -> AbstractContextManager[Executor | None]:
     """Return those who compute; None is this process."""
     if isinstance(workers, str):
-        return connected(workers)
+        return connect_cluster(workers)
     return Workers(workers) if workers > 1 else nullcontext()
 
 
@@ -227,7 +216,7 @@ def _run_one(job: Job, executor: Executor | None, progress: ProgressCallback) ->
     """Run a recording here; an executor follows its images, by paths that hold for a process of any working folder."""
     if executor is None:
         return run_job(job, progress)
-    return replace(run_job(job.placed(), progress, executor), recording=job.recording, folder=job.folder)
+    return replace(run_job(job.with_absolute_paths(), progress, executor), recording=job.recording, folder=job.folder)
 
 
 def _run_here(jobs: Sequence[Job], executor: Executor | None, progress: ProgressCallback) -> tuple[Outcome, ...]:
@@ -244,7 +233,7 @@ def _run_elsewhere(jobs: Sequence[Job], executor: Executor, progress: ProgressCa
     """Have all recordings computed by others; the outcomes are in the recordings' order, whoever was first."""
     answered: SimpleQueue[int] = SimpleQueue()
     pending: list[Pending] = [
-        executor.submit(rank, run_job, job.placed(executor.patience_s)) for rank, job in enumerate(jobs)
+        executor.submit(rank, run_job, job.with_absolute_paths(executor.patience_s)) for rank, job in enumerate(jobs)
     ]
     for rank, answer in enumerate(pending):
         answer.add_done_callback(partial(_tell, answered, rank))
@@ -269,7 +258,7 @@ def _received(job: Job, pending: Pending) -> Outcome:
     """Return the outcome that a task brings, in the paths that the user knows, after what it logged."""
     answer = pending.result()
     answer.log(job.recording.absolute().parent.name)
-    outcome: Outcome = answer.opened()
+    outcome: Outcome = answer.unwrap()
     return replace(outcome, recording=job.recording, folder=job.folder)
 
 
@@ -280,7 +269,7 @@ def _outcome(job: Job, work: Callable[[], Outcome]) -> Outcome:
     except Exception as error:
         if is_interruption(error):
             raise
-        failure = told(error)
+        failure = as_user_error(error)
         log.error("%s", failure)
         log.debug("traceback", exc_info=error)
         return Outcome(job.recording, job.folder, error=failure)

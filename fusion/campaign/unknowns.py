@@ -10,26 +10,27 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import chdtrc
 
-from fusion.campaign.drive import About, Drive, Stored, once
-from fusion.estimation.consistency import UNTESTED
+from fusion.campaign.excited_line import ExcitedLine, LazyUncertainty, UnknownDescription, intern_unknown
+from fusion.estimation.instrument_consistency import UNTESTED
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, as_complex
 from fusion.estimation.variance_components import TEST_LEVEL
-from shaker.arrays import BoolArray, FloatArray, IntArray, Notice
+from shaker.arrays import BoolArray, FloatArray, IntArray
+from shakercal._common.notices import Notice
 
 if TYPE_CHECKING:
-    from fusion.campaign.recorded import Recorded
+    from fusion.campaign.recording_results import RecordingResults
 
 AS_STATED = 0.95
 """Standard uncertainty after the joint estimate over that stated, above which an unknown stays as stated."""
 NOISE = "noise of the joint estimate of unknowns"
 """Label of what the noise of all recordings leaves of unknowns that they estimate together."""
-BEYOND = 0.05
+SECOND_ORDER_U = 0.05
 """Standard uncertainty, in that stated, by which an unknown as one recording sees it differs from that of the rig.
 
 What first order leaves: a direction 10 mrad off shortens a reading by 5e-5, a tenth of the u of a laser's scale, and
 recordings with little noise would take such differences for contradictions.
 """
-SECOND = "unknowns beyond first order"
+SECOND_ORDER = "unknowns beyond first order"
 ROUNDING = 1e-12
 
 
@@ -44,7 +45,7 @@ class Knowledge:
     the rig as far as ε = ε_rig + η, η of covariance T what first order leaves: squares of `BEYOND` and `products` (E,).
     """
 
-    about: tuple[About, ...]
+    descriptions: tuple[UnknownDescription, ...]
     shared: BoolArray
     estimate: FloatArray
     covariance: FloatArray
@@ -53,14 +54,16 @@ class Knowledge:
     @classmethod
     def of(cls, influences: Sequence[Influence], both: Sequence[str], *numbers: FloatArray) -> Knowledge:
         """Return it of unknowns as they act on the motion; `both`: those that act on the load by themselves, too."""
-        about = tuple(once(i.name, i.label, i.u, i.unit, i.scope, i.type, i.dof, i.distribution) for i in influences)
+        about = tuple(
+            intern_unknown(i.name, i.label, i.u, i.unit, i.scope, i.type, i.dof, i.distribution) for i in influences
+        )
         shared = [one[4] in ("rig", "mounting") and one[0] not in both for one in about]
         return cls(about, np.array(shared, dtype=np.bool_), *numbers)
 
     @cached_property
-    def beyond(self) -> FloatArray:
+    def second_order(self) -> FloatArray:
         """Return T, of which the off-diagonal elements are zero."""
-        return np.diag(BEYOND**2 + self.products[self.shared] ** 2)
+        return np.diag(SECOND_ORDER_U**2 + self.products[self.shared] ** 2)
 
     @cached_property
     def inverse(self) -> FloatArray:
@@ -68,21 +71,21 @@ class Knowledge:
         return np.asarray(np.linalg.inv(self.covariance[np.ix_(self.shared, self.shared)]))
 
     @cached_property
-    def passed(self) -> FloatArray:
+    def attenuation(self) -> FloatArray:
         """Return (1 + MT)⁻¹, which what a recording tells of the rig passes, and transposed what it is told."""
         size = np.eye(len(self.inverse))
-        return np.asarray(np.linalg.inv(size + (self.inverse - size) @ self.beyond))
+        return np.asarray(np.linalg.inv(size + (self.inverse - size) @ self.second_order))
 
     @property
     def information(self) -> FloatArray:
         """Return what the recording tells of the rig: (1 + MT)⁻¹M."""
-        product = self.passed @ (self.inverse - np.eye(len(self.inverse)))
+        product = self.attenuation @ (self.inverse - np.eye(len(self.inverse)))
         return np.asarray((product + product.T) / 2.0)
 
     @property
     def score(self) -> FloatArray:
         """Return (1 + MT)⁻¹EᵀPy."""
-        return np.asarray(self.passed @ self.inverse @ self.estimate[self.shared])
+        return np.asarray(self.attenuation @ self.inverse @ self.estimate[self.shared])
 
     @property
     def local(self) -> FloatArray:
@@ -106,7 +109,7 @@ class JointUnknown:
     recordings: int
 
     @property
-    def stated(self) -> bool:
+    def is_as_stated(self) -> bool:
         """Return whether the campaign leaves it as stated."""
         return self.remaining > AS_STATED
 
@@ -133,7 +136,7 @@ class _Mounted:
     """The recordings of one mounting: information and score of W wide unknowns and n of the mounting, joined."""
 
     members: tuple[_Member, ...]
-    about: tuple[About, ...]
+    about: tuple[UnknownDescription, ...]
     information: FloatArray
     score: FloatArray
     wide: int
@@ -157,7 +160,7 @@ class _Mounted:
 
 
 @dataclass(frozen=True)
-class Joint:
+class JointEstimate:
     """Posterior of what recordings of a campaign share: `estimate` (W,) and `covariance` (W, W) of wide unknowns.
 
     Every recording's information adds up, 1 + ΣM_i, the score likewise (Plackett 1950, Biometrika 37, 149: least
@@ -169,26 +172,26 @@ class Joint:
     campaign: str
     sources: tuple[_Source, ...]
     single: bool
-    about: tuple[About, ...]
+    descriptions: tuple[UnknownDescription, ...]
     estimate: FloatArray
     covariance: FloatArray
     information: FloatArray
     recordings: IntArray
 
     @classmethod
-    def of(cls, campaign: str, recorded: Sequence[Recorded]) -> Joint:
+    def of(cls, campaign: str, recorded: Sequence[RecordingResults]) -> JointEstimate:
         """Return what recordings tell together."""
         sources = tuple(_Source(e.name, e.mounting, e.knowledge) for e in recorded if e.knowledge is not None)
         single = len({source.mounting for source in sources}) < 2
-        about: dict[str, About] = {}
+        about: dict[str, UnknownDescription] = {}
         count: dict[str, int] = {}
         for source in sources:
             known = source.known()
             remaining = np.sqrt(np.diag(known.covariance))
             for place in np.flatnonzero(known.shared).tolist():
-                if single or known.about[place][4] == "rig":
-                    name = known.about[place][0]
-                    about.setdefault(name, known.about[place])
+                if single or known.descriptions[place][4] == "rig":
+                    name = known.descriptions[place][0]
+                    about.setdefault(name, known.descriptions[place])
                     count[name] = count.get(name, 0) + bool(remaining[place] < UNTESTED)
         none = np.zeros(len(about))
         joint = cls(
@@ -205,21 +208,21 @@ class Joint:
     def unknowns(self) -> tuple[JointUnknown, ...]:
         """Return what the campaign says of every wide unknown."""
         remaining = np.sqrt(np.diag(self.covariance))
-        columns = self.about, self.estimate.tolist(), remaining.tolist(), self.recordings.tolist()
+        columns = self.descriptions, self.estimate.tolist(), remaining.tolist(), self.recordings.tolist()
         return tuple(JointUnknown(*about[:4], *numbers) for about, *numbers in zip(*columns, strict=True))
 
     def _mounted(self) -> Iterator[_Mounted]:
         """Yield the recordings of every mounting, joined."""
-        wide = {about[0]: place for place, about in enumerate(self.about)}
+        wide = {about[0]: place for place, about in enumerate(self.descriptions)}
         groups: dict[str, list[_Source]] = {}
         for source in self.sources:
             groups.setdefault("" if self.single else source.mounting, []).append(source)
         for group in groups.values():
-            places, about, members = dict(wide), list[About](), list[_Member]()
+            places, about, members = dict(wide), list[UnknownDescription](), list[_Member]()
             information, score = np.zeros((len(places), len(places))), np.zeros(len(places))
             for source in group:
                 known = source.known()  # of one recording at a time, or memory grows as the campaign
-                own = [known.about[place] for place in np.flatnonzero(known.shared).tolist()]
+                own = [known.descriptions[place] for place in np.flatnonzero(known.shared).tolist()]
                 for one in own:
                     if one[0] not in places:
                         places[one[0]] = len(places)
@@ -250,13 +253,13 @@ class Joint:
         limit = 1.0 - TEST_LEVEL ** (1.0 / max(len(found), 1))
         return tuple(name for p, name in sorted(found) if p < limit)
 
-    def carries(self) -> Iterator[tuple[str, Carry]]:
+    def corrections(self) -> Iterator[tuple[str, JointCorrection]]:
         """Yield for every recording what carries the joint estimate into its loads."""
         root = _root(self.information)
         for mounted in self._mounted():
             estimate, _ = self._all(mounted)
             for member in mounted.members:
-                yield member.source.recording, Carry(self, mounted, member, estimate[member.places], root)
+                yield member.source.recording, JointCorrection(self, mounted, member, estimate[member.places], root)
 
 
 def _contradiction(known: Knowledge, estimate: FloatArray, covariance: FloatArray) -> float:
@@ -279,7 +282,7 @@ def _contradiction(known: Knowledge, estimate: FloatArray, covariance: FloatArra
 
 
 @dataclass(frozen=True)
-class Carry:
+class JointCorrection:
     """What the joint estimate changes of a recording's loads, to first order in the unknowns.
 
     A load l found with its recording's own estimate ε_i becomes l - K·(ε - ε_i), K = e·(1 + M) of its influences e.
@@ -289,29 +292,29 @@ class Carry:
     mounting, where the wide are known, it is by their names a symmetric root of what is left.
     """
 
-    joint: Joint
+    joint: JointEstimate
     mounted: _Mounted
     member: _Member
     estimate: FloatArray
     root: FloatArray
 
-    def of(self, drive: Drive) -> Drive:
+    def of(self, drive: ExcitedLine) -> ExcitedLine:
         """Return a drive with the load and its uncertainty as the campaign knows them."""
         known, wide = self.member.source.known(), self.mounted.wide
         uncertainty = drive.load_uncertainty
         old = {influence.name: influence for influence in uncertainty.influences}
         none = np.zeros((1, uncertainty.random[0].covariance.shape[1]))
-        effects = np.array([old[about[0]].effect[0] if about[0] in old else none[0] for about in known.about])
+        effects = np.array([old[about[0]].effect[0] if about[0] in old else none[0] for about in known.descriptions])
         shared, local = effects[known.shared], effects[~known.shared] + known.local.T @ effects[known.shared]
-        gain = known.passed @ known.inverse @ shared
+        gain = known.attenuation @ known.inverse @ shared
         full = np.zeros((len(self.mounted.score), none.shape[1]))
         full[self.member.places] = gain
         through = full[:wide] - self.mounted.slope.T @ full[wide:]
         remaining = self.joint.covariance @ through
         narrow = _root(self.mounted.conditional) @ full[wide:]
-        both = zip((*self.joint.about, *self.mounted.about), (*remaining, *narrow), strict=True)
+        both = zip((*self.joint.descriptions, *self.mounted.about), (*remaining, *narrow), strict=True)
         found = dict(old)
-        own = [about for about, mine in zip(known.about, known.shared, strict=True) if not mine]
+        own = [about for about, mine in zip(known.descriptions, known.shared, strict=True) if not mine]
         for about, effect in (*both, *zip(own, local, strict=True)):
             if about[0] in old or np.any(effect):
                 found[about[0]] = Influence(*about[:4], effect[None], *about[4:])
@@ -322,15 +325,15 @@ class Carry:
         mixed = local.T @ known.local.T @ shared
         size = np.eye(len(shared))
         lost = shared.T @ (known.inverse - size - known.local @ known.local.T) @ shared + mixed + mixed.T
-        beyond = shared.T @ known.inverse @ known.beyond @ gain
-        random = (*_without(uncertainty.random, lost), Contribution(SECOND, "B", beyond[None]))
+        beyond = shared.T @ known.inverse @ known.second_order @ gain
+        random = (*_without(uncertainty.random, lost), Contribution(SECOND_ORDER, "B", beyond[None]))
         # The recording's own part of ε_i is T(1 + MT)⁻¹EᵀPy beside what the rig's unknowns make of it.
-        own_part = known.beyond @ known.score @ known.inverse @ shared
+        own_part = known.second_order @ known.score @ known.inverse @ shared
         change = self.estimate @ gain + own_part - known.estimate[known.shared] @ known.inverse @ shared
         return replace(
             drive,
             load=drive.load - as_complex(change),
-            load_uncertainty=Stored.of(Uncertainty(random, tuple(found.values()))),
+            load_uncertainty=LazyUncertainty.of(Uncertainty(random, tuple(found.values()))),
         )
 
 
@@ -357,15 +360,15 @@ def _without(random: Sequence[Contribution], lost: FloatArray) -> tuple[Contribu
     return tuple(replace(part, covariance=(turn @ part.covariance[0] @ turn.T)[None]) for part in random)
 
 
-def carry_unknowns(
-    campaign: str, recorded: Sequence[Recorded], keep: Callable[[Drive], Drive]
-) -> tuple[tuple[Recorded, ...], tuple[JointUnknown, ...], tuple[Notice, ...]]:
+def apply_joint_estimate(
+    campaign: str, recorded: Sequence[RecordingResults], keep: Callable[[ExcitedLine], ExcitedLine]
+) -> tuple[tuple[RecordingResults, ...], tuple[JointUnknown, ...], tuple[Notice, ...]]:
     """Return recordings whose loads rest on the joint estimate of all unknowns they share, and what that says.
 
     Where a recording contradicts the others, all keep what they have. `keep`: where changed drives are put.
     """
-    joint = Joint.of(campaign, recorded)
-    if len(joint.sources) < 2 or not joint.about:
+    joint = JointEstimate.of(campaign, recorded)
+    if len(joint.sources) < 2 or not joint.descriptions:
         return tuple(recorded), (), ()
     contradicting = joint.contradicting()
     if contradicting:
@@ -376,17 +379,19 @@ def carry_unknowns(
     unknowns = joint.unknowns()
     places = {entry.name: place for place, entry in enumerate(recorded)}
     found = list(recorded)
-    for name, carry in joint.carries():
+    for name, carry in joint.corrections():
         entry = recorded[places[name]]
-        found[places[name]] = replace(entry, drives=tuple(keep(carry.of(drive)) for drive in entry.drives))
+        found[places[name]] = replace(
+            entry, excited_lines=tuple(keep(carry.of(drive)) for drive in entry.excited_lines)
+        )
     return tuple(found), unknowns, _notices(unknowns, len(recorded) - len(joint.sources))
 
 
 def _notices(unknowns: Sequence[JointUnknown], aside: int) -> tuple[Notice, ...]:
     """Say what the campaign knows better than a recording, and what it takes as stated."""
-    better = [unknown for unknown in unknowns if not unknown.stated]
+    better = [unknown for unknown in unknowns if not unknown.is_as_stated]
     text = f"of {len(unknowns)} unknowns of the rig that readings may tell of, all recordings together know "
     text += f"{len(better)} better than stated; the others stay as stated"
     if aside:
         text += f"; recordings without a load, or whose instruments contradict each other, tell nothing: {aside}"
-    return (Notice("info", text, "campaign"),)
+    return (Notice("note", text, "campaign"),)

@@ -42,11 +42,11 @@ def _cameras_options(parser: Parser) -> None:
 )
 def cameras(options: argparse.Namespace) -> None:
     """Calibrate a stereo pair from target pictures."""
-    from fusion.base import InputError
     from fusion.cameras.calibrate import CameraSettings, run_camera, run_cameras
+    from fusion.errors import InputError
     from fusion.report.terminal import progress_bar
     from photogram.calibration.scale import KnownLength
-    from photogram.targets.view import Target
+    from photogram.targets.target_view import Target
 
     try:
         target = Target(options.target, options.spacing.m, options.size, options.dictionary)
@@ -105,9 +105,9 @@ def _export_calibration_options(parser: Parser) -> None:
 @command(_export_calibration_options, "top.json -o top.xml")
 def export_calibration(options: argparse.Namespace) -> None:
     """Write a calibration for OpenCV, VIC-3D or MATLAB."""
-    from fusion.cameras.calibrate import write_for_another_program
+    from fusion.cameras.calibrate import export_calibration_file
 
-    program = write_for_another_program(options.calibration, options.output, options.force)
+    program = export_calibration_file(options.calibration, options.output, options.force)
     print(f"calibration for {program} written: {options.output}")
 
 

@@ -104,9 +104,10 @@ def _range(text: str) -> list[float]:
 @command(_plan_options, "--frequencies 53.7:1020.3:12 --frames 844 --max-rate 60 --exposure 100e-6")
 def plan(options: argparse.Namespace) -> None:
     """Find camera rates at which excitation and harmonics fold to separate places."""
-    from fusion.base import InputError, check_new_file
-    from fusion.planning.plan import Request, Size, make_plan, plan_csv, print_plan
-    from fusion.report.files import write_whole
+    from fusion.base import check_new_file
+    from fusion.errors import InputError
+    from fusion.planning.plan import MotionSize, Request, make_plan, plan_csv, print_plan
+    from fusion.report.atomic_files import write_atomically
     from shaker.lines.rate_planner import Sampling
 
     for file in filter(None, (options.figure, options.csv)):
@@ -123,15 +124,15 @@ def plan(options: argparse.Namespace) -> None:
         limits_hz=limits_hz if options.rate is None else (0.8 * options.rate, 1.2 * options.rate),
         rate_step_hz=options.rate_step,
         settle_s=options.settle,
-        size=Size(options.noise, options.amplitude, options.acceleration),
+        size=MotionSize(options.noise, options.amplitude, options.acceleration),
     )
     made = make_plan(request)
     if options.csv:
-        write_whole(options.csv, plan_csv(made))
+        write_atomically(options.csv, plan_csv(made))
     if options.figure:
-        from fusion.planning.figures import draw_plan
+        from fusion.planning.plan_figures import draw_plan
 
-        write_whole(options.figure, draw_plan(made, options.figure.suffix.lower().removeprefix(".")))
+        write_atomically(options.figure, draw_plan(made, options.figure.suffix.lower().removeprefix(".")))
     if options.json:
         _print_rows("plan", plan_csv(made))
     else:
@@ -163,7 +164,7 @@ def _simulate_options(parser: Parser) -> None:
 @command(_simulate_options, "rope --preset steps")
 def simulate(options: argparse.Namespace) -> None:
     """Write a simulated recording with its truth."""
-    from fusion.base import InputError
+    from fusion.errors import InputError
     from fusion.report.terminal import progress_bar
     from fusion.simulate import simulate
 
@@ -195,15 +196,15 @@ def _init_options(parser: Parser) -> None:
 def init(options: argparse.Namespace) -> None:
     """Draft recording.toml and rig.toml from the files of a folder."""
     from fusion.planning.draft.init import run_init
-    from fusion.report.terminal import say
+    from fusion.report.terminal import print_text
 
     made = run_init(options.folder, options.like, with_example=options.example)
     for line in made.found:
-        say(line)
+        print_text(line)
     for file in made.files:
         print(f"written: {file}")
-    if made.asked:
-        print(f'{made.asked} values are left to fill in, "?"; shakercal check {options.folder} lists them')
+    if made.unfilled:
+        print(f'{made.unfilled} values are left to fill in, "?"; shakercal check {options.folder} lists them')
 
 
 def _check_options(parser: Parser) -> None:
@@ -217,10 +218,11 @@ def _check_options(parser: Parser) -> None:
 @command(_check_options, "recordings/Fz-0080 --rig rig.html")
 def check(options: argparse.Namespace) -> int:
     """Say what a recording holds and everything that its command would refuse; no image is followed."""
-    from fusion.base import InputError, check_new_file
+    from fusion.base import check_new_file
+    from fusion.errors import InputError
     from fusion.planning.check import check, check_together
     from fusion.recording.load import Manifest, find_recordings, load_manifest
-    from fusion.report.terminal import say
+    from fusion.report.terminal import print_text
 
     if options.rig:
         check_new_file(options.rig, force=options.force)
@@ -233,21 +235,21 @@ def check(options: argparse.Namespace) -> int:
             wrong += [str(mistake) for mistake in error.each if str(mistake) not in wrong]
         else:
             if not options.json:
-                say(str(reports[-1].beyond(shown)))
+                print_text(str(reports[-1].without_repeats(shown)))
     wrong += [str(contradiction) for contradiction in check_together(manifests)]
     for sentence in wrong:
         log.error("%s", sentence)
     if options.rig and manifests:
-        from fusion.report.files import write_whole
-        from fusion.report.scene import rig_page
+        from fusion.report.atomic_files import write_atomically
+        from fusion.report.report_scene import rig_page
 
-        write_whole(options.rig, rig_page(manifests))
+        write_atomically(options.rig, rig_page(manifests))
         if not options.json:
             print(f"rig drawn: {options.rig}")
     if options.json:
-        from fusion.report.folder import as_answer
+        from fusion.report.folder import command_json
 
-        print(as_answer("check", recordings=[report.parts() for report in reports], wrong=wrong))
+        print(command_json("check", recordings=[report.parts() for report in reports], wrong=wrong))
     return EXIT_INPUT if wrong or any(report.problems for report in reports) else EXIT_DONE
 
 
@@ -283,7 +285,7 @@ def _view_options(parser: Parser) -> None:
 @command(_view_options, "recordings/Fz-0080/results")
 def view(options: argparse.Namespace) -> None:
     """View images, channels, spectra and phasors on a page of this machine, until Ctrl-C."""
-    from fusion.planning.view.view import run_view
+    from fusion.planning.view.view_requests import run_view
 
     run_view(
         options.source,
@@ -310,7 +312,7 @@ def lines(options: argparse.Namespace) -> None:
     """List every line of a file or recording, and why."""
     from fusion.base import check_new_file
     from fusion.planning.lines import lines_csv, lines_of_file, lines_of_recording, print_lines
-    from fusion.report.files import write_whole
+    from fusion.report.atomic_files import write_atomically
 
     for file in filter(None, (options.figure, options.csv)):
         check_new_file(file, force=options.force)
@@ -320,11 +322,11 @@ def lines(options: argparse.Namespace) -> None:
     else:
         lists = lines_of_file(options.source, options.channel, options.sample_rate, options.band, drawn=drawn)
     if options.csv:
-        write_whole(options.csv, lines_csv(lists))
+        write_atomically(options.csv, lines_csv(lists))
     if options.figure:
-        from fusion.planning.figures import draw_lines
+        from fusion.planning.plan_figures import draw_lines
 
-        write_whole(options.figure, draw_lines(lists, options.figure.suffix.lower().removeprefix(".")))
+        write_atomically(options.figure, draw_lines(lists, options.figure.suffix.lower().removeprefix(".")))
     if options.json:
         _print_rows("lines", lines_csv(lists))
     else:
@@ -333,15 +335,15 @@ def lines(options: argparse.Namespace) -> None:
 
 def _print_rows(name: str, text: str) -> None:
     """Print a table for programs."""
-    from fusion.report.folder import as_answer
+    from fusion.report.folder import command_json
     from fusion.report.table import csv_rows
 
-    print(as_answer(name, rows=csv_rows(text)))
+    print(command_json(name, rows=csv_rows(text)))
 
 
 def _manifests(options: argparse.Namespace) -> list[Manifest]:
     """Load the recordings of a folder; only one fits a table or figure, and none takes a file's options."""
-    from fusion.base import InputError
+    from fusion.errors import InputError
     from fusion.recording.load import find_recordings, load_manifest
 
     for name in ("channel", "sample_rate", "band"):
@@ -386,7 +388,7 @@ def run(options: argparse.Namespace) -> int:
     """Evaluate one recording or a campaign of several."""
     from fusion.base import Settings
     from fusion.campaign.run import exit_status, is_campaign, run_path
-    from fusion.campaign.terminal import as_json, print_outcomes
+    from fusion.campaign.run_summary import as_json, print_outcomes
     from fusion.report.terminal import progress_bar
     from photogram.kernels.device import resolve_device
 
@@ -433,8 +435,8 @@ def _transfer_options(parser: Parser) -> None:
 @command(_transfer_options, "recordings/chirp")
 def transfer(options: argparse.Namespace) -> None:
     """Transfer functions and resonances from a chirp, multisine, noise or blows."""
-    from fusion.sensor.transfer.records import TransferSettings
-    from fusion.sensor.transfer.report import run_transfer
+    from fusion.sensor.transfer.transfer_records import TransferSettings
+    from fusion.sensor.transfer.transfer_report import run_transfer
 
     settings = TransferSettings(options.estimator, options.resolution, options.quantity)
     run_transfer(options.recording, options.output, settings, force=options.force, allow_outside=options.allow_outside)
@@ -451,7 +453,7 @@ def _export_options(parser: Parser) -> None:
 @command(_export_options, "results/Fz-0080 -o Fz-0080.uff")
 def export(options: argparse.Namespace) -> None:
     """Write results or the channels of a recording as a universal file (UFF 58, 58b, 55, 2411)."""
-    from fusion.report.universal import export_universal
+    from fusion.report.universal_export import export_universal
 
     made = export_universal(options.results, options.output, text=options.text, force=options.force)
     counts = f"{len(made.functions)} functions, {len(made.shapes)} shapes, {len(made.nodes)} nodes"
@@ -467,10 +469,10 @@ def _validate_options(parser: Parser) -> None:
 @command(_validate_options, "-o validation")
 def validate(options: argparse.Namespace) -> int:
     """Compare what this installation computes with results of other means (software validation)."""
-    from fusion.planning.validation import run as validation
+    from fusion.planning.validation import validation_run as validation
 
     if options.output is not None:
-        validation.check_place(options.output, force=options.force)
+        validation.check_output_folder(options.output, force=options.force)
     found = validation.validate()
     if options.output is not None:
         validation.write_validation(options.output, found)

@@ -75,7 +75,7 @@ class Parser(argparse.ArgumentParser):
 
 
 @dataclass(frozen=True)
-class Command:
+class CliCommand:
     """A sub-command: what the help says of it, an example of its use, what adds its options, and what it does.
 
     What it does returns the exit status, None: it is done.
@@ -90,15 +90,15 @@ class Command:
 
 def command(
     options: Callable[[Parser], None], example: str
-) -> Callable[[Callable[[argparse.Namespace], int | None]], Command]:
+) -> Callable[[Callable[[argparse.Namespace], int | None]], CliCommand]:
     """Make a command of a function, by its name and docstring; `options` adds what it takes.
 
     `example`: what to write behind `shakercal` and its name.
     """
 
-    def made(act: Callable[[argparse.Namespace], int | None]) -> Command:
+    def made(act: Callable[[argparse.Namespace], int | None]) -> CliCommand:
         text, name = str(act.__doc__), act.__name__.replace("_", "-")
-        return Command(name, text[0].lower() + text[1:].rstrip("."), f"shakercal {name} {example}", options, act)
+        return CliCommand(name, text[0].lower() + text[1:].rstrip("."), f"shakercal {name} {example}", options, act)
 
     return made
 

@@ -30,7 +30,7 @@ def _rotate_options(parser: Parser) -> None:
 @command(_rotate_options, "turned/bare turned/loaded")
 def rotate(options: argparse.Namespace) -> None:
     """Internal mass and load mass from the sensor turned about a horizontal axis."""
-    from fusion.sensor.rotate.report import run_rotate
+    from fusion.sensor.rotate.rotation_report import run_rotate
 
     run_rotate(options.recordings, options.output, force=options.force, allow_outside=options.allow_outside)
 
@@ -55,9 +55,9 @@ def _identify_options(parser: Parser) -> None:
 @command(_identify_options, "campaign --load-mass 0.5 2 7")
 def identify(options: argparse.Namespace) -> None:
     """Stiffness, damping and internal mass of the sensor from a whole campaign."""
-    from fusion.base import InputError
-    from fusion.sensor.identify.measured import IdentifySettings
-    from fusion.sensor.identify.report import run_identify
+    from fusion.errors import InputError
+    from fusion.sensor.identify.identification_inputs import IdentifySettings
+    from fusion.sensor.identify.identification_report import run_identify
 
     band = None if options.band is None else (options.band[0], options.band[1])
     if band is not None and band[0] >= band[1]:
@@ -89,8 +89,8 @@ def _step_options(parser: Parser) -> None:
 @command(_step_options, "releases --method pencil")
 def step(options: argparse.Namespace) -> None:
     """Models of the sensor's outputs from releases of a load: modes, bands, settling."""
-    from fusion.sensor.step.records import StepSettings
-    from fusion.sensor.step.report import run_step
+    from fusion.sensor.step.step_records import StepSettings
+    from fusion.sensor.step.step_report import run_step
 
     settings = StepSettings(options.method, options.modes, options.real_poles, options.release)
     run_step(options.recordings, options.output, settings, force=options.force, allow_outside=options.allow_outside)
@@ -118,8 +118,8 @@ def _load_options(parser: Parser) -> None:
 @command(_load_options, "releases --wanted 500")
 def load(options: argparse.Namespace) -> None:
     """Stiffness, resonance over load mass and load limits from releases with loads."""
-    from fusion.sensor.load.evaluate import LoadSettings
-    from fusion.sensor.load.report import run_loads, run_table
+    from fusion.sensor.load.load_evaluation import LoadSettings
+    from fusion.sensor.load.load_models_report import run_loads, run_table
 
     table = options.frequencies is not None
     if table == bool(options.recordings):
@@ -168,10 +168,10 @@ def _compensate_options(parser: Parser) -> None:
 @command(_compensate_options, "releases/step --frequency 2000 --damping 0.7")
 def compensate(options: argparse.Namespace) -> None:
     """Filters that give a sensor the resonance, damping or bandwidth one wants."""
-    from fusion.sensor.compensate.report import run_compensate
-    from fusion.sensor.compensate.source import Wish
+    from fusion.sensor.compensate.compensation_report import run_compensate
+    from fusion.sensor.compensate.compensation_subjects import CompensationSettings
 
-    wish = Wish(
+    wish = CompensationSettings(
         frequency_hz=options.frequency,
         damping_ratio=options.damping,
         bandwidth_hz=options.bandwidth,
@@ -211,8 +211,8 @@ def _decouple_options(parser: Parser) -> None:
 @command(_decouple_options, "releases --frequency 800")
 def decouple(options: argparse.Namespace) -> None:
     """Model of all outputs over all loads from releases; filter against cross-talk."""
-    from fusion.sensor.decouple.evaluate import DecoupleSettings
-    from fusion.sensor.decouple.report import run_decouple
+    from fusion.sensor.decouple.decoupling_evaluation import DecoupleSettings
+    from fusion.sensor.decouple.decoupling_report import run_decouple
 
     settings = DecoupleSettings(options.frequency, options.damping, options.seed)
     run_decouple(options.campaign, options.output, settings, force=options.force, allow_outside=options.allow_outside)
@@ -231,7 +231,7 @@ def _elastomer_options(parser: Parser) -> None:
 def elastomer(options: argparse.Namespace) -> None:
     """Stiffness and modes of a cross-beam element from its geometry."""
     from fusion.report.terminal import progress_bar
-    from fusion.sensor.elastomer.report import run_elastomer
+    from fusion.sensor.elastomer.element_report import run_elastomer
 
     with progress_bar(enabled=not options.quiet) as progress:
         run_elastomer(
@@ -260,7 +260,7 @@ def _certificate_options(parser: Parser) -> None:
 @command(_certificate_options, "campaign --form certificate.toml")
 def certificate(options: argparse.Namespace) -> None:
     """Calibration certificate of a recording or campaign, as XML (DCC) and as a page."""
-    from fusion.sensor.certificate.report import run_certificate, write_form
+    from fusion.sensor.certificate.certificate_report import run_certificate, write_form
 
     if options.draft:
         write_form(options.form or options.recording, options.results)
@@ -291,7 +291,7 @@ def _compare_options(parser: Parser) -> None:
 @command(_compare_options, "2024=results-2024 2026=results-2026 --date 2024=2024-05-02 --date 2026=2026-03-09")
 def compare(options: argparse.Namespace) -> None:
     """Results of laboratories, campaigns or dates: E_n, reference value, consistency, drift."""
-    from fusion.sensor.compare.report import run_compare
+    from fusion.sensor.compare.comparison_report import run_compare
 
     run_compare(options.inputs, options.output, options.date or (), options.tolerance, force=options.force)
 

@@ -51,7 +51,7 @@ def bounded_factor(widths: FloatArray, u: float, k: float) -> float:
 
 
 @dataclass(frozen=True)
-class Quantity:
+class RealQuantity:
     """A real number with its standard uncertainty, NaN where that is not known, and the degrees of freedom of that."""
 
     value: float
@@ -71,7 +71,7 @@ class Quantity:
 
 
 @dataclass(frozen=True)
-class NamedQuantity(Quantity):
+class NamedQuantity(RealQuantity):
     """A quantity with its `name` in files and its `label` for readers."""
 
     name: str
@@ -158,7 +158,7 @@ def region_matrix(
 
 
 @dataclass(frozen=True)
-class Region:
+class CoverageRegion:
     """The 95 % region of a complex value: an ellipse about it in the complex plane (`region_matrix`).
 
     `half_axes`: the larger and the smaller one, in the unit of the value; `angle_rad`: of the larger one from the real
@@ -170,17 +170,17 @@ class Region:
     holds_zero: bool
 
 
-def region(value: complex, matrix: FloatArray) -> Region:
+def region(value: complex, matrix: FloatArray) -> CoverageRegion:
     """Return the 95 % region of a complex value of which `matrix` (2, 2) is that of `region_matrix`."""
     if not np.all(np.isfinite(matrix)):
-        return Region((np.inf, np.inf), 0.0, holds_zero=True)
+        return CoverageRegion((np.inf, np.inf), 0.0, holds_zero=True)
     squares, axes = np.linalg.eigh(matrix)
     small, large = np.sqrt(np.maximum(squares, 0.0)).tolist()
     turned = np.abs(axes.T @ [value.real, value.imag]).tolist()
     shares = [part / half if half > 0.0 else np.inf for part, half in zip(turned, (small, large), strict=True) if part]
     along = axes[:, 1] * (1.0 if axes[0, 1] > 0.0 or (axes[0, 1] == 0.0 and axes[1, 1] > 0.0) else -1.0)
     angle = float(np.arctan2(along[1], along[0]))
-    return Region((large, small), angle, holds_zero=sum(share**2 for share in shares) <= 1.0)
+    return CoverageRegion((large, small), angle, holds_zero=sum(share**2 for share in shares) <= 1.0)
 
 
 # Complex numbers as magnitude and phase with uncertainty.
@@ -244,7 +244,7 @@ class Polar:
         return _pair(self.region_re, self.region_im, self.region_r)
 
     @property
-    def region(self) -> Region:
+    def region(self) -> CoverageRegion:
         """Return the 95 % region of the complex value."""
         return region(complex(self.re, self.im), self.region_matrix)
 

@@ -9,41 +9,41 @@ from typing import Literal
 
 import numpy as np
 
-from fusion.base import AnyNotice, rounded
-from fusion.estimation.consistency import (
+from fusion.base import round_to_uncertainty
+from fusion.estimation.coverage import Polar, polar, region_factor
+from fusion.estimation.instrument_consistency import (
     CommonEstimate,
     Consistency,
     Explanation,
     Suspicion,
     as_stated,
+    common_estimates,
     compare,
     contradicts,
-    deviating,
-    disputed,
-    estimates,
-    exchanged,
+    deviating_unknowns,
+    disputed_values,
+    exchanged_channels,
+    explanation_covariance,
     explanations,
     leave_one_out,
-    left_open,
     likely_mistake,
-    not_allowed_for,
+    missing_covariance,
     suspicions,
     undetected_errors,
     without_readings,
 )
-from fusion.estimation.coverage import Polar, polar, region_factor
 from fusion.estimation.least_squares import (
     UNOBSERVED,
     UNOBSERVED_ITSELF,
-    Solution,
-    System,
+    FusionSolution,
+    FusionSystem,
     Unbounded,
     bounded_system,
     products,
     solve,
     unbounded_text,
 )
-from fusion.estimation.measurement_model import SCALE, Observation, UnseenMotion
+from fusion.estimation.measurement_model import SCALE, Observation, UnobservedMotion
 from fusion.estimation.uncertainty import (
     Contribution,
     Influence,
@@ -62,14 +62,15 @@ from fusion.estimation.variance_components import (
     failing_lines,
     scatter_covariances,
 )
-from shaker.arrays import BoolArray, FloatArray, IntArray, Notice, brief
+from shaker.arrays import BoolArray, FloatArray, IntArray, brief
 from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.sine.phasor import Phasors
+from shakercal._common.notices import Notice
 
 Source = Literal["fused", "photogrammetry", "vibrometer", "accelerometer"]
 SINGLE_SOURCES: tuple[Source, ...] = ("photogrammetry", "vibrometer", "accelerometer")
 INCONSISTENCY = "inconsistency of instruments"
-OPEN = "explanations of a contradiction"
+EXPLANATIONS = "explanations of a contradiction"
 MOST_LEFT_OUT = 4
 """Gross errors that are looked for one after another."""
 
@@ -103,9 +104,9 @@ class Acceleration:
     chi2: float
     dof: int
     unknowns: tuple[CommonEstimate, ...]
-    notices: tuple[AnyNotice, ...]
+    notices: tuple[Notice, ...]
     scatter: tuple[Scatter, ...] = ()
-    unseen: UnseenMotion = field(default_factory=UnseenMotion)
+    unseen: UnobservedMotion = field(default_factory=UnobservedMotion)
     assumed: FloatArray | None = None
     driven: FloatArray | None = None
     explanations: tuple[Explanation, ...] = ()
@@ -119,7 +120,7 @@ class Acceleration:
     __repr__ = brief
 
     @cached_property
-    def unseen_amplitude(self) -> FloatArray:
+    def unobserved_amplitude(self) -> FloatArray:
         """Return what is assumed of components that are not observed (K, 6); 0 of the others."""
         known = np.asarray(np.nan_to_num(self.phasors.value))
         return self.unseen.amplitude(known, self.observed) if self.assumed is None else self.assumed
@@ -140,7 +141,7 @@ def fuse(
     body: str = "load",
     source: Source = "fused",
     scatter: tuple[Scatter, ...] | None = None,
-    unseen: UnseenMotion | None = None,
+    unobserved_motion: UnobservedMotion | None = None,
 ) -> Acceleration:
     """Estimate the acceleration of `body` from all its instruments, jointly over all lines.
 
@@ -156,13 +157,13 @@ def fuse(
     if not own:
         raise ValueError(f"observations: expected at least one of body {body}, found none")
     stated = [observation for observation in own if observation.stated]
-    system, alone, out = without_gross(stated or own, unseen)
+    system, alone, out = reject_gross_errors(stated or own, unobserved_motion)
     solved = solve_consistently(system, alone, scatter)
-    first, final, parts, open_ = solved.stated, solved.final, solved.parts, solved.open
-    unknowns = estimates(system.common, first)
+    first, final, parts, open_ = solved.stated, solved.final, solved.parts, solved.suspicions
+    unknowns = common_estimates(system.common, first)
     suspects = [name for one in open_ for name in one.names]
     tests = leave_one_out(system, first, suspects) if parts or source == "fused" else ()
-    unclear = disputed(system, first, open_)
+    unclear = disputed_values(system, first, open_)
     given = replace(system, observed=system.observed & ~unclear)
     uncertainty, leaked = _uncertainty(given, solved)
     largest = np.argmax(np.where(given.observed, np.abs(final.acceleration / SCALE), -1.0), axis=1)
@@ -187,11 +188,11 @@ def fuse(
         consistency=(*tests, *out),
         chi2=first.chi2,
         dof=first.dof,
-        unknowns=estimates(system.common, final) if parts else unknowns,
+        unknowns=common_estimates(system.common, final) if parts else unknowns,
         notices=(),
         scatter=solved.scatter,
-        unseen=system.unseen,
-        assumed=system.unseen.amplitude(final.acceleration, given.observed, system.share),
+        unseen=system.unobserved_motion,
+        assumed=system.unobserved_motion.amplitude(final.acceleration, given.observed, system.share),
         driven=system.driven_limit(final.acceleration),
         explanations=explanations(system, first, open_),
         disputed=unclear if np.any(unclear) else None,
@@ -201,37 +202,37 @@ def fuse(
     )
     if (body, source) == ("load", "fused") and system.common and not solved.contradicted:
         result = replace(result, posterior=final.posterior, products=products(system, final.acceleration))
-    swapped = exchanged(system, first, open_) if any(one.gross for one in open_) else ()
-    contradicted = deviating(system, first, unknowns) if solved.contradicted else None
+    swapped = exchanged_channels(system, first, open_) if any(one.gross for one in open_) else ()
+    contradicted = deviating_unknowns(system, first, unknowns) if solved.contradicted else None
     return replace(result, notices=_notices(result, bool(stated), contradicted, swapped))
 
 
-def without_gross(
-    observations: Sequence[Observation], unseen: UnseenMotion | None = None
-) -> tuple[System, Solution, tuple[Consistency, ...]]:
+def reject_gross_errors(
+    observations: Sequence[Observation], unobserved_motion: UnobservedMotion | None = None
+) -> tuple[FusionSystem, FusionSolution, tuple[Consistency, ...]]:
     """Return the system without the readings that are gross errors by all others (NaN), its solution, and those errors.
 
     Left out is what alone would explain that readings contradict each other, one after another. Where several would,
     none is.
     """
     out: list[Consistency] = []
-    system = bounded_system(observations, unseen)
+    system = bounded_system(observations, unobserved_motion)
     first = solve(system)
     for _ in range(MOST_LEFT_OUT):
-        if not contradicts(system, first, estimates(system.common, first)):
+        if not contradicts(system, first, common_estimates(system.common, first)):
             break
         found = suspicions(system, first)
         if len(found) != 1 or len(found[0].names) > 1 or not found[0].gross:
             break
         tests = leave_one_out(system, first, found[0].names)
         out += [replace(test, used=False, left_out=True) for test in tests if test.suspect]
-        system = bounded_system(without_readings(system, found[0].rows), unseen)
+        system = bounded_system(without_readings(system, found[0].rows), unobserved_motion)
         first = solve(system)
     return system, first, tuple(out)
 
 
 @dataclass(frozen=True)
-class Solved:
+class ConsistentSolution:
     """A system solved with what is `stated`, and, where this is contradicted, with discrepancies (`parts`): `final`.
 
     `scatter`: of the instruments whose own readings contradict a rigid motion; `birge`: by which factor variances grow
@@ -240,28 +241,30 @@ class Solved:
     `contradicted`: what is stated is, and `open` are the explanations of that.
     """
 
-    stated: Solution
-    final: Solution
+    stated: FusionSolution
+    final: FusionSolution
     scatter: tuple[Scatter, ...]
     parts: tuple[Discrepancy, ...]
     birge: float = 1.0
-    beside: Discrepancy | None = None
+    undetected: Discrepancy | None = None
     contradicted: bool = False
-    open: tuple[Suspicion, ...] = ()
+    suspicions: tuple[Suspicion, ...] = ()
 
 
-def solve_consistently(system: System, first: Solution, scatter: tuple[Scatter, ...] | None = None) -> Solved:
+def solve_consistently(
+    system: FusionSystem, first: FusionSolution, scatter: tuple[Scatter, ...] | None = None
+) -> ConsistentSolution:
     """Solve a system anew from its `first` solution, by what is stated, where the readings contradict that.
 
     They then get the discrepancies that `fuse` tells of.
     """
-    contradicted = contradicts(system, first, estimates(system.common, first))
+    contradicted = contradicts(system, first, common_estimates(system.common, first))
     open_ = suspicions(system, first) if contradicted else ()
     scatter = estimate_scatter(system, first) if scatter is None else scatter
     parts = scatter_covariances(system, first.acceleration, scatter)
     final = solve(system, np.sum([p.covariance for p in parts], axis=0)) if parts else first
     birge, beside = 1.0, None
-    unknowns = estimates(system.common, final)
+    unknowns = common_estimates(system.common, final)
     if contradicts(system, final, unknowns):
         beside = undetected_errors(system, final, unknowns, INCONSISTENCY)
         failing = failing_lines(system, final)
@@ -270,11 +273,11 @@ def solve_consistently(system: System, first: Solution, scatter: tuple[Scatter, 
         noise = EstimatedNoise.of(system, final.effects)
         beyond = not failing and noise.fails(final.chi2, final.dof, final.projector)
         birge = final.chi2 / final.dof if beyond else 1.0
-    return Solved(first, final, scatter, tuple(parts), birge, beside, contradicted, open_)
+    return ConsistentSolution(first, final, scatter, tuple(parts), birge, beside, contradicted, open_)
 
 
 def fuse_sources(
-    observations: Sequence[Observation], body: str, unseen: UnseenMotion | None = None
+    observations: Sequence[Observation], body: str, unobserved_motion: UnobservedMotion | None = None
 ) -> tuple[Acceleration, ...]:
     """Return the fused acceleration of `body`, then that of each kind of instrument alone where it determines any.
 
@@ -282,9 +285,9 @@ def fuse_sources(
     motion is bounded by all instruments.
     """
     own = [observation for observation in observations if observation.body == body]
-    fused = fuse(own, body, unseen=unseen)
+    fused = fuse(own, body, unobserved_motion=unobserved_motion)
     accelerations = [fused]
-    known = None if unseen is None else replace(unseen, driven=fused.driven)
+    known = None if unobserved_motion is None else replace(unobserved_motion, driven=fused.driven)
     for source in SINGLE_SOURCES:
         alone = [observation for observation in own if observation.kind == source]
         if not alone:
@@ -302,7 +305,7 @@ def fuse_sources(
     return tuple(accelerations)
 
 
-def _uncertainty(system: System, solved: Solved) -> tuple[Uncertainty, FloatArray]:
+def _uncertainty(system: FusionSystem, solved: ConsistentSolution) -> tuple[Uncertainty, FloatArray]:
     """Split gain · V · gain^T of every line into noise per instrument, discrepancies and common errors.
 
     With it, what motion that nobody observes does to the estimate by itself (`Acceleration.leaked`).
@@ -319,14 +322,14 @@ def _uncertainty(system: System, solved: Solved) -> tuple[Uncertainty, FloatArra
     for part in solved.parts:
         noise = noise - part.covariance
         parts.append(Contribution(part.label, "A", carried(part.covariance), part.dof))
-    if solved.beside is not None:
+    if solved.undetected is not None:
         allowed = np.sum([part.covariance for part in parts], axis=0)
-        missing = not_allowed_for(carried(solved.beside.covariance), allowed)
-        parts.append(Contribution(solved.beside.label, "A", missing, solved.beside.dof))
-    if solved.open:
-        wanted = left_open(solved.stated, solved.open, solution.acceleration)
+        missing = missing_covariance(carried(solved.undetected.covariance), allowed)
+        parts.append(Contribution(solved.undetected.label, "A", missing, solved.undetected.dof))
+    if solved.suspicions:
+        wanted = explanation_covariance(solved.stated, solved.suspicions, solution.acceleration)
         allowed = np.sum([np.zeros_like(wanted), *(part.covariance for part in parts)], axis=0)
-        parts.append(Contribution(OPEN, "B", not_allowed_for(wanted, allowed)))
+        parts.append(Contribution(EXPLANATIONS, "B", missing_covariance(wanted, allowed)))
     estimated = EstimatedNoise.of(system, solution.effects)
     for place, observation in enumerate(system.observations):
         rows = np.flatnonzero(system.observation == place)
@@ -414,7 +417,7 @@ class Unnoticed:
     shift: float
 
 
-def unnoticed(system: System, solution: Solution) -> tuple[Unnoticed, ...]:
+def unnoticed(system: FusionSystem, solution: FusionSolution) -> tuple[Unnoticed, ...]:
     """Return what errors of single channels that a test may miss move by more than U as stated, at the strongest line.
 
     Reliability of a network (Baarda 1968, A testing procedure for use in geodetic networks): chi-square at 1 % sees an
@@ -467,8 +470,8 @@ def _notices(
                 f"{missing} of the {result.body} cannot be told from the readings of {titles} at {lines} of "
                 f"{len(result.observed)} lines: too few points, directions or usable lines; no values are given"
             )
-            notices.append(Notice("info", text, result.body))
-    if np.any(np.isinf(result.unseen_amplitude)):
+            notices.append(Notice("note", text, result.body))
+    if np.any(np.isinf(result.unobserved_amplitude)):
         observed = np.any(result.observed, axis=0)
         notices.append(Notice("warning", unbounded_text(result.body, result.unseen, observed), result.body))
     if not stated:
@@ -484,7 +487,7 @@ def _notices(
             f"{test.normalised_deviation:.2g} times its standard uncertainty from the others, reading/prediction "
             f"{abs(test.ratio):.5g} at {np.angle(test.ratio):.5f} rad"
         )
-        notices.append(Notice("info", text, test.instrument))
+        notices.append(Notice("note", text, test.instrument))
     if contradicted is not None:
         notices.append(_disagreement(result, contradicted, swapped))
     for scatter in result.scatter:
@@ -499,13 +502,13 @@ def _notices(
     if rows:
         listed = ", ".join(f"{row.name} ({row.share:.0%} of the variance of {row.component})" for row in rows)
         text = f"not tested by these data, in U as stated: {listed}"
-        notices.append(Notice("info", text, result.body))
+        notices.append(Notice("note", text, result.body))
     if result.unnoticed:
         text = (
             f"an error of one channel alone, of up to {MISSED:g} of its stated standard uncertainties, that the other "
             f"readings need not notice is not in U; beyond U it can move {_moved(result.unnoticed)}"
         )
-        notices.append(Notice("info", text, result.body))
+        notices.append(Notice("note", text, result.body))
     return tuple(notices)
 
 
@@ -559,8 +562,8 @@ def _causes(result: Acceleration, deviating: Mapping[CommonEstimate, bool]) -> s
 
     def wants(unknown: CommonEstimate) -> str:
         unit = "" if unknown.unit == "1" else f" {unknown.unit}"
-        times = f"{abs(unknown.wanted) / unknown.u:.3g} times its standard uncertainty"
-        return f"{unknown.name} would have to be {unknown.wanted:.2g}{unit} ({times})"
+        times = f"{abs(unknown.unconstrained_value) / unknown.u:.3g} times its standard uncertainty"
+        return f"{unknown.name} would have to be {unknown.unconstrained_value:.2g}{unit} ({times})"
 
     # Those that deviate most, those that the readings cannot tell apart included.
     ranked = sorted(deviating, key=lambda unknown: -abs(unknown.deviation))
@@ -587,7 +590,7 @@ def _values(result: Acceleration) -> str:
         text = "not determined"
         if np.isfinite(one.value[line, c]):
             found = polar(complex(one.value[line, c]), element_covariance(one.covariance[line], int(c)))
-            number = rounded(found.magnitude, found.expanded_magnitude, 0)
+            number = round_to_uncertainty(found.magnitude, found.expanded_magnitude, 0)
             text = f"({number.value} ± {number.expanded}) {result.phasors.unit[c]}"
         told.append(f"{text} without {one.suspect}")
     names = [MOTION_COMPONENTS[c] for c in np.flatnonzero(np.any(result.disputed, axis=0))]

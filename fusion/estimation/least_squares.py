@@ -10,8 +10,8 @@ import numpy as np
 from scipy.linalg import block_diag, solve_triangular
 from scipy.sparse import csr_array, diags_array
 
-from fusion.base import ComputeError
-from fusion.estimation.measurement_model import SCALE, UnseenMotion, relative_change
+from fusion.errors import ComputeError
+from fusion.estimation.measurement_model import SCALE, UnobservedMotion, relative_change
 from fusion.estimation.uncertainty import as_complex, real_design, real_stack
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from shaker.labels import MOTION_COMPONENTS
@@ -67,7 +67,7 @@ class RowErrors:
 
 
 @dataclass(frozen=True)
-class System:
+class FusionSystem:
     """All usable readings of a set of observations as N real rows.
 
     `readings` (N,), `design` (N, P) on the reduced unknowns, `noise` (N, N), `size` (N,) the largest reading of the
@@ -96,9 +96,9 @@ class System:
     common: tuple[CommonError, ...]
     errors: tuple[RowErrors, ...]
     beyond: FloatArray
-    unseen: UnseenMotion = field(default_factory=UnseenMotion)
+    unobserved_motion: UnobservedMotion = field(default_factory=UnobservedMotion)
     share: FloatArray | None = None
-    ways: tuple[tuple[IntArray, csr_array], ...] = ()
+    couplings: tuple[tuple[IntArray, csr_array], ...] = ()
 
     def effects(self, acceleration: ComplexArray) -> FloatArray:
         """Return (N, E): change of the readings for one standard uncertainty of each common error, at A (K, 6)."""
@@ -111,11 +111,11 @@ class System:
 
     def driven_limit(self, acceleration: ComplexArray) -> FloatArray | None:
         """Return up to which amplitude (K,) the driven motion goes, None where it is not known what is driven."""
-        if self.unseen.drive is None or self.share is None:
+        if self.unobserved_motion.drive is None or self.share is None:
             return None
-        return self.unseen.driven_amplitude(acceleration, self.share)
+        return self.unobserved_motion.driven_amplitude(acceleration, self.share)
 
-    def hidden(self, acceleration: ComplexArray) -> Hidden:
+    def hidden(self, acceleration: ComplexArray) -> UnobservedEffects:
         """Return what components that nobody observes, zero in the estimate A (K, 6), do to the readings.
 
         They are given the amplitudes of `unseen`; motions of different lines have nothing in common. A laser that may
@@ -123,17 +123,17 @@ class System:
         A product of two unknowns, error times motion, has the product of their variances; it is shared by all readings
         that share the error.
         """
-        amplitude = self.unseen.amplitude(acceleration, self.observed, self.share)
+        amplitude = self.unobserved_motion.amplitude(acceleration, self.observed, self.share)
         # What nothing bounds reaches no reading that is left (`without_unbounded`).
         u = np.tile(np.where(np.isinf(amplitude), 0.0, amplitude) / np.sqrt(2.0), (1, 2))
         own, count = self.beyond * u[self.line], len(self.readings)
         through, total = np.zeros((count, count)), np.zeros((count, count))
-        for (rows, ways), parts in zip(self.ways, u, strict=True):
+        for (rows, ways), parts in zip(self.couplings, u, strict=True):
             if np.any(parts > 0.0):
                 here, seen = np.ix_(rows, rows), ways @ diags_array(np.tile(parts, ways.shape[1] // 12))
                 through[here] = (seen @ seen.T).toarray()
                 total[here] = through[here] + own[rows] @ own[rows].T
-        return Hidden(own, through, total)
+        return UnobservedEffects(own, through, total)
 
     def acceleration(self, unknowns: FloatArray) -> ComplexArray:
         """Return A (K, 6) from the reduced unknowns (P,); what no reading determines is zero."""
@@ -141,18 +141,18 @@ class System:
 
 
 @dataclass(frozen=True)
-class Hidden:
+class UnobservedEffects:
     """What components that nobody observes do to the N readings of a system.
 
     `own` (N, 12): by themselves, for one standard uncertainty of [Re, Im] of each at the row's line; `through` (N, N):
     covariance by their products with common errors; `covariance` (N, N): of both.
     """
 
-    own: FloatArray
+    direct: FloatArray
     through: FloatArray
     covariance: FloatArray
 
-    def carried(self, system: System, gain: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def carried(self, system: FusionSystem, gain: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return what an estimate of `gain` (K, 12, N) makes of it: two arrays (K, 12, 12).
 
         What one standard uncertainty of each such [Re, Im] adds to [Re A, Im A] of its line, and the covariance
@@ -160,15 +160,15 @@ class Hidden:
         """
         rest = np.asarray(gain @ self.through @ gain.swapaxes(1, 2))
         leaked = np.zeros_like(rest)
-        for line, (rows, _) in enumerate(system.ways):
-            heard = gain[:, :, rows] @ self.own[rows]
+        for line, (rows, _) in enumerate(system.couplings):
+            heard = gain[:, :, rows] @ self.direct[rows]
             leaked[line], heard[line] = heard[line], 0.0
             rest += heard @ heard.swapaxes(1, 2)
         return leaked, rest
 
 
 @dataclass(frozen=True)
-class Places:
+class RowIndex:
     """Which reading each real row (n,) of one observation is: `line`, `channel`, and whether its imaginary part."""
 
     line: IntArray
@@ -176,7 +176,7 @@ class Places:
     imaginary: BoolArray
 
     @classmethod
-    def of(cls, observation: Observation) -> Places:
+    def of(cls, observation: Observation) -> RowIndex:
         """Return the rows of all usable readings, line by line, real parts before imaginary ones."""
         line, part = np.nonzero(np.tile(np.isfinite(observation.phasors.value), (1, 2)))
         channels = observation.phasors.value.shape[1]
@@ -200,7 +200,9 @@ class Places:
         return np.where(same, covariance[self.line[:, None], both[:, None], both], 0.0)
 
 
-def build_system(observations: Sequence[Observation], unseen: UnseenMotion | None = None) -> System:
+def build_system(
+    observations: Sequence[Observation], unobserved_motion: UnobservedMotion | None = None
+) -> FusionSystem:
     """Collect the usable readings of observations that share their lines into one system."""
     lines = len(observations[0].phasors.frequency_hz)
     bases = [row_space(observations, line) for line in range(lines)]
@@ -213,7 +215,7 @@ def build_system(observations: Sequence[Observation], unseen: UnseenMotion | Non
     for error in (error for observation in observations for error in observation.common):
         common.setdefault(error.name, error)
     columns = {name: column for column, name in enumerate(common)}
-    places = [Places.of(observation) for observation in observations]
+    places = [RowIndex.of(observation) for observation in observations]
     both = list(zip(observations, places, strict=True))
     line = np.concatenate([place.line for place in places])
     where = np.repeat(np.arange(len(places)), [len(place.line) for place in places])
@@ -234,7 +236,7 @@ def build_system(observations: Sequence[Observation], unseen: UnseenMotion | Non
                     offset=place.rows(np.stack([error.offset for error in o.common])).T,
                 )
             )
-    return System(
+    return FusionSystem(
         observations=tuple(observations),
         readings=readings,
         design=np.einsum("nj,njp->np", motion, expand.reshape(lines, 12, -1)[line]),
@@ -252,19 +254,21 @@ def build_system(observations: Sequence[Observation], unseen: UnseenMotion | Non
         common=tuple(common.values()),
         errors=tuple(errors),
         beyond=_beyond(motion, line, bases),
-        unseen=unseen or UnseenMotion(),
-        share=np.array([driven_share(basis, unseen) for basis in bases]),
-        ways=tuple(_ways(np.flatnonzero(line == k), errors, len(common)) for k in range(lines)),
+        unobserved_motion=unobserved_motion or UnobservedMotion(),
+        share=np.array([driven_share(basis, unobserved_motion) for basis in bases]),
+        couplings=tuple(_ways(np.flatnonzero(line == k), errors, len(common)) for k in range(lines)),
     )
 
 
-def driven_share(basis: ComplexArray, unseen: UnseenMotion | None) -> float:
+def driven_share(basis: ComplexArray, unobserved_motion: UnobservedMotion | None) -> float:
     """Return which share of the driven motion a basis (6, R) of observed ones holds, as a square; 1 without a drive."""
-    drive = None if unseen is None else unseen.drive
+    drive = None if unobserved_motion is None else unobserved_motion.drive
     return 1.0 if drive is None else float(np.sum(np.abs(basis.conj().T @ np.array(drive)) ** 2))
 
 
-def without_unbounded(observations: Sequence[Observation], unseen: UnseenMotion | None) -> tuple[Observation, ...]:
+def without_unbounded(
+    observations: Sequence[Observation], unobserved_motion: UnobservedMotion | None
+) -> tuple[Observation, ...]:
     """Return observations without readings (NaN) that are reached by a motion which nothing bounds.
 
     Where the driven motion is not observed and nothing bounds it, neither does anything bound what goes with it. It
@@ -272,19 +276,19 @@ def without_unbounded(observations: Sequence[Observation], unseen: UnseenMotion 
     gone observe nothing any more, which may leave others open.
     """
     kept = tuple(observations)
-    if unseen is None or unseen.drive is None or not kept:
+    if unobserved_motion is None or unobserved_motion.drive is None or not kept:
         return kept
     lines = len(kept[0].phasors.frequency_hz)
     while True:
         bases = [row_space(kept, line) for line in range(lines)]
-        lost = unseen.unbounded(np.array([driven_share(basis, unseen) for basis in bases]))
+        lost = unobserved_motion.unbounded(np.array([driven_share(basis, unobserved_motion) for basis in bases]))
         reached = [np.isfinite(o.phasors.value) & lost[:, None] for o in kept]
         for mask, o in zip(reached, kept, strict=True):
             for line in np.flatnonzero(lost).tolist():
                 mask[line] &= _reached(o, line, bases[line])
         if not any(mask.any() for mask in reached):
             return kept
-        kept = tuple(without(o, mask) for o, mask in zip(kept, reached, strict=True))
+        kept = tuple(drop_rows(o, mask) for o, mask in zip(kept, reached, strict=True))
 
 
 def _reached(observation: Observation, line: int, basis: ComplexArray) -> BoolArray:
@@ -297,7 +301,7 @@ def _reached(observation: Observation, line: int, basis: ComplexArray) -> BoolAr
     return np.asarray(found)
 
 
-def without(observation: Observation, gone: BoolArray) -> Observation:
+def drop_rows(observation: Observation, gone: BoolArray) -> Observation:
     """Return an observation with some of its readings (K, M) gone, NaN."""
     value, covariance = observation.phasors.value.copy(), observation.phasors.covariance.copy()
     value[gone] = complex(np.nan, np.nan)
@@ -306,21 +310,21 @@ def without(observation: Observation, gone: BoolArray) -> Observation:
     return replace(observation, phasors=replace(observation.phasors, value=value, covariance=covariance))
 
 
-def bounded_system(observations: Sequence[Observation], unseen: UnseenMotion | None) -> System:
+def bounded_system(observations: Sequence[Observation], unobserved_motion: UnobservedMotion | None) -> FusionSystem:
     """Return the system of readings that no unbounded motion reaches; `Unbounded` where there are none."""
-    left = without_unbounded(observations, unseen)
-    if unseen is not None and not any(np.isfinite(o.phasors.value).any() for o in left):
-        raise Unbounded(unbounded_text(observations[0].body, unseen, np.zeros(6, np.bool_)))
-    return build_system(left, unseen)
+    left = without_unbounded(observations, unobserved_motion)
+    if unobserved_motion is not None and not any(np.isfinite(o.phasors.value).any() for o in left):
+        raise Unbounded(unbounded_text(observations[0].body, unobserved_motion, np.zeros(6, np.bool_)))
+    return build_system(left, unobserved_motion)
 
 
 class Unbounded(ComputeError):
     """No reading is left, since each could contain a driven motion that no instrument observes."""
 
 
-def unbounded_text(body: str, unseen: UnseenMotion, observed: BoolArray) -> str:
+def unbounded_text(body: str, unobserved_motion: UnobservedMotion, observed: BoolArray) -> str:
     """Say that the driven motion of a body has no limit, and which instrument would give one; `observed` (6,)."""
-    drive = unseen.drive or (0.0,) * 6
+    drive = unobserved_motion.drive or (0.0,) * 6
     named = [name for name, part, seen in zip(MOTION_COMPONENTS, drive, observed, strict=True) if part and not seen]
     driven = f"{' and '.join(named)} of the {body}"
     return (
@@ -346,7 +350,7 @@ def _ways(rows: IntArray, errors: Sequence[RowErrors], count: int) -> tuple[IntA
     return rows, csr_array(ways.reshape(len(rows), 12 * count))
 
 
-def products(system: System, acceleration: ComplexArray) -> FloatArray:
+def products(system: FusionSystem, acceleration: ComplexArray) -> FloatArray:
     """Return (E,): by how much a common error acts otherwise than to first order, relative to how it acts, rms.
 
     A relative error c multiplies what a channel reads, which differs from the prediction r at A (K, 6) by the effects
@@ -381,7 +385,7 @@ CONVERGED = 1e-10
 
 
 @dataclass(frozen=True)
-class Solution:
+class FusionSolution:
     """Estimate of a system: `acceleration` (K, 6), `errors` (E,) in standard uncertainties, `effects` (N, E) there.
 
     `remaining` (E,): standard uncertainty of the errors after the estimate over that before; `posterior` (E, E): their
@@ -401,10 +405,10 @@ class Solution:
     chi2: float
     dof: int
     noise: FloatArray
-    hidden: Hidden
+    hidden: UnobservedEffects
 
 
-def solve(system: System, extra: FloatArray | None = None, iterations: int = 8) -> Solution:
+def solve(system: FusionSystem, extra: FloatArray | None = None, iterations: int = 8) -> FusionSolution:
     """Estimate accelerations and common errors together by least squares.
 
     The augmented system [X S; 0 I] [A; e] = [y; 0], whitened by the noise, is equivalent to generalised least squares
@@ -436,9 +440,9 @@ class _Step:
     root: FloatArray
     noise: FloatArray
     effects: FloatArray
-    hidden: Hidden
+    hidden: UnobservedEffects
 
-    def acceleration(self, system: System) -> ComplexArray:
+    def acceleration(self, system: FusionSystem) -> ComplexArray:
         """Return the estimate alone."""
         unknowns = len(self.scale)
         right = np.zeros(len(self.matrix))
@@ -449,7 +453,7 @@ class _Step:
         return system.acceleration(unknown_values[:unknowns] / self.scale)
 
 
-def _augmented(system: System, noise: FloatArray, acceleration: ComplexArray) -> _Step:
+def _augmented(system: FusionSystem, noise: FloatArray, acceleration: ComplexArray) -> _Step:
     """Whitened system with the effects of the common errors and of unobserved motion at an acceleration (K, 6)."""
     effects, hidden = system.effects(acceleration), system.hidden(acceleration)
     # Noise far below the common errors is raised to 1e-4 of them: invisible in U, and P keeps its digits.
@@ -470,7 +474,7 @@ def _augmented(system: System, noise: FloatArray, acceleration: ComplexArray) ->
     return _Step(matrix, white[:, -1], scale, root, noise, effects, hidden)
 
 
-def _solution(system: System, step: _Step) -> Solution:
+def _solution(system: FusionSystem, step: _Step) -> FusionSolution:
     count, unknowns = len(system.readings), system.design.shape[1]
     q, r = np.linalg.qr(step.matrix)
     white_projector = np.eye(count) - q[:count] @ q[:count].T
@@ -480,7 +484,7 @@ def _solution(system: System, step: _Step) -> Solution:
     )
     gain = left[:, count:].T
     after = solve_triangular(r[unknowns:, unknowns:], np.eye(len(r) - unknowns), check_finite=False)
-    return Solution(
+    return FusionSolution(
         acceleration=system.acceleration(inverse[:unknowns] @ step.readings / step.scale),
         errors=inverse[unknowns:] @ step.readings,
         remaining=np.linalg.norm(after, axis=1),

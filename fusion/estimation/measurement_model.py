@@ -109,7 +109,7 @@ class Observation:
         """Return the name of the instrument as it stands in budgets."""
         return f"stereo {self.name}" if self.kind == "photogrammetry" else self.name
 
-    def draw(self, acceleration: ComplexArray, deviates: Deviates, noise: str) -> Drawn:
+    def draw(self, acceleration: ComplexArray, deviates: Deviates, noise: str) -> DrawnReadings:
         """Return what the instrument says of a motion if its unknowns are what is drawn; `noise` names its stream.
 
         Readings are centred on those of the estimated `acceleration` (K, 6), zero where nobody observed it, so that
@@ -132,7 +132,7 @@ class Observation:
             else:
                 factor = factor * (1.0 + drawn * relative.real) * np.exp(1j * drawn * relative.imag)
         readings = self.geometry.moved(readings / factor, deviates)
-        return Drawn(readings, self.geometry.rows(self.design, deviates))
+        return DrawnReadings(readings, self.geometry.rows(self.design, deviates))
 
 
 def relative_change(error: CommonError, design: ComplexArray) -> ComplexArray | None:
@@ -146,7 +146,7 @@ def relative_change(error: CommonError, design: ComplexArray) -> ComplexArray | 
 
 
 @dataclass(frozen=True)
-class Drawn:
+class DrawnReadings:
     """N draws of an instrument: `readings` (N, K, M) = `design` (N, K, M, 6) · acceleration."""
 
     readings: ComplexArray
@@ -201,7 +201,7 @@ class Deviates:
 
 
 @dataclass(frozen=True)
-class UnseenMotion:
+class UnobservedMotion:
     """Limits of what nobody observes: amplitude of a component over that of the driven motion.
 
     `transverse`: of translations; `rocking`: of rotations times 0.1 m. 10 % is what ISO 16063-21 lets a shaker move

@@ -181,7 +181,7 @@ class Uncertainty:
         effects = np.stack([i.effect for i in self.influences])[:, index] if self.influences else ()
         return Uncertainty(random, tuple(i.acting(effect) for i, effect in zip(self.influences, effects, strict=True)))
 
-    def where_known(self) -> Uncertainty:
+    def nan_as_zero(self) -> Uncertainty:
         """Return the uncertainty with nothing in place of what is not known (NaN)."""
         return self._mapped(np.nan_to_num, np.nan_to_num)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fusion.estimation.least_squares import Places, Solution, System
+from fusion.estimation.least_squares import FusionSolution, FusionSystem, RowIndex
 from fusion.estimation.measurement_model import BODY_SIZE_M, SCALE, Observation
 from shaker.arrays import ComplexArray, FloatArray, IntArray
 
@@ -22,12 +22,12 @@ RANK_TOLERANCE = 1e-6
 VISIBLE = 1e-4
 ITERATIONS = 100
 DIGITS = 1e-15
-NOTHING = np.zeros(0)
+NO_VALUES = np.zeros(0)
 SMALL_READING = 0.1
 """A reading below this share of the motion has no direction in the complex plane of its own."""
 LOST_DOF = 2.0
 """Degrees of freedom that a variance has less as a weight: 1/s² is ν/(ν - 2) times 1/σ² on average."""
-LEAST_DOF = 4.0
+MIN_DOF = 4.0
 """Degrees of freedom of a difference between instruments are never taken as fewer: two instruments that differ by D
 then get u = D/2 about their middle and U = 1.4 D, which covers both."""
 
@@ -66,7 +66,7 @@ class Contrasts:
     values: FloatArray
     spread: FloatArray
     patterns: FloatArray
-    combined: FloatArray = field(default_factory=lambda: NOTHING)
+    combined: FloatArray = field(default_factory=lambda: NO_VALUES)
 
     def chi2(self, components: FloatArray) -> float:
         """Return chi-square of n degrees of freedom, given the components (C,)."""
@@ -113,7 +113,7 @@ class EstimatedNoise:
     dof: FloatArray
 
     @classmethod
-    def of(cls, system: System, effects: FloatArray) -> EstimatedNoise:
+    def of(cls, system: FusionSystem, effects: FloatArray) -> EstimatedNoise:
         """Return it for a system and the `effects` (N, E) of all its common errors."""
         parts = []
         for place, observation in enumerate(system.observations):
@@ -303,7 +303,7 @@ def _not_negative(matrix: FloatArray, right: FloatArray) -> FloatArray:
     return np.asarray(solution / scale)
 
 
-def estimate_scatter(system: System, solution: Solution) -> tuple[Scatter, ...]:
+def estimate_scatter(system: FusionSystem, solution: FusionSolution) -> tuple[Scatter, ...]:
     """Return the scatter of every instrument whose own readings contradict a rigid motion, before they are weighted.
 
     Each is tested by itself, line by line, against all that is stated of it. An instrument that has no more readings
@@ -354,10 +354,12 @@ def _improbable(group: Contrasts, noise: EstimatedNoise, tests: int) -> bool:
     """Tell whether chi-square of what is stated is too great for one of several tests together at 1 %."""
     level = 1.0 - (1.0 - TEST_LEVEL) / tests
     weights = group.combined @ np.linalg.solve(group.spread, group.combined.T)
-    return noise.fails(group.chi2(NOTHING), len(group.values), weights, level)
+    return noise.fails(group.chi2(NO_VALUES), len(group.values), weights, level)
 
 
-def scatter_covariances(system: System, acceleration: ComplexArray, scatters: Sequence[Scatter]) -> list[Discrepancy]:
+def scatter_covariances(
+    system: FusionSystem, acceleration: ComplexArray, scatters: Sequence[Scatter]
+) -> list[Discrepancy]:
     """Return what the scatter of instruments adds to the covariance of the readings."""
     if not scatters:
         return []
@@ -373,7 +375,7 @@ def scatter_covariances(system: System, acceleration: ComplexArray, scatters: Se
     return parts
 
 
-def failing_lines(system: System, solution: Solution) -> tuple[int, ...]:
+def failing_lines(system: FusionSystem, solution: FusionSolution) -> tuple[int, ...]:
     """Return the lines whose readings contradict each other by themselves, at 1 % for all lines together."""
     sizes, noise = row_sizes(system, solution.acceleration), EstimatedNoise.of(system, solution.effects)
     every = [np.flatnonzero(system.line == k) for k in range(len(system.observed))]
@@ -382,7 +384,7 @@ def failing_lines(system: System, solution: Solution) -> tuple[int, ...]:
     return tuple(k for k, group in enumerate(groups) if group is not None and _improbable(group, noise, count))
 
 
-def disagreement(system: System, solution: Solution, lines: Sequence[int], label: str) -> Discrepancy:
+def disagreement(system: FusionSystem, solution: FusionSolution, lines: Sequence[int], label: str) -> Discrepancy:
     """Return what instruments differ by at some lines, as a motion that each sees beside the true one.
 
     It has a variance of its own in every component, apart for the parts in phase with the motion and at right angles.
@@ -397,11 +399,11 @@ def disagreement(system: System, solution: Solution, lines: Sequence[int], label
             components, freedom = variance_components([group])
             size = np.outer(sizes[rows], sizes[rows])
             covariance[np.ix_(rows, rows)] = np.tensordot(components, patterns, 1) * size
-            dof[k] = max(float(_joint_dof(components[None], freedom[None])[0]), LEAST_DOF)
+            dof[k] = max(float(_joint_dof(components[None], freedom[None])[0]), MIN_DOF)
     return Discrepancy(label, covariance, dof)
 
 
-def row_sizes(system: System, acceleration: ComplexArray) -> FloatArray:
+def row_sizes(system: FusionSystem, acceleration: ComplexArray) -> FloatArray:
     """Return the size of the motion in each row's unit (N,): the estimate's or, if larger, the largest reading's."""
     size = np.linalg.norm(acceleration / SCALE, axis=1)
     factors = []
@@ -414,14 +416,14 @@ def row_sizes(system: System, acceleration: ComplexArray) -> FloatArray:
     size = np.where(size > 0.0, size, 1.0)
     return np.concatenate(
         [
-            Places.of(observation).rows(factor * size[:, None] * (1.0 + 1.0j))
+            RowIndex.of(observation).rows(factor * size[:, None] * (1.0 + 1.0j))
             for observation, factor in zip(system.observations, factors, strict=True)
         ]
     )
 
 
 def _contrasts(
-    system: System, solution: Solution, rows: IntArray, sizes: FloatArray, patterns: FloatArray | None
+    system: FusionSystem, solution: FusionSolution, rows: IntArray, sizes: FloatArray, patterns: FloatArray | None
 ) -> Contrasts | None:
     """Combinations of some rows of one line that no motion changes, with patterns (C, n, n); None if there are none."""
     if not len(rows):
@@ -445,11 +447,11 @@ def _contrasts(
     return Contrasts(combined.T @ system.readings, across.T @ spread @ across, turned, combined)
 
 
-def _own_patterns(system: System, acceleration: ComplexArray, sizes: FloatArray) -> FloatArray:
+def _own_patterns(system: FusionSystem, acceleration: ComplexArray, sizes: FloatArray) -> FloatArray:
     """Return (2, N, N) for independent errors of all readings, relative to the row sizes: in phase, at right angles."""
     predicted, coefficient = [], []
     for observation in system.observations:
-        places = Places.of(observation)
+        places = RowIndex.of(observation)
         line, channel = places.line[~places.imaginary], places.channel[~places.imaginary]
         rows = observation.design[line, channel]
         predicted.append(np.einsum("nj,nj->n", rows, acceleration[line]))
@@ -472,7 +474,7 @@ def _motion_phase(acceleration: ComplexArray) -> ComplexArray:
     return np.asarray(np.exp(0.5j * np.angle(squares)))
 
 
-def _common_patterns(system: System, acceleration: ComplexArray, rows: IntArray, sizes: FloatArray) -> FloatArray:
+def _common_patterns(system: FusionSystem, acceleration: ComplexArray, rows: IntArray, sizes: FloatArray) -> FloatArray:
     """Return (12, n, n) for a motion that each instrument sees beside the true one, by component and phase."""
     line = system.line[rows[0]]
     direction = _motion_phase(acceleration)[line]
@@ -481,7 +483,7 @@ def _common_patterns(system: System, acceleration: ComplexArray, rows: IntArray,
     patterns = np.zeros((12, len(rows), len(rows)))
     start = 0
     for observation in system.observations:
-        places = Places.of(observation)
+        places = RowIndex.of(observation)
         chosen = places.line == line
         seen = places.design(observation.design)[chosen] @ np.concatenate([unit.real, unit.imag], axis=1).T
         end = start + len(seen)

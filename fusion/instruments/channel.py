@@ -15,14 +15,14 @@ from fusion.instruments.transducer import (
     HEAD,
     TRANSDUCERS,
     TRANSVERSE,
-    Beams,
+    LaserBeams,
     Transducer,
-    across,
-    aimed,
     chain_name,
+    is_aimed_at_mirror,
     main_direction,
+    measuring_point,
     mirror_of,
-    placed_at,
+    perpendicular_axes,
     placement_name,
     unit_direction,
 )
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from shaker.frf.chain import ChainResponse
 
 CLOCK_RATE = "clock rate"
-FOUND: tuple[Scope, ...] = ("recording", "start")
+PER_RECORDING_SCOPES: tuple[Scope, ...] = ("recording", "start")
 """Scopes of what no manifest states: every recording finds it anew."""
 NOISE_REACH = 3.0
 """Standard uncertainties of its noise above which a line is one of its channel."""
@@ -56,12 +56,12 @@ class ChainUncertainty:
 
 
 @dataclass(frozen=True)
-class RelativeError(Unknown[ComplexArray]):
+class ChannelRelativeError(Unknown[ComplexArray]):
     """One unknown of a chain: `effect` (K, M), the complex relative change of its M readings."""
 
     effect: ComplexArray
 
-    def scaled(self, factor: ComplexArray | FloatArray) -> RelativeError:
+    def scaled(self, factor: ComplexArray | FloatArray) -> ChannelRelativeError:
         """Return the error of the readings times complex factors (K, 1) or (K, M)."""
         return self
 
@@ -73,38 +73,38 @@ class RelativeError(Unknown[ComplexArray]):
 
 
 @dataclass(frozen=True)
-class FittedError(RelativeError):
+class FittedError(ChannelRelativeError):
     """An error of times as a sine approximation passes it on: beside its `effect` (K, 1) it changes readings by `rest`.
 
     `rest` (K, M): what less than a beat cannot tell from the lines; it mixes lines, and X with its conjugate.
     """
 
-    rest: ComplexArray = field(kw_only=True)
+    additive: ComplexArray = field(kw_only=True)
 
     def scaled(self, factor: ComplexArray | FloatArray) -> FittedError:
         """Return the error of the readings times complex factors (K, 1) or (K, M)."""
-        return replace(self, rest=self.rest * factor)
+        return replace(self, additive=self.additive * factor)
 
     def of_rows(self, design: ComplexArray) -> CommonError:
         """Return the unknown of rows (K, M, 6): a change in proportion, and one of its own."""
-        return replace(super().of_rows(design), offset=self.rest)
+        return replace(super().of_rows(design), offset=self.additive)
 
-    def of_channel(self, place: int) -> FittedError:
+    def of_channel(self, column: int) -> FittedError:
         """Return the error of one of the channels of a fit."""
-        return replace(self, rest=self.rest[:, place : place + 1])
+        return replace(self, additive=self.additive[:, column : column + 1])
 
-    def relative_to(self, phasors: Phasors) -> RelativeError:
+    def relative_to(self, phasors: Phasors) -> ChannelRelativeError:
         """Return the relative error (K, 1) of one channel; at lines within its noise, the proportional part alone."""
         size = np.abs(phasors.value)
         stands_out = size > NOISE_REACH * np.hypot(phasors.u_re, phasors.u_im)
-        rest = np.divide(self.rest, phasors.value, out=np.zeros_like(self.rest), where=stands_out)
-        return RelativeError(
+        rest = np.divide(self.additive, phasors.value, out=np.zeros_like(self.additive), where=stands_out)
+        return ChannelRelativeError(
             self.name, self.label, self.u, self.unit, self.effect + rest, self.scope, self.type, self.dof
         )
 
 
 @dataclass(frozen=True)
-class Reading:
+class ChannelReading:
     """One channel: its manifest entry, its phasors (one channel, SI, delay and response taken off) and its chain.
 
     `further`: relative errors (K, 1) that it has beside those of its chain.
@@ -113,7 +113,7 @@ class Reading:
     entry: ChannelEntry
     phasors: Phasors
     chain: ChainUncertainty
-    further: tuple[RelativeError, ...] = ()
+    further_errors: tuple[ChannelRelativeError, ...] = ()
 
 
 DELAY_OF_FILTER = "filter that the delay may be of"
@@ -133,7 +133,7 @@ def u_of_filter(frequency_hz: FloatArray, delay_s: float) -> tuple[FloatArray, F
     return most[0] / np.sqrt(3.0), most[1] / np.sqrt(3.0)
 
 
-def chain_errors(readings: Sequence[Reading]) -> tuple[RelativeError, ...]:
+def chain_errors(readings: Sequence[ChannelReading]) -> tuple[ChannelRelativeError, ...]:
     """Return scale, delay and response errors of channels that share one chain.
 
     Scale multiplies by 1 + u; a delay not taken off by exp(-jω u) ≈ 1 - jω u; a response by 1 + u_m + j u_phi, its
@@ -158,32 +158,36 @@ def chain_errors(readings: Sequence[Reading]) -> tuple[RelativeError, ...]:
         (f"{DELAY_OF_FILTER}, phase", "1", 1.0, [1j * phase for _, phase in filters]),
     ):
         relative = np.stack(columns, axis=1).astype(np.complex128)
-        errors.append(RelativeError(f"{name}: {kind}", f"{name}: {kind}", u, unit, relative, "rig"))
+        errors.append(ChannelRelativeError(f"{name}: {kind}", f"{name}: {kind}", u, unit, relative, "rig"))
     label = f"{name}: individual scale"
     only = np.eye(len(entries), dtype=np.complex128)
     for place, entry in enumerate(entries):
         own = np.ones((len(frequency), 1)) * entry.individual_uncertainty * only[place]
-        errors.append(RelativeError(f"{label} {entry.name}", label, entry.individual_uncertainty, "1", own, "rig"))
+        errors.append(
+            ChannelRelativeError(f"{label} {entry.name}", label, entry.individual_uncertainty, "1", own, "rig")
+        )
     for place, reading in enumerate(readings):
-        errors += [replace(error, effect=error.effect * only[place]) for error in reading.further]
-    return acting(errors)
+        errors += [replace(error, effect=error.effect * only[place]) for error in reading.further_errors]
+    return nonzero_errors(errors)
 
 
-def acting(errors: Iterable[RelativeError]) -> tuple[RelativeError, ...]:
+def nonzero_errors(errors: Iterable[ChannelRelativeError]) -> tuple[ChannelRelativeError, ...]:
     """Return every unknown once, its effects added up; what acts on nothing is left out."""
     return tuple(error for error in added_up(errors) if np.any(error.effect != 0.0))
 
 
-def late(name: str, frequency_hz: FloatArray, u_s: float, scope: Scope = "recording") -> tuple[RelativeError, ...]:
+def delay_errors(
+    name: str, frequency_hz: FloatArray, u_s: float, scope: Scope = "recording"
+) -> tuple[ChannelRelativeError, ...]:
     """Return a time error, if any: what is late by one standard uncertainty turns by exp(-jω u) ≈ 1 - jω u."""
     turn = np.asarray(-2j * np.pi * frequency_hz * u_s)[:, None]
-    return (RelativeError(name, name, u_s, "s", turn, scope),) if u_s > 0.0 else ()
+    return (ChannelRelativeError(name, name, u_s, "s", turn, scope),) if u_s > 0.0 else ()
 
 
 def clock_rate(design: ComplexArray, orders: FloatArray, clock_uncertainty: float) -> list[CommonError]:
     """Return the unknown of a time base: where it runs fast readings ∝ ω^-n, n (M,), seem larger by n times as much."""
     relative = np.broadcast_to(-clock_uncertainty * orders + 0j, design.shape[:2])
-    rate = RelativeError(CLOCK_RATE, CLOCK_RATE, clock_uncertainty, "1", relative, "rig").of_rows(design)
+    rate = ChannelRelativeError(CLOCK_RATE, CLOCK_RATE, clock_uncertainty, "1", relative, "rig").of_rows(design)
     return [rate] if np.any(rate.slope != 0.0) else []
 
 
@@ -193,7 +197,7 @@ def scale_is_stated(entry: ChannelEntry, response: ChainResponse | None) -> bool
     return by_response or bool(entry.scale_uncertainty or entry.individual_uncertainty)
 
 
-def errors_are_stated(entry: ChannelEntry, response: ChainResponse | None, beams: Beams) -> bool:
+def errors_are_stated(entry: ChannelEntry, response: ChainResponse | None, beams: LaserBeams) -> bool:
     """Whether any systematic uncertainty of a motion channel is stated: without one `fuse` uses it if it must."""
     of_chain = scale_is_stated(entry, response) or entry.delay_uncertainty > 0.0
     of_chain = of_chain or (response is not None and bool(np.any(response.errors != 0.0)))
@@ -208,7 +212,7 @@ FAN_U = 1.0 / np.sqrt(3.0)
 
 
 def geometry_errors(
-    transducer: Transducer, entry: ChannelEntry, beams: Beams | None = None
+    transducer: Transducer, entry: ChannelEntry, beams: LaserBeams | None = None
 ) -> tuple[Unknown[FloatArray], ...]:
     """Return what is uncertain of a channel's place and direction, by names that hold in every recording.
 
@@ -219,10 +223,10 @@ def geometry_errors(
     direction is two components of t/√2 across the axis. What its head contributes comes last. Several points that state
     one direction and no head err by one tilt and each by its own: whether they do one or the other is not stated.
     """
-    beams = beams or Beams.of([entry])
-    point, direction, chain = placed_at(entry), unit_direction(entry), chain_name(entry)
+    beams = beams or LaserBeams.of([entry])
+    point, direction, chain = measuring_point(entry), unit_direction(entry), chain_name(entry)
     errors = []
-    if not transducer.turning:
+    if not transducer.rotational:
         for axis, unit, u in zip("xyz", np.eye(3), np.broadcast_to(entry.point_uncertainty, 3).tolist(), strict=True):
             lever = u * _moved_point(entry, unit)
             errors.append(Unknown(placement_name(entry, "point", axis), f"{chain}: point", u, "m", lever, "mounting"))
@@ -230,12 +234,12 @@ def geometry_errors(
         ("direction", "rad", entry.direction_uncertainty),
         (TRANSVERSE, "1", entry.transverse_sensitivity / np.sqrt(2.0)),
     )
-    for number, tangent in enumerate(across(direction)):
+    for number, tangent in enumerate(perpendicular_axes(direction)):
         for kind, of_kind, u in leaks:
             name = placement_name(entry, kind, str(number))
             turned = u * transducer.geometry(point, tangent)
             errors.append(Unknown(name, f"{chain}: {kind}", float(u), of_kind, turned, "mounting"))
-            if kind == "direction" and beams.share_tilt(entry):
+            if kind == "direction" and beams.shares_tilt(entry):
                 shared = _tilt_name(entry, str(number))
                 errors.append(Unknown(shared, f"{chain}: tilt", float(u), of_kind, turned, "mounting"))
     errors += _head_errors(transducer, entry, beams)
@@ -245,10 +249,10 @@ def geometry_errors(
 def _moved_point(entry: ChannelEntry, shift: FloatArray) -> FloatArray:
     """Return the change (6,) of [d, r × d] where the point moves; an aimed beam turns about its mirror."""
     direction = unit_direction(entry)
-    if not aimed(entry):
+    if not is_aimed_at_mirror(entry):
         return np.concatenate([np.zeros(3), np.cross(shift, direction)])
     mirror = mirror_of(entry)
-    turned = -(shift - direction * (direction @ shift)) / np.linalg.norm(mirror - placed_at(entry))
+    turned = -(shift - direction * (direction @ shift)) / np.linalg.norm(mirror - measuring_point(entry))
     return np.concatenate([turned, np.cross(mirror, turned)])
 
 
@@ -257,7 +261,7 @@ def _tilt_name(entry: ChannelEntry, axis: str) -> str:
     return f"{chain_name(entry)}: tilt along ({along}) {axis}"
 
 
-def _head_errors(transducer: Transducer, entry: ChannelEntry, beams: Beams) -> list[Unknown[FloatArray]]:
+def _head_errors(transducer: Transducer, entry: ChannelEntry, beams: LaserBeams) -> list[Unknown[FloatArray]]:
     """Return what a channel has in common with all channels of its head, by the head's name.
 
     The head turned by a small vector φ turns the direction d by φ × d; about a known mirror q it moves the point r by
@@ -270,7 +274,7 @@ def _head_errors(transducer: Transducer, entry: ChannelEntry, beams: Beams) -> l
     if entry.head is None or entry.body == HEAD:
         return []
     stated, title = entry.head.stated, f"head {entry.head.name}"
-    point, direction, mirror = placed_at(entry), unit_direction(entry), mirror_of(entry)
+    point, direction, mirror = measuring_point(entry), unit_direction(entry), mirror_of(entry)
     errors = []
 
     def add(kind: str, axis: str, u: float, unit: str, effect: FloatArray) -> None:
@@ -281,11 +285,11 @@ def _head_errors(transducer: Transducer, entry: ChannelEntry, beams: Beams) -> l
         unit = np.eye(3)[place]
         turned, shift = np.cross(unit, direction), np.cross(unit, point - mirror)
         row = transducer.geometry(point, turned)
-        if not transducer.turning:
+        if not transducer.rotational:
             row[3:] += np.cross(shift, direction)
             add("offset", axis, stated.point_uncertainty[place], "m", _moved_point(entry, unit))
         add("tilt", axis, stated.rotation_uncertainty[place], "rad", row)
-        if aimed(entry):
+        if is_aimed_at_mirror(entry):
             leaning = (unit - direction * (direction @ unit)) / np.linalg.norm(mirror - point)
             add("mirror", axis, stated.mirror_uncertainty[place], "m", transducer.geometry(point, leaning))
     fan = beams.fan(entry)
@@ -303,7 +307,7 @@ class ChannelGeometry(Geometry):
     entries: tuple[ChannelEntry, ...]
     frequency_hz: FloatArray
     gravity_mps2: FloatArray | None
-    beams: Beams
+    beams: LaserBeams
 
     @property
     def unknowns(self) -> frozenset[str]:
@@ -320,7 +324,7 @@ class ChannelGeometry(Geometry):
         drawn = []
         for entry in self.entries:
             point, mirror, direction = self._drawn_beam(entry, deviates)
-            sides = across(unit_direction(entry))
+            sides = perpendicular_axes(unit_direction(entry))
             angle = deviates.angle(placement_name(entry, TRANSVERSE, "0"))
             leak = np.stack([np.cos(angle), np.sin(angle)], axis=1) @ sides
             turned = direction + entry.transverse_sensitivity * leak
@@ -339,7 +343,7 @@ class ChannelGeometry(Geometry):
         """Return N points, centres of the head's rotation and directions, each (N, 3), before the head is turned."""
         u = np.broadcast_to(np.asarray(entry.point_uncertainty, dtype=np.float64), (3,))
         own = [deviates.normal(placement_name(entry, "point", axis)) for axis in "xyz"]
-        point = placed_at(entry) + u * np.stack(own, axis=1)
+        point = measuring_point(entry) + u * np.stack(own, axis=1)
         direction = np.broadcast_to(unit_direction(entry), point.shape)
         mirror = point
         if entry.head is not None:
@@ -348,17 +352,17 @@ class ChannelGeometry(Geometry):
             mirror = point
             if stated.mirror is not None:
                 mirror = mirror_of(entry) + np.array(stated.mirror_uncertainty) * _vector(deviates, f"{title}: mirror")
-            if aimed(entry):
+            if is_aimed_at_mirror(entry):
                 direction = (mirror - point) / np.linalg.norm(mirror - point, axis=1, keepdims=True)
             fan = self.beams.fan(entry)
             if fan is not None:
                 leaning = direction + (deviates.angle(f"{title}: fan of beams") / np.pi - 1.0)[:, None] * fan
                 direction = leaning / np.linalg.norm(leaning, axis=1, keepdims=True)
         names = [[placement_name(entry, "direction", axis)] for axis in "01"]
-        if self.beams.share_tilt(entry):
+        if self.beams.shares_tilt(entry):
             names = [[name, _tilt_name(entry, axis)] for (name,), axis in zip(names, "01", strict=True)]
         tilt = np.stack([sum(deviates.normal(name) for name in both) for both in names], axis=1)
-        spin = np.cross(direction, entry.direction_uncertainty * tilt @ across(unit_direction(entry)))
+        spin = np.cross(direction, entry.direction_uncertainty * tilt @ perpendicular_axes(unit_direction(entry)))
         return point, mirror, np.einsum("nij,nj->ni", rotation_from_vector(spin), direction)
 
 
@@ -370,7 +374,7 @@ def _vector(deviates: Deviates, name: str) -> FloatArray:
 
 
 def observe_channels(
-    readings: Sequence[Reading], gravity_mps2: ArrayLike | None = None, clock_uncertainty: float = 0.0
+    readings: Sequence[ChannelReading], gravity_mps2: ArrayLike | None = None, clock_uncertainty: float = 0.0
 ) -> tuple[Observation, ...]:
     """Return the rows of all motion channels, one observation per instrument and body.
 
@@ -378,26 +382,26 @@ def observe_channels(
     an accelerometer reads d·(a - g) in body axes, so that its rotation part gains (d × g)/ω² when `gravity_mps2` (3,)
     is given; a gyroscope reads d·alpha/(jω). `clock_uncertainty`: relative, of the time base.
     """
-    groups: dict[tuple[str, str, str], list[Reading]] = {}
+    groups: dict[tuple[str, str, str], list[ChannelReading]] = {}
     for reading in readings:
         entry = reading.entry
         if entry.quantity in TRANSDUCERS:
             groups.setdefault((chain_name(entry), str(entry.body), entry.quantity), []).append(reading)
     gravity = None if gravity_mps2 is None else np.asarray(gravity_mps2, dtype=np.float64)
-    beams = Beams.of([reading.entry for reading in readings])
+    beams = LaserBeams.of([reading.entry for reading in readings])
     return tuple(_observe(group, gravity, clock_uncertainty, beams) for group in groups.values())
 
 
 def _observe(
-    readings: Sequence[Reading], gravity_mps2: FloatArray | None, clock_uncertainty: float, beams: Beams
+    readings: Sequence[ChannelReading], gravity_mps2: FloatArray | None, clock_uncertainty: float, beams: LaserBeams
 ) -> Observation:
     """Return rows and common errors of the channels of one instrument on one body."""
     transducer = TRANSDUCERS[readings[0].entry.quantity]
     phasors = stack_phasors([reading.phasors for reading in readings])
     entries, frequency = tuple(reading.entry for reading in readings), phasors.frequency_hz
-    geometry = np.stack([transducer.geometry(placed_at(entry), unit_direction(entry)) for entry in entries])
+    geometry = np.stack([transducer.geometry(measuring_point(entry), unit_direction(entry)) for entry in entries])
     design = transducer.rows(geometry, frequency, gravity_mps2).swapaxes(0, 1)
-    main = np.stack([transducer.geometry(placed_at(entry), main_direction(entry)) for entry in entries])
+    main = np.stack([transducer.geometry(measuring_point(entry), main_direction(entry)) for entry in entries])
     none = np.zeros_like(phasors.value)
     common = [error.of_rows(design) for error in chain_errors(readings)]
     placed: dict[str, CommonError] = {}
@@ -408,7 +412,7 @@ def _observe(
             slope[:, place] = transducer.rows(error.effect, frequency, gravity_mps2)
             placed[error.name] = CommonError(error.name, error.label, error.u, error.unit, error.scope, slope, none)
     common += placed.values()
-    stated = any(error.scope not in FOUND for error in common)
+    stated = any(error.scope not in PER_RECORDING_SCOPES for error in common)
     common += clock_rate(design, np.full(len(entries), -float(transducer.order)), clock_uncertainty)
     return Observation(
         name=chain_name(entries[0]),
@@ -420,7 +424,9 @@ def _observe(
         members=tuple(entry.name for entry in entries),
         stated=stated,
         geometry=ChannelGeometry(transducer, entries, frequency, gravity_mps2, beams),
-        main=transducer.rows(main, frequency, gravity_mps2).swapaxes(0, 1) if any(map(aimed, entries)) else None,
+        main=transducer.rows(main, frequency, gravity_mps2).swapaxes(0, 1)
+        if any(map(is_aimed_at_mirror, entries))
+        else None,
     )
 
 
@@ -471,7 +477,7 @@ class Outputs:
         return np.asarray(drawn)
 
 
-def sensor_outputs(readings: Sequence[Reading], order: Sequence[str]) -> Outputs | None:
+def sensor_outputs(readings: Sequence[ChannelReading], order: Sequence[str]) -> Outputs | None:
     """Return what of some readings are outputs of the sensor, in the order and by the names of its outputs, if any."""
     named = {str(reading.entry.channel): reading for reading in readings if reading.entry.quantity == "output"}
     own = [
@@ -480,7 +486,7 @@ def sensor_outputs(readings: Sequence[Reading], order: Sequence[str]) -> Outputs
     return output_phasors(own) if own else None
 
 
-def output_phasors(readings: Sequence[Reading]) -> Outputs:
+def output_phasors(readings: Sequence[ChannelReading]) -> Outputs:
     """Return the outputs of C channels, in the order given.
 
     An error of a chain, relative (K, C), changes the reading U by relative · U for one standard uncertainty; channels
@@ -498,7 +504,7 @@ def output_phasors(readings: Sequence[Reading]) -> Outputs:
         for error in chain_errors([readings[place] for place in places]):
             change = np.zeros_like(signals.value)
             change[:, places] = error.effect * signals.value[:, places]
-            label = error.label if error.scope in FOUND else "output " + error.label.rpartition(": ")[2]
+            label = error.label if error.scope in PER_RECORDING_SCOPES else "output " + error.label.rpartition(": ")[2]
             influences.append(replace(error.acting(real_stack(change)), label=label))
     noise = Contribution(NOISE, "A", signals.covariance, signals.dof)
     uncertainty = Uncertainty((noise,), added_up(influences))

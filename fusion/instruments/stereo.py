@@ -10,7 +10,7 @@ import numpy as np
 
 from fusion.estimation.measurement_model import CommonError, Deviates, Geometry, Observation
 from fusion.estimation.uncertainty import Scope
-from fusion.instruments.channel import RelativeError, clock_rate, late
+from fusion.instruments.channel import ChannelRelativeError, clock_rate, delay_errors
 from photogram.geometry import rotation_from_vector, skew
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.sine.phasor import Phasors, derivative_factor
@@ -43,7 +43,7 @@ class Exposure:
     u_length_s: float = 0.0
     dof: float = np.inf
 
-    def errors(self, frequency_hz: FloatArray) -> tuple[RelativeError, ...]:
+    def errors(self, frequency_hz: FloatArray) -> tuple[ChannelRelativeError, ...]:
         """Return the relative error (K, 1) of phasors where the length T is measured: that of the trigger's pulses.
 
         Frames whose exposures seem longer by u seem later by u/2, and their loss sin(x)/x, x = πfT, which was taken
@@ -54,7 +54,7 @@ class Exposure:
         x = np.pi * frequency_hz[:, None] * self.length_s
         change = self.u_length_s * ((1.0 - x / np.tan(x)) / self.length_s - 1j * np.pi * frequency_hz[:, None])
         name = f"{self.trigger}: pulse width"
-        return (RelativeError(name, name, self.u_length_s, "s", np.asarray(change), "start", "A", self.dof),)
+        return (ChannelRelativeError(name, name, self.u_length_s, "s", np.asarray(change), "start", "A", self.dof),)
 
 
 @dataclass(frozen=True)
@@ -75,11 +75,11 @@ class StereoReading(Geometry):
     phasors: Phasors
     effects: Mapping[str, ComplexArray] = field(default_factory=dict)
     clock_uncertainty: float = 0.0
-    errors: tuple[RelativeError, ...] = ()
+    errors: tuple[ChannelRelativeError, ...] = ()
     face_m: FloatArray | None = None
     through_surface: ComplexArray | None = None
 
-    def observed(self) -> Observation:
+    def observation(self) -> Observation:
         """Return the rows of the pair: displacement phasors = -A/ω², and their common errors by name.
 
         These are scale and pose of its frame, delay of the exposure, the further `effects`, the relative `errors`, and
@@ -95,7 +95,7 @@ class StereoReading(Geometry):
             for (name, label, u, unit, change), offset in zip(self._frame_errors(), beside, strict=True)
             if u > 0.0
         ]
-        delay = late(f"{title}: delay", frequency, self.pair.delay_uncertainty, "rig")
+        delay = delay_errors(f"{title}: delay", frequency, self.pair.delay_uncertainty, "rig")
         common += [error.of_rows(design) for error in delay]
         stated = bool(common) or any(len(self.effects.get(what, ())) for what in (CALIBRATION, SURFACE))
         for what, changes in self.effects.items():

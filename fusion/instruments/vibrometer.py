@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, added_up, real_design, real_stack
-from fusion.instruments.transducer import Beams, chain_name
-from shaker.arrays import ComplexArray, FloatArray, Notice, check_shape, check_shapes
+from fusion.instruments.transducer import LaserBeams, chain_name
+from shaker.arrays import ComplexArray, FloatArray, check_shape, check_shapes
+from shakercal._common.notices import Notice
 
 if TYPE_CHECKING:
     from fusion.estimation.fuse import Acceleration
@@ -119,10 +120,10 @@ class PointSpread:
 
 def beam_notices(entries: Sequence[ChannelEntry]) -> tuple[Notice, ...]:
     """Say of which vibrometers several points state one direction, and what is taken of that."""
-    beams, notices = Beams.of(entries), []
-    unsure = {chain_name(entry) for entry in entries if entry.direction_uncertainty > 0.0 and beams.share_tilt(entry)}
-    for name in dict.fromkeys(name for name, _ in beams.alike):
-        alike = [(axis_name(np.asarray(d)), count) for (own, d), count in beams.alike.items() if own == name]
+    beams, notices = LaserBeams.of(entries), []
+    unsure = {chain_name(entry) for entry in entries if entry.direction_uncertainty > 0.0 and beams.shares_tilt(entry)}
+    for name in dict.fromkeys(name for name, _ in beams.parallel):
+        alike = [(axis_name(np.asarray(d)), count) for (own, d), count in beams.parallel.items() if own == name]
         text = ", ".join(f"{count} points state exactly the direction {axis}" for axis, count in alike)
         if name in unsure:
             text += (
@@ -133,7 +134,7 @@ def beam_notices(entries: Sequence[ChannelEntry]) -> tuple[Notice, ...]:
             "; beams of a scanning head are not parallel (50 mm off axis at 0.5 m reads 0.5 % less): its mirror or its "
             "standoff allows for that"
         )
-        notices.append(Notice("info", text, name))
+        notices.append(Notice("note", text, name))
     return tuple(notices)
 
 

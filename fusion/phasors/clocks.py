@@ -7,20 +7,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from fusion.instruments.transducer import ROOM
-from fusion.phasors.channels import APART_PERIODS, STEADY, line_rates, line_stretch, with_ties
-from fusion.phasors.stereo_motion import StereoMotion, lines_seen
-from fusion.phasors.timing import TimeBase, see
+from fusion.instruments.transducer import STATIONARY
+from fusion.phasors.channel_phasors import MIN_BEAT_PERIODS, U_SHARED_FREQUENCY, line_rates, line_stretch, with_ties
+from fusion.phasors.stereo_motion import StereoMotion, resolved_lines
+from fusion.phasors.timing import TimeBase, frame_sight
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import Images, PointFiles
-from shaker.arrays import Notice
 from shaker.labels import MOTION_COMPONENTS, component_units
-from shaker.lines.frequencies import Lines
+from shaker.lines.frequencies import LineFrequencies
 from shaker.sine.aliasing import alias_frequency
-from shaker.sine.fit import fit_sines
+from shaker.sine.sine_fit import fit_sines
 from shaker.sine.solve import SineModel
 from shaker.timebase.tie import ClockTie, tie_clocks
-from shaker.timebase.trigger import CONTRADICTS, TriggerFit
+from shaker.timebase.trigger import MAX_DISAGREEMENT_SIGMAS, TriggerFit
+from shakercal._common.notices import Notice
 
 OPEN, JITTERS = {"sampled": 0.15, "resolved": 0.01}, 3.0
 """Of a sample, over the length of the burst: nearly locked edges leave more, others less. And of what jitter leaves."""
@@ -31,9 +31,9 @@ Known = tuple[float, float]
 """A value, and its standard uncertainty."""
 
 
-def tied_by_motion(
-    manifest: Manifest, base: TimeBase, motions: Sequence[StereoMotion], lines: Lines
-) -> tuple[TimeBase, tuple[StereoMotion, ...], Lines]:
+def tie_clocks_by_motion(
+    manifest: Manifest, base: TimeBase, motions: Sequence[StereoMotion], lines: LineFrequencies
+) -> tuple[TimeBase, tuple[StereoMotion, ...], LineFrequencies]:
     """Return clocks, exposures and lines with the periods of camera triggers that edges leave open and others tell.
 
     What moves at a frequency f that channels know turns by 2πfT from frame to frame: its alias in the frames tells the
@@ -55,7 +55,7 @@ def tied_by_motion(
     renewed = []
     for measured in motions:
         sight = measured.sight
-        again = see(manifest, tied, entries[sight.name], sight.edge - sight.edge[0])
+        again = frame_sight(manifest, tied, entries[sight.name], sight.edge - sight.edge[0])
         sight = replace(sight, time_s=again.time_s, model_share=again.model_share)
         renewed.append(replace(measured, sight=sight))
     return tied, tuple(renewed), lines
@@ -71,7 +71,9 @@ def nearly_locked(fit: TriggerFit) -> bool:
     return bool(length > max(OPEN[fit.kind] * fit.sample_s, JITTERS * fit.jitter_s * np.sqrt(12.0 / fit.edges)))
 
 
-def _refined(base: TimeBase, motions: Sequence[StereoMotion], lines: Lines, trigger: str) -> tuple[TimeBase, Lines]:
+def _refined(
+    base: TimeBase, motions: Sequence[StereoMotion], lines: LineFrequencies, trigger: str
+) -> tuple[TimeBase, LineFrequencies]:
     """Return clocks and lines with the periods of one trigger that its edges leave open in some blocks.
 
     Each block gets the mean of what the motion and the edges in other blocks tell, where these are not open themselves;
@@ -82,7 +84,7 @@ def _refined(base: TimeBase, motions: Sequence[StereoMotion], lines: Lines, trig
     first, origin = next(iter(fits)), base.records[0].entry.name
     if not any(nearly_locked(fit) for fit in fits.values()):
         return base, lines
-    seen = seen_period(base, motions, lines)
+    seen = period_from_motion(base, motions, lines)
     others = [daq for daq in fits if daq != origin and base.shared_triggers(origin, daq)[:1] == [trigger]]
     rates = {first: (1.0, 0.0), **line_rates(base, lines, others)}  # seconds of the first clock in one of the block's
     told = {daq: _times((fits[daq].period_s, float(fits[daq].covariance[1, 1] ** 0.5)), rates[daq]) for daq in rates}
@@ -111,7 +113,7 @@ def _with_period(fit: TriggerFit, known: Sequence[Known], limit: float, back: Kn
     """
     mean = _mean(known)
     apart, both = float(np.ptp([value for value, _ in known])), float(np.linalg.norm([u for _, u in known]))
-    if apart > CONTRADICTS * both:
+    if apart > MAX_DISAGREEMENT_SIGMAS * both:
         text = (
             f"what its frames show, and what other records do, differ by {apart / mean[0]:.2g} of its period (standard "
             f"uncertainty {both / mean[0]:.2g}), so that its own edges stand: frames or edges are missing, or what "
@@ -150,7 +152,7 @@ def _mean(readings: Sequence[Known]) -> Known:
     return mean, float(np.sqrt(birge / np.sum(weight)))
 
 
-def seen_period(base: TimeBase, motions: Sequence[StereoMotion], lines: Lines) -> Known | None:
+def period_from_motion(base: TimeBase, motions: Sequence[StereoMotion], lines: LineFrequencies) -> Known | None:
     """Return the period of the trigger that some pairs follow as their motion tells it; None where its edges do better.
 
     On the clock of the first block that records the trigger. Lines are compared with the channels that see the same
@@ -159,11 +161,11 @@ def seen_period(base: TimeBase, motions: Sequence[StereoMotion], lines: Lines) -
     """
     daq, fit = base.first_with(motions[0].sight.exposure.trigger)
     limit, tie = KNOWS_MORE * float(np.sqrt(fit.covariance[1, 1])), base.ties[daq]
-    moving = [measured for measured in motions if measured.sight.pair.body != ROOM]
-    frames = [(measured, seen) for measured in moving if (seen := frame_distance(measured, lines)) is not None]
+    moving = [measured for measured in motions if measured.sight.pair.body != STATIONARY]
+    frames = [(measured, seen) for measured in moving if (seen := frame_interval(measured, lines)) is not None]
     if not frames or _mean([seen for _, seen in frames])[1] > limit:
         return None
-    periods, u_lines = [], STEADY
+    periods, u_lines = [], U_SHARED_FREQUENCY
     for measured, seen in frames:
         reference = _reference(base, daq, measured, lines)
         if reference is None:
@@ -175,7 +177,7 @@ def seen_period(base: TimeBase, motions: Sequence[StereoMotion], lines: Lines) -
     return (period_s, u) if u < limit else None
 
 
-def frame_distance(measured: StereoMotion, lines: Lines) -> Known | None:
+def frame_interval(measured: StereoMotion, lines: LineFrequencies) -> Known | None:
     """Return the time from frame to frame on the clock on which the lines have these frequencies, with its u.
 
     A fit with one free change of all frequencies (four parameters, IEEE 1057) to frames as if evenly spaced, at the
@@ -185,10 +187,10 @@ def frame_distance(measured: StereoMotion, lines: Lines) -> Known | None:
     """
     number, time_s = np.arange(len(measured.sight.time_s)), measured.sight.time_s
     start_s, distance_s = np.polynomial.Polynomial.fit(number, time_s, 1).convert().coef.tolist()
-    frequency_hz = lines.frequency_hz[lines_seen(measured, lines)[0]]
+    frequency_hz = lines.frequency_hz[resolved_lines(measured, lines)[0]]
     alias = alias_frequency(frequency_hz, 1.0 / distance_s)
     beats = len(number) * distance_s * np.minimum(alias, 0.5 / distance_s - alias)
-    free = np.where(beats >= APART_PERIODS, 0, -1)
+    free = np.where(beats >= MIN_BEAT_PERIODS, 0, -1)
     if not np.any(free == 0):
         return None
     even_s, model = start_s + distance_s * number, SineModel(free=tuple(free.tolist()), robust=True)
@@ -201,7 +203,7 @@ def frame_distance(measured: StereoMotion, lines: Lines) -> Known | None:
     return _times((distance_s, 0.0), (found[0] / frequency_hz[first], found[1] / frequency_hz[first]))
 
 
-def _reference(base: TimeBase, daq: str, measured: StereoMotion, lines: Lines) -> Known | None:
+def _reference(base: TimeBase, daq: str, measured: StereoMotion, lines: LineFrequencies) -> Known | None:
     """Return by how much the lines seem higher in the channels that a pair's frames are compared with."""
     sight = measured.sight
     span_s = float(sight.time_s.min()), float(sight.time_s.max())

@@ -9,15 +9,16 @@ from functools import partial
 import numpy as np
 
 from fusion.estimation.uncertainty import real_stack
-from fusion.phasors.shutter import Turned
+from fusion.phasors.shutter import PhaseRotated
 from photogram.direct.shapes import PLAIN, ShapeAmplitudes
 from photogram.motion import Deformation
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, brief
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, brief
 from shaker.sine.aliasing import alias_frequency, exposure_gain, sine_columns
-from shaker.sine.fit import fit_sines
 from shaker.sine.normal_equations import SineSums
 from shaker.sine.phasor import Phasors
+from shaker.sine.sine_fit import fit_sines
 from shaker.sine.solve import SineFit, SineModel
+from shakercal._common.notices import Notice
 
 # Operating deflection shape: phasors of what a body does beside its rigid motion, point by point.
 
@@ -55,7 +56,7 @@ def deflection_shape(
         sums = SineSums(time_s, frequency_hz, np.zeros_like(part.reference_m)) if sums is None else sums
         sums.add(part.residual_m)
     assert sums is not None
-    _, value, u = sums.solved(LEAST_FREEDOM)
+    _, value, u = sums.solve(LEAST_FREEDOM)
     gain = exposure_gain(frequency_hz, exposure_s)[:, None, None]
     return DeflectionShape(frequency_hz, part.reference_m, np.asarray(value / gain), u / gain)
 
@@ -128,7 +129,7 @@ def shape_phasors(
     exposure_s: float,
     effects: ComplexArray,
     moved: Phasors | None = None,
-    turned: Turned | None = None,
+    phase_rotated: PhaseRotated | None = None,
 ) -> ShapePhasors | None:
     """Return the phasors of amplitudes (F, S) at times (F,) and lines (K,); None for too few frames.
 
@@ -140,7 +141,7 @@ def shape_phasors(
 
     names, count = deformed.shapes.names, len(deformed.shapes.names)
     gain = exposure_gain(frequency_hz, exposure_s)[:, None]
-    freedom = max(LEAST_FREEDOM, count if turned is None else 2 * count)
+    freedom = max(LEAST_FREEDOM, count if phase_rotated is None else 2 * count)
     if np.count_nonzero(np.isfinite(deformed.amplitude).all(axis=1)) < 2 * len(frequency_hz) + 1 + freedom:
         return None
     try:
@@ -148,10 +149,10 @@ def shape_phasors(
         fit = fit_sines(time_s, deformed.amplitude, frequency_hz, names, ("m",) * count, model=model)
     except ValueError:
         return None
-    if turned is None or moved is None:
+    if phase_rotated is None or moved is None:
         phasors = _tested_noise(time_s, deformed.amplitude, fit)
     else:
-        phasors = turned.shapes(time_s, fit, moved, partial(_tested_noise, time_s))
+        phasors = phase_rotated.shapes(time_s, fit, moved, partial(_tested_noise, time_s))
     free = np.maximum(phasors.dof - 2 * count + 1, 1.0)
     phasors = phasors.scaled(1.0 / gain)
     covariance = _with_effects(phasors, effects)

@@ -9,22 +9,23 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.base import ComputeError, InputError
+from fusion.errors import ComputeError, InputError
 from fusion.instruments.stereo import CALIBRATION, PERIODIC, SURFACE
 from fusion.phasors.shutter import check_in_step
 from fusion.phasors.stereo_motion import ImageView, StereoMotion, sensor_from_camera
 from photogram.arrays import RunningMean, spread_choice
 from photogram.camera import CAMERA_PARAMETERS, FaceCamera, Rig, StereoRig, locate, principal_components
 from photogram.direct.shapes import Shapes
-from photogram.direct.surface import PlacedCamera, see_points
+from photogram.direct.surface import PlacedCamera, project_body_points
 from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.motion import RigidMotion, relative_to
-from shaker.arrays import ComplexArray, FloatArray, Notice
+from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import MOTION_COMPONENTS, component_units
-from shaker.sine.fit import fit_sines
 from shaker.sine.normal_equations import SineSums
 from shaker.sine.phasor import Phasors
+from shaker.sine.sine_fit import fit_sines
 from shaker.sine.solve import SineFit, SineModel
+from shakercal._common.notices import Notice
 
 MIN_SUBSETS, SEEN_SHARE, EFFECT_SUBSETS = 6, 0.5, 200
 PERIODIC_SHARE = 0.4  # standard uncertainty of a line over the amplitude of an error periodic in the pixel
@@ -46,7 +47,7 @@ def image_effects(
 
     Of a camera alone also what the stated surface does, and what the pose does through it (THROUGH).
     """
-    sums, means = None, tuple(RunningMean() for _ in view.rig.placed)
+    sums, means = None, tuple(RunningMean() for _ in view.rig.camera_poses)
     for block in view.tracks:
         positions = [camera.position_px for camera in block.cameras]
         both = np.concatenate(positions, axis=2)
@@ -162,7 +163,7 @@ def surface_effects(
 
     stated = [rig.perturbed(step) for step in np.diag(np.sqrt(np.diagonal(rig.covariance)))[own:]]
     errors = [RigidTransform(rotation_from_vector(-step[3:]), step[:3]) for step in np.diag(u)]
-    moved = [rig.moved(pose.inverse() @ error.inverse() @ pose) for error in errors]
+    moved = [rig.move_face(pose.inverse() @ error.inverse() @ pose) for error in errors]
     return {SURFACE: np.array([*map(seen_on, stated)]), THROUGH: np.array([*map(seen_on, moved)])}
 
 
@@ -172,7 +173,7 @@ def _phasor_frames(sums: SineSums, samples: int) -> list[FloatArray]:
     Of the subsets that are seen in most frames, each by its own: in a long recording all are lost now and then. Some
     200 of them are enough, since what the calibration does is smooth over the picture.
     """
-    mean, phasors, _ = sums.solved(1)
+    mean, phasors, _ = sums.solve(1)
     good = np.isfinite(mean).all(axis=1) & (sums.count >= SEEN_SHARE * samples)
     if np.count_nonzero(good) < MIN_SUBSETS:
         share = f"{np.count_nonzero(good)} subsets are followed through half of the frames"
@@ -217,8 +218,8 @@ def with_surface_at_rest(measured: StereoMotion, mean_pose: FloatArray) -> Stere
     pose = sensor_from_camera(measured.sight.pair)
     places = next(iter(view.tracks)).left.position_px[:1]
     camera, rates = PlacedCamera(view.rig.camera, pose.inverse()), []
-    for rig in (view.rig, view.rig.moved(pose.inverse() @ RigidTransform.from_pose(mean_pose).inverse() @ pose)):
-        rates.append(see_points(camera, locate(rig, [places]).transformed(pose).position_m[0]).rates)
+    for rig in (view.rig, view.rig.move_face(pose.inverse() @ RigidTransform.from_pose(mean_pose).inverse() @ pose)):
+        rates.append(project_body_points(camera, locate(rig, [places]).transformed(pose).position_m[0]).rates)
     known = np.isfinite(rates).all(axis=(0, 2, 3))
     stated, true = (one[known].reshape(-1, 6) for one in rates)
     scale = np.linalg.norm(true, axis=0)
@@ -230,7 +231,7 @@ def with_surface_at_rest(measured: StereoMotion, mean_pose: FloatArray) -> Stere
 
 def displacement(measured: StereoMotion, fit: SineFit) -> Phasors:
     """Return the phasors of a body's motion at the lines of its fit, each as the mean over an exposure."""
-    turned = None if measured.view is None else measured.view.turned
+    turned = None if measured.view is None else measured.view.phase_rotated
     return fit.phasors if turned is None else turned.motion(measured.sight.time_s, fit)
 
 

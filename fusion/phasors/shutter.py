@@ -1,4 +1,4 @@
-"""When pictures were exposed: rows one after the other (`photogram.measure.again`), cameras of a pair out of step."""
+"""When pictures were exposed: rows one after the other (`photogram.measure.exposure_motion`), cameras of a pair out of step."""
 
 from __future__ import annotations
 
@@ -7,16 +7,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fusion.base import ComputeError
+from fusion.errors import ComputeError
 from photogram.camera import StereoRig, epipolar_residual
-from shaker.arrays import ComplexArray, FloatArray, Notice
-from shaker.sine.fit import fit_sines
+from shaker.arrays import ComplexArray, FloatArray
 from shaker.sine.phasor import Phasors
+from shaker.sine.sine_fit import fit_sines
 from shaker.sine.solve import SineFit, SineModel
+from shakercal._common.notices import Notice
 
 
 @dataclass(frozen=True, eq=False)
-class Turned:
+class PhaseRotated:
     """Frames fitted cell by cell, the delays of their rows taken back at each of K lines.
 
     pose (F, K, p): of six components and p - 6 shapes, beside the motion taken for known; `response` (K, p, p): what a
@@ -27,21 +28,21 @@ class Turned:
 
     pose: ComplexArray
     response: ComplexArray
-    known: ComplexArray
-    late: FloatArray
+    reference_motion: ComplexArray
+    row_delay: FloatArray
     delay_s: FloatArray
     side_px: int
 
     def motion(self, time_s: FloatArray, fit: SineFit) -> Phasors:
         """Return the phasors (K, 6) of the body at the lines of a fit, each as the mean over an exposure."""
-        return self._restored(time_s, fit, slice(0, 6), self.known[:, :6], lambda _, found: found.phasors)
+        return self._restored(time_s, fit, slice(0, 6), self.reference_motion[:, :6], lambda _, found: found.phasors)
 
     def shapes(
         self, time_s: FloatArray, fit: SineFit, motion: Phasors, noise: Callable[[FloatArray, SineFit], Phasors]
     ) -> Phasors:
         """Return the amplitudes (K, S) of shapes beside that motion; `noise`: of series by their fit."""
         moved = np.einsum("kij,kj->ki", self.response[:, 6:, :6], motion.value)
-        return self._restored(time_s, fit, slice(6, None), self.known[:, 6:] - moved, noise)
+        return self._restored(time_s, fit, slice(6, None), self.reference_motion[:, 6:] - moved, noise)
 
     def _restored(
         self,

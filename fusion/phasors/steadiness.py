@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from fusion.base import AnyNotice, rounded
+from fusion.base import round_to_uncertainty
 from fusion.estimation.coverage import coverage_factor
 from fusion.estimation.uncertainty import Scope
-from fusion.instruments.channel import Reading, RelativeError, acting
+from fusion.instruments.channel import ChannelReading, ChannelRelativeError, nonzero_errors
 from fusion.instruments.transducer import TRANSDUCERS
-from fusion.phasors.channels import HARMONICS, ChannelResult
+from fusion.phasors.channel_phasors import HARMONICS, ChannelResult
 from fusion.phasors.timing import ClockResult
-from shaker.arrays import Notice
-from shaker.lines.frequencies import Lines
-from shaker.sine.fit import Stationarity
+from shaker.lines.frequencies import LineFrequencies
+from shaker.sine.sine_fit import Stationarity
+from shakercal._common.notices import Notice
 
 if TYPE_CHECKING:
     from fusion.phasors.stereo_phasors import StereoResult
@@ -39,16 +39,16 @@ class Doubt(NamedTuple):
     share: float
 
 
-def doubted(
-    readings: Sequence[Reading], changes: Sequence[LineStationarity], distorted: Iterable[Distortion]
-) -> tuple[Reading, ...]:
+def enlarge_doubted(
+    readings: Sequence[ChannelReading], changes: Sequence[LineStationarity], distorted: Iterable[HarmonicDistortion]
+) -> tuple[ChannelReading, ...]:
     """Return the readings of a set-up with what its channels are found to hold beside the load's motion."""
     doubts = {DISTORTION: [found.doubt for found in distorted]}
     doubts[DRIFT] = [doubt for frequency in _frequencies(changes) for doubt in _told(changes, frequency).doubts]
     return tuple(_doubted(reading, doubts) for reading in readings)
 
 
-def _doubted(reading: Reading, doubts: Mapping[str, Sequence[Doubt]]) -> Reading:
+def _doubted(reading: ChannelReading, doubts: Mapping[str, Sequence[Doubt]]) -> ChannelReading:
     """Return a reading with the errors that are found in it.
 
     The largest share a at a line, in a direction of the complex plane of which nothing is known: an arc-sine
@@ -62,8 +62,10 @@ def _doubted(reading: Reading, doubts: Mapping[str, Sequence[Doubt]]) -> Reading
             u[here] = np.maximum(u[here], doubt.share / np.sqrt(2.0))
         for part, turn in (("in phase", 1.0), ("in quadrature", 1.0j)):
             unknown, effect = f"{what} of {quantity} {name}: {part}", np.asarray(turn * u[:, None], np.complex128)
-            errors.append(RelativeError(unknown, f"{quantity}: {what}", float(u.max()), "1", effect, SCOPES[what]))
-    return replace(reading, further=acting([*reading.further, *errors]))
+            errors.append(
+                ChannelRelativeError(unknown, f"{quantity}: {what}", float(u.max()), "1", effect, SCOPES[what])
+            )
+    return replace(reading, further_errors=nonzero_errors([*reading.further_errors, *errors]))
 
 
 # How far amplitude and phase of the driven lines changed while each instrument was recording.
@@ -96,7 +98,10 @@ class LineStationarity:
 
 
 def line_stationarity(
-    channels: Sequence[ChannelResult], stereo: Sequence[StereoResult], lines: Lines, clocks: Sequence[ClockResult]
+    channels: Sequence[ChannelResult],
+    stereo: Sequence[StereoResult],
+    lines: LineFrequencies,
+    clocks: Sequence[ClockResult],
 ) -> tuple[LineStationarity, ...]:
     """Return the changes of the driven lines in every channel and in the strongest component of every stereo pair.
 
@@ -117,13 +122,13 @@ def line_stationarity(
     )
 
 
-def stationarity_notices(changes: Sequence[LineStationarity]) -> tuple[AnyNotice, ...]:
+def stationarity_notices(changes: Sequence[LineStationarity]) -> tuple[Notice, ...]:
     """Return a notice for each line whose amplitude, and one for each whose phase, surely changed by what matters.
 
     A third one where they surely change but along no straight line, such as over a part of a beat. All say so where
     the outputs of the sensor change and the motion does not.
     """
-    notices: list[AnyNotice] = []
+    notices: list[Notice] = []
     for frequency in _frequencies(changes):
         grown, turned, bent, doubts = _told(changes, frequency)
         end = "results are means over each instrument's own record"
@@ -180,7 +185,7 @@ def _of_lines(
     length, changes = steady.length_s, []
     for frequency, u_frequency in driven:
         turn = 2.0 * np.pi * float(np.hypot(frequency * u_rate, u_frequency))
-        chance, scatter = steady.p_value_beside(turn), steady.scatter_beside(turn)
+        chance, scatter = steady.p_value_with_rate(turn), steady.excess_variance(turn)
         for line in np.flatnonzero(steady.frequency_hz == frequency):
             mean = np.abs(steady.value[:, line].mean(axis=0))
             clear = mean / np.maximum(steady.u_amplitude_per_s[line], np.finfo(np.float64).tiny)
@@ -221,14 +226,14 @@ STRONG = 0.5  # of the largest fundamental: outputs and motion channels whose ha
 CHANGED = 0.3  # relative: what the sensor may answer otherwise at a harmonic than at its fundamental
 
 
-class Distortion(NamedTuple):
+class HarmonicDistortion(NamedTuple):
     """What a harmonic of an output tells of its fundamental."""
 
     doubt: Doubt
     notice: Notice
 
 
-def distortions(channels: Sequence[ChannelResult], lines: Lines) -> Iterator[Distortion]:
+def distortions(channels: Sequence[ChannelResult], lines: LineFrequencies) -> Iterator[HarmonicDistortion]:
     """Yield each harmonic of an output that is surely there, matters, and that the load's motion does not have.
 
     Also vice versa. Harmonics are compared relative to the fundamental: of the outputs that answer most, of the
@@ -295,7 +300,7 @@ def _distortion(
     m: int,
     own: _Share,
     theirs: Sequence[_Share],
-) -> Iterator[Distortion]:
+) -> Iterator[HarmonicDistortion]:
     """Yield what is left of one harmonic of a channel after that of others, if they have less."""
     from scipy.special import fdtri
 
@@ -311,7 +316,7 @@ def _distortion(
     # With less than the others have, one of these is distorted.
     if size <= sure or cubic * size <= MATTERS or abs(own.value) < size / 2.0:
         return
-    part = rounded(100.0 * size, 100.0 * coverage_factor(dof) * u, 0)
+    part = round_to_uncertainty(100.0 * size, 100.0 * coverage_factor(dof) * u, 0)
     output = channel.quantity == "output"
     others = "the load's motion explains" if output else "the outputs answer to"
     text = (
@@ -324,4 +329,4 @@ def _distortion(
         sign = "small" if flattened == output else "large"
         text += f"; if it is so by the cube, the ratio at the fundamental is too {sign} by about {300.0 * size:.2g} %"
     text += f"; U contains {100.0 * cubic * size:.2g} % in any direction"
-    yield Distortion(Doubt(channel.name, frequency_hz, cubic * size), Notice("warning", text, channel.name))
+    yield HarmonicDistortion(Doubt(channel.name, frequency_hz, cubic * size), Notice("warning", text, channel.name))

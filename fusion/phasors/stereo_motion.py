@@ -15,37 +15,28 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from fusion.base import (
-    AnyNotice,
-    ComputeError,
-    Executor,
-    InputError,
-    Keeper,
-    Pending,
-    ProgressCallback,
-    Settings,
-    Threads,
-    as_input_error,
-)
-from fusion.instruments.transducer import ROOM
-from fusion.phasors.followed import Followed, follow
-from fusion.phasors.shutter import Turned
-from fusion.phasors.timing import Sight, TimeBase, frame_places, see
-from fusion.recording.files import AlreadyRead
+from fusion.base import CheckpointStore, Executor, Pending, ProgressCallback, Settings, Threads
+from fusion.errors import ComputeError, InputError, as_input_error
+from fusion.instruments.transducer import STATIONARY
+from fusion.phasors.shutter import PhaseRotated
+from fusion.phasors.timing import Sight, TimeBase, frame_edges, frame_sight
+from fusion.phasors.tracked_blocks import TrackedBlocks, track_block
+from fusion.recording.daq_records import FileCache
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import MINIMUM_FRAMES, Images, PointFiles
 from fusion.recording.rig import Stereo
-from fusion.recording.values import FILE, Surface
-from photogram.calibration.file import read_calibration, read_camera
+from fusion.recording.values import FILE, SurfacePlane
+from photogram.calibration.calibration_file import read_calibration, read_camera
 from photogram.camera import FaceCamera, Rig, StereoRig
 from photogram.geometry import RigidTransform
-from photogram.images.exposure import examined
-from photogram.images.files import open_sequence
+from photogram.images.exposure import inspect_first_image
+from photogram.images.image_files import open_sequence
 from photogram.images.numbering import numbers_of_names
-from photogram.images.sequence import GreyImage, ImageSequence, copied_frames
-from shaker.arrays import BoolArray, FloatArray, Notice
-from shaker.lines.frequencies import Lines, find_lines
+from photogram.images.sequence import GreyImage, ImageSequence, find_copied_frames
+from shaker.arrays import BoolArray, FloatArray
+from shaker.lines.frequencies import LineFrequencies, find_lines
 from shaker.sine.aliasing import usable_lines
+from shakercal._common.notices import Notice
 
 if TYPE_CHECKING:
     from fusion.sensitivity.mode_shapes import ModeShapes
@@ -77,7 +68,7 @@ NO_MOTION = "no frame has enough points for a rigid motion"
 
 
 @dataclass(frozen=True)
-class OpenImages:
+class PreparedImages:
     """The images of one stereo pair, opened and checked: its sight, those of each camera, its rig, the first left one.
 
     `notices`: what the files do to the grey values, and what they say against the manifest.
@@ -90,7 +81,7 @@ class OpenImages:
     cameras: tuple[ImageSequence, ...]
     rig: Rig
     first: GreyImage
-    notices: tuple[AnyNotice, ...]
+    notices: tuple[Notice, ...]
     depth_m: tuple[float, float] | None
     modes: ModeShapes | None
     entry: Images
@@ -119,7 +110,7 @@ class ImageView:
     deformed: ShapeAmplitudes
     sigma_px: float
     zncc: float
-    turned: Turned | None = None
+    phase_rotated: PhaseRotated | None = None
 
 
 @dataclass(frozen=True)
@@ -136,17 +127,17 @@ class StereoMotion:
     deformation: Iterable[Deformation]
     reprojection_px: float
     view: ImageView | None
-    notices: tuple[AnyNotice, ...]
-    sought: BoolArray | None = None
+    notices: tuple[Notice, ...]
+    subset_frames: BoolArray | None = None
 
     @property
     def points_time_s(self) -> FloatArray:
         """When the frames in which points were looked for were exposed."""
-        return self.sight.time_s if self.sought is None else self.sight.time_s[self.sought]
+        return self.sight.time_s if self.subset_frames is None else self.sight.time_s[self.subset_frames]
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class RejectedPair:
     """A stereo pair that tells no motion, and `error`, which ends the run where nothing else measures one."""
 
     name: str
@@ -155,7 +146,7 @@ class LeftOut:
     @property
     def notice(self) -> Notice:
         """Return what the user is told where the other instruments are evaluated without the pair."""
-        why = self.error.found if isinstance(self.error, InputError) else str(self.error)
+        why = self.error.sentence
         why = why.removeprefix(f"stereo pair {self.name}: ")
         return Notice("warning", f"stereo pair {self.name} is left out: {why}", self.name)
 
@@ -165,7 +156,9 @@ def sensor_from_camera(stereo: Stereo) -> RigidTransform:
     return RigidTransform(np.array(stereo.rotation), np.array(stereo.translation))
 
 
-def open_images(manifest: Manifest, base: TimeBase, entry: Images, already: AlreadyRead | None = None) -> OpenImages:
+def prepare_images(
+    manifest: Manifest, base: TimeBase, entry: Images, already: FileCache | None = None
+) -> PreparedImages:
     """Open the images of one stereo pair and check all that can be checked before the work begins.
 
     A saturated image is refused when it is read; the first ones are read here.
@@ -186,34 +179,36 @@ def open_images(manifest: Manifest, base: TimeBase, entry: Images, already: Alre
     if entry.exposure == FILE:
         entry = entry.model_copy(update={"exposure": _stated_exposure(manifest, entry, sequences)})
     numbers = {side: images.numbers for (side, _), images in zip(entry.cameras, sequences, strict=True)}
-    place, remarks = frame_places(manifest, base, entry, numbers, len(left))
-    sight = see(manifest, base, entry, place, max(images.size_px[1] for images in sequences))
+    place, remarks = frame_edges(manifest, base, entry, numbers, len(left))
+    sight = frame_sight(manifest, base, entry, place, max(images.size_px[1] for images in sequences))
     rig = read_rig(sight.pair, sequences)
     first = []
     for number, (side, _) in enumerate(entry.cameras):
         with as_input_error(manifest.path, f"{key}.{side}"):
             first.append(sequences[number].read(0))
-            sequences[number] = examined(replace(sequences[number], most_saturated=MAX_SATURATED), first[number])
+            sequences[number] = inspect_first_image(
+                replace(sequences[number], most_saturated=MAX_SATURATED), first[number]
+            )
     copied, copies = _copies(entry, sequences)
     pair = _without_calibration_share(sight.pair, rig)
-    told: list[AnyNotice] = [*remarks, *copies, *(told for images in sequences for told in images.notices)]
+    told: list[Notice] = [*remarks, *copies, *(told for images in sequences for told in images.notices)]
     told += [told for images in sequences for told in _contradictions(sight, images)]
     x, y, *_ = entry.region or (0, 0)
     if x >= left.size_px[0] or y >= left.size_px[1]:
         expected = f"a part of pictures of {left.size_px[0]} x {left.size_px[1]} px"
         raise InputError(manifest.path, f"{key}.region", found=str(list(entry.region or ())), expected=expected)
-    known, load, modes = known_depth(manifest, pair), manifest.rig.load, None
+    known, load, modes = depth_range_m(manifest, pair), manifest.rig.load, None
     if pair.body == "load" and load is not None and any(part.measured_by for part in load.elastic):
         from fusion.sensitivity.mode_shapes import mode_shapes
 
         modes = mode_shapes(load, sight.name)
     placed = replace(sight, pair=pair)
-    return OpenImages(placed, tuple(sequences), rig, first[0], tuple(told), known, modes, entry, copied)
+    return PreparedImages(placed, tuple(sequences), rig, first[0], tuple(told), known, modes, entry, copied)
 
 
 def _copies(entry: Images, sequences: Sequence[ImageSequence]) -> tuple[BoolArray, list[Notice]]:
     """Return the frames (F,) in which a camera has an earlier one again, and what is said of them."""
-    found = [copied_frames(images) for images in sequences]
+    found = [find_copied_frames(images) for images in sequences]
     copied, told = np.any(found, axis=0), list[Notice]()
     for (side, _), images, own in zip(entry.cameras, sequences, found, strict=True):
         if own.any():
@@ -255,7 +250,7 @@ def _contradictions(sight: Sight, images: ImageSequence) -> list[Notice]:
     return [Notice("warning", text, images.names[0].rpartition("[")[0] or sight.name) for text in told]
 
 
-def known_depth(manifest: Manifest, pair: Stereo) -> tuple[float, float] | None:
+def depth_range_m(manifest: Manifest, pair: Stereo) -> tuple[float, float] | None:
     """Return the nearest and the farthest depth in the left camera at which the face that a pair sees can be.
 
     Known are the sensor's origin and the points of the channels on the pair's body; the face is taken to be no further
@@ -271,16 +266,16 @@ def known_depth(manifest: Manifest, pair: Stereo) -> tuple[float, float] | None:
     return float(depth.min()) - reach, float(depth.max()) + reach
 
 
-Motions = Callable[[ProgressCallback], tuple[StereoMotion | LeftOut, ...]]
+Motions = Callable[[ProgressCallback], tuple[StereoMotion | RejectedPair, ...]]
 
 
 @contextmanager
-def followed_pairs(
-    images: Sequence[OpenImages],
+def tracked_pairs(
+    images: Sequence[PreparedImages],
     settings: Settings,
     executor: Executor | None = None,
-    kept: Keeper | None = None,
-    lines: Lines | None = None,
+    checkpoints: CheckpointStore | None = None,
+    lines: LineFrequencies | None = None,
 ) -> Iterator[Motions]:
     """Begin to track the images of stereo pairs; what is yielded goes on, and returns the rigid motion of the body that
     each sees, or why there is none. In between the caller may do something else.
@@ -298,16 +293,20 @@ def followed_pairs(
         crew = here if executor is None else executor
         prepared = [crew.submit(0, _prepared, item, settings, lines) for item in images]
 
-        def motions(progress: ProgressCallback) -> tuple[StereoMotion | LeftOut, ...]:
-            begun, moved = [], list[LeftOut | Pending]()
+        def motions(progress: ProgressCallback) -> tuple[StereoMotion | RejectedPair, ...]:
+            begun, moved = [], list[RejectedPair | Pending]()
             for item, pending in zip(images, prepared, strict=True):
-                scene: BodyScene | LeftOut = _attempted(item, partial(_answer, item, pending))
-                followed = scene if isinstance(scene, LeftOut) else Followed(item, scene, settings.device, kept)
-                shares = () if isinstance(followed, LeftOut) else followed.missing()
-                asked = {share: crew.submit(1, follow, pending, share, settings.device) for share in shares}
+                scene: BodyScene | RejectedPair = _attempted(item, partial(_answer, item, pending))
+                followed = (
+                    scene
+                    if isinstance(scene, RejectedPair)
+                    else TrackedBlocks(item, scene, settings.device, checkpoints)
+                )
+                shares = () if isinstance(followed, RejectedPair) else followed.missing()
+                asked = {share: crew.submit(1, track_block, pending, share, settings.device) for share in shares}
                 begun.append((item, followed, asked))
             for item, followed, asked in begun:  # so that no block waits in memory for the motion of another pair
-                if isinstance(followed, LeftOut):
+                if isinstance(followed, RejectedPair):
                     moved.append(followed)
                     continue
                 stage, total = f"track {item.sight.name}", 2 * len(item.left)
@@ -318,14 +317,14 @@ def followed_pairs(
                 progress(stage, total, total)
                 moved.append(here.submit(2, _moved, item, followed))
             return tuple(
-                pending if isinstance(pending, LeftOut) else _attempted(item, partial(_answer, item, pending))
+                pending if isinstance(pending, RejectedPair) else _attempted(item, partial(_answer, item, pending))
                 for item, pending in zip(images, moved, strict=True)
             )
 
         yield motions
 
 
-def _attempted(images: OpenImages, act: Callable[[], T]) -> T | LeftOut:
+def _attempted(images: PreparedImages, act: Callable[[], T]) -> T | RejectedPair:
     """What an action on a pair returns, or that the pair is left out since its body is not found."""
     from photogram.subsets.find import BodyNotFound
 
@@ -334,27 +333,29 @@ def _attempted(images: OpenImages, act: Callable[[], T]) -> T | LeftOut:
     except InputError as error:
         if not isinstance(error.__cause__, BodyNotFound):
             raise
-        return LeftOut(images.sight.name, error)
+        return RejectedPair(images.sight.name, error)
 
 
-def _moved(images: OpenImages, followed: Followed) -> StereoMotion:
+def _moved(images: PreparedImages, followed: TrackedBlocks) -> StereoMotion:
     from photogram.measure.body import body_motion
 
     with as_input_error(*images.sight.where):
         body = body_motion(followed.scene, followed)
-    return seen_motion(images, body)
+    return motion_from_tracks(images, body)
 
 
-def _answer(images: OpenImages, pending: Pending) -> Any:
+def _answer(images: PreparedImages, pending: Pending) -> Any:
     """What a task about some images found; what it refused is told as wrong input."""
     answer = pending.result()
     with as_input_error(*images.sight.where):
-        return answer.opened()
+        return answer.unwrap()
 
 
-def _prepared(images: OpenImages, settings: Settings, lines: Lines | None) -> BodyScene:  # a task, so of this module
+def _prepared(
+    images: PreparedImages, settings: Settings, lines: LineFrequencies | None
+) -> BodyScene:  # a task, so of this module
     from photogram.kernels.device import resolve_device
-    from photogram.measure.follow import KnownBody, prepare_body, sine_terms
+    from photogram.measure.follow import BodyPrior, prepare_body, sine_terms
     from photogram.subsets.find import BodyNotFound
 
     left = int(np.count_nonzero(~images.copied))
@@ -366,20 +367,20 @@ def _prepared(images: OpenImages, settings: Settings, lines: Lines | None) -> Bo
         strongest = np.argsort(lines.multiple, kind="stable")  # mostly
         terms = sine_terms(images.sight.time_s, lines.frequency_hz[strongest])
     rolls = any(images.sight.pair.row_time)
-    known = KnownBody(images.depth_m, images.modes, rolls, terms, images.copied if images.copied.any() else None)
-    return prepare_body(*inputs, resolve_device(settings.device), known=known)
+    known = BodyPrior(images.depth_m, images.modes, rolls, terms, images.copied if images.copied.any() else None)
+    return prepare_body(*inputs, resolve_device(settings.device), prior=known)
 
 
-def measure_images(images: OpenImages, settings: Settings, progress: ProgressCallback) -> StereoMotion:
+def measure_images(images: PreparedImages, settings: Settings, progress: ProgressCallback) -> StereoMotion:
     """Track the image pairs of one stereo pair and fit the rigid motion of the body it sees."""
-    with followed_pairs((images,), settings) as motions:
+    with tracked_pairs((images,), settings) as motions:
         (found,) = motions(progress)
-    if isinstance(found, LeftOut):
+    if isinstance(found, RejectedPair):
         raise found.error
     return found
 
 
-def body_inputs(images: OpenImages, settings: Settings, lines: int | None = None) -> BodyInputs:
+def body_inputs(images: PreparedImages, settings: Settings, lines: int | None = None) -> BodyInputs:
     """Return what `photogram.measure` has to know of a stereo pair: its images, rig, pose, and how to track.
 
     Where so many `lines` are known, and points are not saved, a part of the frames tells what subsets are for beside
@@ -396,7 +397,7 @@ def body_inputs(images: OpenImages, settings: Settings, lines: int | None = None
     return images.cameras, images.rig, sensor_from_camera(images.sight.pair), options
 
 
-def seen_motion(images: OpenImages, body: BodyMotion) -> StereoMotion:
+def motion_from_tracks(images: PreparedImages, body: BodyMotion) -> StereoMotion:
     """Return the motion of the body that a stereo pair sees, with what its images tell of the pair itself."""
     from photogram.epipolar import check_epipolar
     from photogram.subsets.find import BodyNotFound
@@ -404,9 +405,9 @@ def seen_motion(images: OpenImages, body: BodyMotion) -> StereoMotion:
     if not np.isfinite(body.motion.pose).all(axis=1).any():
         with as_input_error(*images.sight.where):
             raise BodyNotFound(f"{NO_MOTION}; look at the images")
-    epipolar, told = None, tuple[AnyNotice, ...]([Notice("info", ALONE, "camera")])
+    epipolar, told = None, tuple[Notice, ...]([Notice("note", ALONE, "camera")])
     if isinstance(images.rig, StereoRig):
-        epipolar = check_epipolar(body.tracked, images.rig, body.sought)
+        epipolar = check_epipolar(body.tracked, images.rig, body.subset_frames)
         told = epipolar.notices
     medians = body.sigma_px, body.zncc
     return StereoMotion(
@@ -414,17 +415,19 @@ def seen_motion(images: OpenImages, body: BodyMotion) -> StereoMotion:
         body.motion,
         body.surface,
         body.reprojection_px,
-        ImageView(body.tracked, images.rig, images.first, body.noise, body.quality, epipolar, body.deformed, *medians),
+        ImageView(
+            body.tracked, images.rig, images.first, body.noise, body.quality, epipolar, body.shape_amplitudes, *medians
+        ),
         (*images.notices, *body.notices, *told),
-        body.sought,
+        body.subset_frames,
     )
 
 
-def still_calibrated(motion: StereoMotion) -> StereoMotion | LeftOut:
+def reject_decalibrated(motion: StereoMotion) -> StereoMotion | RejectedPair:
     """Return the motion of a pair that can be what was calibrated; any other pair is left out."""
     epipolar = None if motion.view is None else motion.view.epipolar
-    name, why = motion.sight.name, "" if epipolar is None else epipolar.refuted
-    return LeftOut(name, ComputeError(f"{why}; calibrate again")) if why else motion
+    name, why = motion.sight.name, "" if epipolar is None else epipolar.rejection_reason
+    return RejectedPair(name, ComputeError(f"{why}; calibrate again")) if why else motion
 
 
 def measure_points(manifest: Manifest, base: TimeBase, entry: PointFiles) -> StereoMotion:
@@ -435,8 +438,8 @@ def measure_points(manifest: Manifest, base: TimeBase, entry: PointFiles) -> Ste
     name, key = entry.stereo, f"points.{entry.stereo}.files"
     with as_input_error(manifest.path, key):
         table = read_point_tables(entry.files, entry.columns, entry.valid_status, entry.scale)
-    place, remarks = frame_places(manifest, base, entry, {"files": numbers_of_names(table.frames)}, len(table.frames))
-    sight = see(manifest, base, entry, place)
+    place, remarks = frame_edges(manifest, base, entry, {"files": numbers_of_names(table.frames)}, len(table.frames))
+    sight = frame_sight(manifest, base, entry, place)
     with as_input_error(manifest.path, key):
         points = points_with_estimated_noise(table.position_m, table.reference_m)
     placed = sensor_from_camera(sight.pair)
@@ -458,7 +461,7 @@ def read_rig(stereo: Stereo, sequences: Sequence[ImageSequence]) -> Rig:
         raise ComputeError("a stereo pair with images has no calibration")
     with as_input_error(path):
         rig = read_calibration(path) if stereo.surface is None else _before_surface(stereo, path, stereo.surface)
-    for images, (camera, _) in zip(sequences, rig.placed, strict=False):
+    for images, (camera, _) in zip(sequences, rig.camera_poses, strict=False):
         size = camera.size_px.tolist()
         if size != list(images.size_px):
             expected = f"{list(images.size_px)}, the size of {images.names[0]}"
@@ -466,7 +469,7 @@ def read_rig(stereo: Stereo, sequences: Sequence[ImageSequence]) -> Rig:
     return rig
 
 
-def _before_surface(stereo: Stereo, calibration: Path, surface: Surface) -> FaceCamera:
+def _before_surface(stereo: Stereo, calibration: Path, surface: SurfacePlane) -> FaceCamera:
     """Return the camera of a file before the surface that its pair states, both with what is uncertain of them."""
     camera, own = read_camera(calibration)
     stated = np.square([surface.distance_uncertainty, surface.tilt_uncertainty, surface.tilt_uncertainty])
@@ -489,7 +492,7 @@ def _without_calibration_share(stereo: Stereo, rig: Rig) -> Stereo:
     return stereo.model_copy(update={"pose_uncertainty": tuple(left.tolist())})
 
 
-def lines_seen(measured: StereoMotion, lines: Lines) -> tuple[BoolArray, tuple[Notice, ...]]:
+def resolved_lines(measured: StereoMotion, lines: LineFrequencies) -> tuple[BoolArray, tuple[Notice, ...]]:
     """Return which lines (K,) the frames tell apart, and a notice for each that is dropped."""
     order = np.lexsort((lines.frequency_hz, lines.multiple))  # fundamentals have precedence over harmonics
     usable = np.zeros(len(order), dtype=np.bool_)
@@ -502,7 +505,7 @@ def lines_seen(measured: StereoMotion, lines: Lines) -> tuple[BoolArray, tuple[N
     return usable, aliased
 
 
-def motion_lines(manifest: Manifest, base: TimeBase, motions: Sequence[StereoMotion]) -> tuple[Lines, Sight]:
+def motion_lines(manifest: Manifest, base: TimeBase, motions: Sequence[StereoMotion]) -> tuple[LineFrequencies, Sight]:
     """Find the lines in the motion itself, for recordings without any channel that shows the excitation.
 
     The camera trigger of the pair whose sight is returned is their clock, and its uncertainty part of theirs.
@@ -514,7 +517,7 @@ def motion_lines(manifest: Manifest, base: TimeBase, motions: Sequence[StereoMot
         expected = "the frequencies of the lines, since no channel shows them"
         raise InputError(manifest.path, "excitation.frequencies", found="none", expected=expected)
     reasons: list[str] = []
-    moving = [motion for motion in motions if motion.sight.pair.body != ROOM]
+    moving = [motion for motion in motions if motion.sight.pair.body != STATIONARY]
     for first in moving or motions:  # whose frames tell a fundamental from zero, the Nyquist rate and the others
         usable, notices = usable_lines(first.sight.time_s, np.array(excitation.frequencies, dtype=np.float64))
         if usable.any():
@@ -527,5 +530,5 @@ def motion_lines(manifest: Manifest, base: TimeBase, motions: Sequence[StereoMot
         lines = find_lines(first.sight.time_s, first.motion.pose, excitation.frequencies, excitation.harmonics)
     except ValueError as error:
         told = ValueError(f"{error} (motion seen by stereo pair {first.sight.name})")
-        raise InputError.told_by(told, manifest.path, "excitation.frequencies") from error
+        raise InputError.from_exception(told, manifest.path, "excitation.frequencies") from error
     return base.on_clock(lines, base.sight_errors(first.sight)), first.sight

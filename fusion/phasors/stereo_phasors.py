@@ -9,33 +9,35 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.base import AnyNotice, ComputeError, Threads
+from fusion.base import Threads
+from fusion.errors import ComputeError
 from fusion.estimation.measurement_model import Observation
 from fusion.instruments.channel import FittedError
 from fusion.instruments.stereo import StereoReading
-from fusion.instruments.transducer import ROOM
-from fusion.phasors.channels import spread_lines
+from fusion.instruments.transducer import STATIONARY
+from fusion.phasors.channel_phasors import expand_lines
 from fusion.phasors.deformation import DeflectionShape, ShapePhasors, deflection_shape, shape_phasors
 from fusion.phasors.image_effects import THROUGH, displacement, fit_about_mean, image_effects
-from fusion.phasors.stereo_motion import ImageView, LeftOut, StereoMotion, lines_seen
-from fusion.phasors.timing import Lateness, Sight, TimeBase, together
+from fusion.phasors.stereo_motion import ImageView, RejectedPair, StereoMotion, resolved_lines
+from fusion.phasors.timing import Sight, TimeBase, TimingError, combine_timing_errors
 from photogram.camera import FaceCamera, StereoRig
 from photogram.images.noise import NoiseModel
 from photogram.images.sequence import GreyImage
 from photogram.motion import Deformation, RigidMotion
-from shaker.arrays import ComplexArray, FloatArray, Notice, brief
+from shaker.arrays import ComplexArray, FloatArray, brief
 from shaker.labels import MOTION_COMPONENTS, component_units
-from shaker.lines.frequencies import Lines
+from shaker.lines.frequencies import LineFrequencies
 from shaker.sine.aliasing import (
     alias_frequency,
     exposure_gain,
     nearest_clear_rate,
     sine_columns,
 )
-from shaker.sine.fit import Stationarity, stationarity
 from shaker.sine.normal_equations import sine_amplitudes
 from shaker.sine.phasor import Phasors
+from shaker.sine.sine_fit import Stationarity, stationarity
 from shaker.sine.solve import SineFit
+from shakercal._common.notices import Notice
 
 if TYPE_CHECKING:
     from photogram.epipolar import EpipolarCheck
@@ -106,16 +108,16 @@ class StereoPhasors:
 
     result: StereoResult
     reading: StereoReading
-    notices: tuple[AnyNotice, ...]
+    notices: tuple[Notice, ...]
 
 
 def pairs_phasors(
     base: TimeBase,
     motions: Sequence[StereoMotion],
-    lines: Lines,
-    line_errors: Sequence[Lateness],
+    lines: LineFrequencies,
+    line_errors: Sequence[TimingError],
     strength: FloatArray | None,
-) -> tuple[tuple[StereoPhasors, ...], tuple[AnyNotice, ...], tuple[LeftOut, ...]]:
+) -> tuple[tuple[StereoPhasors, ...], tuple[Notice, ...], tuple[RejectedPair, ...]]:
     """Fit the lines to the motion of every stereo pair, and leave out the pairs whose rate tells no line apart.
 
     The notices name what was left out, line by line and pair by pair; the pairs whose motion takes no fit come last.
@@ -123,12 +125,12 @@ def pairs_phasors(
     `strength` (K,): the acceleration at each line relative to the strongest, as far as channels tell.
     """
     fitted: list[StereoPhasors] = []
-    unfitted: list[LeftOut] = []
-    notices: list[AnyNotice] = []
+    unfitted: list[RejectedPair] = []
+    notices: list[Notice] = []
     told_apart = []
     for measured in motions:
         name = measured.sight.name
-        usable, aliased = lines_seen(measured, lines)
+        usable, aliased = resolved_lines(measured, lines)
         notices += [Notice(notice.severity, f"stereo pair {name}: {notice.text}", name) for notice in aliased]
         if usable.any():
             told_apart.append(measured)
@@ -138,17 +140,17 @@ def pairs_phasors(
         pending = [crew.submit(0, stereo_phasors, base, one, lines, line_errors, strength) for one in told_apart]
         for measured, answer in zip(told_apart, pending, strict=True):
             try:
-                fitted.append(answer.result().opened())
+                fitted.append(answer.result().unwrap())
             except ComputeError as error:
-                unfitted.append(LeftOut(measured.sight.name, error))
+                unfitted.append(RejectedPair(measured.sight.name, error))
     return tuple(fitted), tuple(notices), tuple(unfitted)
 
 
 def stereo_phasors(
     base: TimeBase,
     measured: StereoMotion,
-    lines: Lines,
-    line_errors: Sequence[Lateness] = (),
+    lines: LineFrequencies,
+    line_errors: Sequence[TimingError] = (),
     strength: FloatArray | None = None,
 ) -> StereoPhasors:
     """Fit those lines to a body's motion about its mean pose that its frames tell apart.
@@ -159,22 +161,26 @@ def stereo_phasors(
     """
     sight, view = measured.sight, measured.view
     name, time_s, exposure = sight.name, sight.time_s, sight.exposure
-    usable, _ = lines_seen(measured, lines)
+    usable, _ = resolved_lines(measured, lines)
     if not usable.any():
         raise ComputeError(f"stereo pair {name}: {NO_LINE}")
     frequency_hz = lines.frequency_hz[usable]
     told = _step(name, time_s, measured.motion.pose[:, :3], frequency_hz)
     measured, from_mean, fit = fit_about_mean(measured, frequency_hz)
     gain = exposure_gain(lines.frequency_hz, exposure.length_s)
-    errors = [error.through(fit, usable, 2) for error in together([*base.sight_errors(sight), *line_errors])]
+    errors = [
+        error.through(fit, usable, 2) for error in combine_timing_errors([*base.sight_errors(sight), *line_errors])
+    ]
     errors += [] if strength is None else _left_out(measured, fit, lines, usable, gain * strength)
     errors = [error.scaled((1.0 / gain)[:, None]) for error in errors]
     moved, effects, shapes = displacement(measured, fit), dict[str, ComplexArray](), None
-    phasors = spread_lines(moved, usable, lines.frequency_hz).scaled((1.0 / gain)[:, None])
-    if view is not None and sight.pair.body != ROOM:  # they grow with the motion seen, of which a room has next to none
+    phasors = expand_lines(moved, usable, lines.frequency_hz).scaled((1.0 / gain)[:, None])
+    if (
+        view is not None and sight.pair.body != STATIONARY
+    ):  # they grow with the motion seen, of which a room has next to none
         effects, of_shapes = image_effects(measured, view, frequency_hz, usable, gain, told)
         if isinstance(view.rig, StereoRig):
-            of_motion = of_shapes, moved, view.turned
+            of_motion = of_shapes, moved, view.phase_rotated
             shapes = shape_phasors(time_s, frequency_hz, view.deformed, exposure.length_s, *of_motion)
     reading = StereoReading(
         name=name,
@@ -211,7 +217,7 @@ def stereo_phasors(
     return StereoPhasors(whole, reading, _named(measured, own))
 
 
-def _named(measured: StereoMotion, own: Sequence[AnyNotice]) -> tuple[Notice, ...]:
+def _named(measured: StereoMotion, own: Sequence[Notice]) -> tuple[Notice, ...]:
     """Return the notices of a motion and those that are its phasors' own, with the name of the pair."""
     name = measured.sight.name
     told = [*((f"{name}, {notice.where}", notice) for notice in measured.notices), *((name, notice) for notice in own)]
@@ -220,13 +226,13 @@ def _named(measured: StereoMotion, own: Sequence[AnyNotice]) -> tuple[Notice, ..
 
 def _row_time_error(measured: StereoMotion, phasors: Phasors) -> list[FittedError]:
     """Return what one standard uncertainty of the row time does: rows seem later by u times their number."""
-    turned, pair = None if measured.view is None else measured.view.turned, measured.sight.pair
+    turned, pair = None if measured.view is None else measured.view.phase_rotated, measured.sight.pair
     if turned is None or pair.row_time_uncertainty == 0.0:
         return []
-    later = 2j * np.pi * phasors.frequency_hz[:, None] * (np.nan_to_num(phasors.value) @ turned.late.T)
+    later = 2j * np.pi * phasors.frequency_hz[:, None] * (np.nan_to_num(phasors.value) @ turned.row_delay.T)
     name, none = f"stereo {measured.sight.name}: row time", np.zeros((len(later), 1), np.complex128)
     u = pair.row_time_uncertainty
-    return [FittedError(name, name, u, "s", none, "rig", rest=u * later)]
+    return [FittedError(name, name, u, "s", none, "rig", additive=u * later)]
 
 
 def _deflection(measured: StereoMotion, frequency_hz: FloatArray) -> DeflectionShape | None:
@@ -238,14 +244,14 @@ def _deflection(measured: StereoMotion, frequency_hz: FloatArray) -> DeflectionS
         return None
     length_s = measured.sight.exposure.length_s
     shape = deflection_shape(measured.points_time_s, frequency_hz, measured.deformation, length_s)
-    if measured.view is None or measured.view.turned is None:
+    if measured.view is None or measured.view.phase_rotated is None:
         return shape
-    turn = np.exp(-2j * np.pi * np.multiply.outer(frequency_hz, measured.view.turned.delay_s))
+    turn = np.exp(-2j * np.pi * np.multiply.outer(frequency_hz, measured.view.phase_rotated.delay_s))
     return replace(shape, value=shape.value * turn[..., None])
 
 
 def _left_out(
-    measured: StereoMotion, fit: SineFit, lines: Lines, usable: NDArray[np.bool_], strength: FloatArray
+    measured: StereoMotion, fit: SineFit, lines: LineFrequencies, usable: NDArray[np.bool_], strength: FloatArray
 ) -> list[FittedError]:
     """Return what motion at lines that were left out does to the others: twelve unknowns at each, Re and Im.
 
@@ -275,11 +281,13 @@ def _left_out(
                 label = f"motion at {frequency:.6g} Hz, left out of stereo {measured.sight.name}"
                 unit, none = component_units(0)[c], np.zeros((len(usable), 1), np.complex128)
                 name = f"{measured.sight.pair.body} at {frequency:.6g} Hz: {component}, {part}"
-                errors.append(FittedError(name, label, float(u[c // 3]), unit, none, rest=rest))
+                errors.append(FittedError(name, label, float(u[c // 3]), unit, none, additive=rest))
     return errors
 
 
-def _short_notices(lines: Lines, usable: NDArray[np.bool_], time_s: FloatArray, reading: StereoReading) -> list[Notice]:
+def _short_notices(
+    lines: LineFrequencies, usable: NDArray[np.bool_], time_s: FloatArray, reading: StereoReading
+) -> list[Notice]:
     """Say where a driven line's beat is longer than the record, and what that mixes into it exceeds the noise."""
     fitted = [error for error in reading.errors if isinstance(error, FittedError)]
     interval_s = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
@@ -296,7 +304,7 @@ def _short_notices(lines: Lines, usable: NDArray[np.bool_], time_s: FloatArray, 
         noise = float(reading.phasors.u_re[k, c] * np.abs(along))
         shares = {}
         for cause, clock in (("errors of its clock", True), ("motion at lines that it cannot tell apart", False)):
-            of_amplitude = [float((e.rest[k, c] * along).real) for e in fitted if np.any(e.effect) == clock]
+            of_amplitude = [float((e.additive[k, c] * along).real) for e in fitted if np.any(e.effect) == clock]
             shares[cause] = float(np.linalg.norm(of_amplitude))
         if beats >= ONE_BEAT or float(np.linalg.norm(list(shares.values()))) <= noise:
             continue
@@ -314,7 +322,7 @@ def _short_notices(lines: Lines, usable: NDArray[np.bool_], time_s: FloatArray, 
 
 
 def _jitter_notices(
-    base: TimeBase, sight: Sight, lines: Lines, usable: NDArray[np.bool_], reading: StereoReading
+    base: TimeBase, sight: Sight, lines: LineFrequencies, usable: NDArray[np.bool_], reading: StereoReading
 ) -> list[Notice]:
     """Say where the trigger's edges surely scatter, and what that may do to a driven line where it exceeds the noise.
 
@@ -370,7 +378,7 @@ def _step(name: str, time_s: FloatArray, position_m: FloatArray, frequency_hz: F
     fewest = design.shape[1] + FEWEST_BESIDE
     if len(seen) < fewest:
         told = "are too few to tell whether its body stayed elsewhere from one of them on, touched or taken for a copy"
-        return [Notice("info", f"{len(seen)} frames {told} of itself; that takes {fewest}", "frames")]
+        return [Notice("note", f"{len(seen)} frames {told} of itself; that takes {fewest}", "frames")]
     base, _ = np.linalg.qr(design)
     split = np.arange(2, len(seen) - 1)  # first frame behind the step; two on either side
 
@@ -398,9 +406,9 @@ def _step(name: str, time_s: FloatArray, position_m: FloatArray, frequency_hz: F
     return [Notice("warning", f"{text}: was it touched? What that does to the lines is in U", f"frame {frames}")]
 
 
-def unseen_fundamentals(
-    seen: Sequence[Observation], lines: Lines, folded: Sequence[AnyNotice]
-) -> tuple[AnyNotice, ...]:
+def unresolved_fundamentals(
+    seen: Sequence[Observation], lines: LineFrequencies, folded: Sequence[Notice]
+) -> tuple[Notice, ...]:
     """Return a notice for each driven line at which no instrument sees a motion, and refuse a recording without any.
 
     `folded`: what was said of the lines that camera rates cannot tell apart.

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fusion.base import ARGUMENT, InputError, as_input_error
+from fusion.errors import ARGUMENT, InputError, as_input_error
 from fusion.estimation.uncertainty import Kind as ErrorType
 from fusion.estimation.uncertainty import Scope
 from fusion.instruments.channel import FittedError
@@ -20,14 +20,15 @@ from fusion.recording.manifest import Frames, Images, PointFiles
 from fusion.recording.rig import Stereo
 from fusion.recording.values import FILE, PULSE
 from photogram.images.numbering import FrameNumbers
-from shaker.arrays import BoolArray, FloatArray, IntArray, Notice
+from shaker.arrays import BoolArray, FloatArray, IntArray
 from shaker.timebase.tie import ClockTie, edge_instants, tie_clocks
 from shaker.timebase.trigger import PulseWidth, TriggerFit
+from shakercal._common.notices import Notice
 
 if TYPE_CHECKING:
-    from fusion.recording.files import DaqRecord
+    from fusion.recording.daq_records import DaqRecord
     from fusion.recording.load import Manifest
-    from shaker.lines.frequencies import Lines
+    from shaker.lines.frequencies import LineFrequencies
     from shaker.sine.solve import SineFit
 
 
@@ -50,7 +51,7 @@ class Sight:
 
 
 @dataclass(frozen=True)
-class Lateness:
+class TimingError:
     """One unknown of clocks, triggers or lines, by what one standard uncertainty `u` of it does.
 
     Times seem later by `offset_s` + `rate`·t, t on the first block's clock, and the frequencies of the K lines greater
@@ -78,17 +79,17 @@ class Lateness:
         stretch = np.zeros(len(omega))
         stretch[:lines] = self.stretch[seen] if self.stretch.ndim else self.stretch
         turn = -1j * omega * (self.offset_s + (self.rate + stretch) * fit.middle_s) + order * stretch
-        slopes = fit.of_slopes((-1j * omega * (self.rate + stretch))[:, None] * value)
+        slopes = fit.slope_response((-1j * omega * (self.rate + stretch))[:, None] * value)
         effect = np.zeros((len(seen), 1), dtype=np.complex128)
         rest = np.zeros((len(seen), value.shape[1]), dtype=np.complex128)
         effect[seen, 0], rest[seen] = turn[:lines], slopes[:lines]
         kind: ErrorType = "B" if np.isinf(self.dof) else "A"
-        return FittedError(self.name, self.name, self.u, self.unit, effect, self.scope, kind, self.dof, rest=rest)
+        return FittedError(self.name, self.name, self.u, self.unit, effect, self.scope, kind, self.dof, additive=rest)
 
 
-def together(errors: Iterable[Lateness]) -> tuple[Lateness, ...]:
+def combine_timing_errors(errors: Iterable[TimingError]) -> tuple[TimingError, ...]:
     """Return every unknown once, what it does added up."""
-    merged: dict[str, Lateness] = {}
+    merged: dict[str, TimingError] = {}
     for error in errors:
         known = merged.get(error.name)
         merged[error.name] = (
@@ -196,7 +197,7 @@ class TimeBase:
         """Return the first block that records a trigger, and its fit."""
         return next((daq, fit) for (daq, name), fit in self.triggers.items() if name == trigger)
 
-    def tie_errors(self, daq: str) -> tuple[Lateness, ...]:
+    def tie_errors(self, daq: str) -> tuple[TimingError, ...]:
         """Return what the tie of a block's clock to the first one leaves open, none for the first.
 
         What it follows of an error of the first block's trigger is that unknown, which the frames have, too.
@@ -204,7 +205,7 @@ class TimeBase:
         tie = self.ties[daq]
         if tie is None:
             return ()
-        found: list[Lateness] = []
+        found: list[TimingError] = []
         own = tie.covariance - tie.noise
         if tie.follows is not None and tie.beside is not None:
             name = self.shared_triggers(self.records[0].entry.name, daq)[0]
@@ -218,7 +219,7 @@ class TimeBase:
                 offset_s, rate = (tie.follows @ error).tolist()
                 rate /= tie.rate  # on the first clock
                 offset_s -= rate * tie.offset_s
-                found.append(Lateness(f"{name}: {kind}", u, unit, offset_s, rate, np.zeros(()), dof, "start"))
+                found.append(TimingError(f"{name}: {kind}", u, unit, offset_s, rate, np.zeros(()), dof, "start"))
         parts: tuple[tuple[str, FloatArray, Scope], ...] = (
             ("", own, "start"),
             (" (noise of its edges)", tie.noise, "recording"),
@@ -229,7 +230,7 @@ class TimeBase:
             found += _straight_errors(f"clock {daq}{what}", at_s, line.u_value, rate, tie.pairs, scope)
         return tuple(error for error in found if error.u > 0.0)
 
-    def sight_errors(self, sight: Sight) -> tuple[Lateness, ...]:
+    def sight_errors(self, sight: Sight) -> tuple[TimingError, ...]:
         """Return what the trigger's periodic model, and the tie of its clock, leave open of the frames' instants.
 
         Frames that follow what was seen of each edge follow the model by `model_share` only; what is open of all edges
@@ -249,13 +250,13 @@ class TimeBase:
         )
 
     @staticmethod
-    def on_clock(lines: Lines, clock: Sequence[Lateness]) -> Lines:
+    def on_clock(lines: LineFrequencies, clock: Sequence[TimingError]) -> LineFrequencies:
         """Return lines that were found on a clock with these errors, its rate's among those of their frequencies."""
         rate = float(np.sqrt(sum(error.rate**2 for error in clock)))
         return replace(lines, u_frequency_hz=np.hypot(lines.u_frequency_hz, rate * lines.frequency_hz))
 
     @staticmethod
-    def line_errors(lines: Lines, clock: Sequence[Lateness]) -> tuple[Lateness, ...]:
+    def line_errors(lines: LineFrequencies, clock: Sequence[TimingError]) -> tuple[TimingError, ...]:
         """Return what is open of the frequencies of lines `on_clock`s with these errors.
 
         A clock that runs fast makes them small. What is left of `u_frequency_hz` is each fundamental's own.
@@ -267,7 +268,7 @@ class TimeBase:
             group = lines.nominal_hz == f
             u_hz = float(own[group][np.argmin(lines.multiple[group])])
             stretch = np.where(group, own / lines.frequency_hz, 0.0)
-            shared.append(Lateness(f"frequency of {f:.6g} Hz", u_hz, "Hz", 0.0, 0.0, stretch))
+            shared.append(TimingError(f"frequency of {f:.6g} Hz", u_hz, "Hz", 0.0, 0.0, stretch))
         return tuple(shared)
 
     def shared_triggers(self, first: str, second: str) -> list[str]:
@@ -315,15 +316,15 @@ class TimeBase:
 
 def _straight_errors(
     name: str, at_s: float, u_s: float, rate: float, edges: int, scope: Scope = "start"
-) -> tuple[Lateness, ...]:
+) -> tuple[TimingError, ...]:
     """Return the errors of a time base that is known to `u_s` at the time `at_s`, and independently to its `rate`.
 
     Both from as many `edges`, of which the line takes two degrees of freedom.
     """
     steady, dof = np.zeros(()), float(max(edges - 2, 1))
     both = (
-        Lateness(f"{name}: time", u_s, "s", u_s, 0.0, steady, dof, scope),
-        Lateness(f"{name}: rate", rate, "1", -rate * at_s, rate, steady, dof, scope),
+        TimingError(f"{name}: time", u_s, "s", u_s, 0.0, steady, dof, scope),
+        TimingError(f"{name}: rate", rate, "1", -rate * at_s, rate, steady, dof, scope),
     )
     return tuple(error for error in both if error.u > 0.0)
 
@@ -337,7 +338,7 @@ def tie_daqs(manifest: Manifest, records: Sequence[DaqRecord]) -> TimeBase:
         for channel in (channel for channel in record.entry.channel if channel.quantity == "trigger"):
             with as_input_error(record.entry.file, channel.name):
                 fit = record.fit_trigger(channel)
-            triggers[record.entry.name, channel.name] = fit.later_by(record.lag_s(channel.name) - channel.delay)
+            triggers[record.entry.name, channel.name] = fit.delay_by(record.lag_s(channel.name) - channel.delay)
     ties: dict[str, ClockTie | None] = {first: None}
     time_base = TimeBase(tuple(records), triggers, ties)
     for other in others:
@@ -354,7 +355,9 @@ def tie_daqs(manifest: Manifest, records: Sequence[DaqRecord]) -> TimeBase:
     return time_base
 
 
-def see(manifest: Manifest, base: TimeBase, entry: Images | PointFiles, frames: int | IntArray, rows: int = 1) -> Sight:
+def frame_sight(
+    manifest: Manifest, base: TimeBase, entry: Images | PointFiles, frames: int | IntArray, rows: int = 1
+) -> Sight:
     """Return how long and when each of some frames was exposed: its middle is edge + delay + exposure / 2.
 
     `frames`: how many, one after the other, or how many edges after the first one's each was exposed (F,). Of pictures
@@ -408,7 +411,7 @@ def see(manifest: Manifest, base: TimeBase, entry: Images | PointFiles, frames: 
     return Sight(entry.stereo, pair, exposure, np.asarray(middle_s), share, (manifest.path, key), first + place)
 
 
-def frame_places(
+def frame_edges(
     manifest: Manifest,
     base: TimeBase,
     entry: Images | PointFiles,
@@ -428,8 +431,8 @@ def frame_places(
     if first is None:
         return np.arange(frames) * (entry.edge_step or 1), ()
     for other, numbers in [(other, cameras[other]) for other in cameras if other != side]:
-        place, step = (np.arange(frames), first.step) if numbers is None else (numbers.place, numbers.step)
-        if not np.array_equal(place, first.place) or step != first.step:
+        place, step = (np.arange(frames), first.step) if numbers is None else (numbers.frame_index, numbers.step)
+        if not np.array_equal(place, first.frame_index) or step != first.step:
             found = " and ".join(f"{name}: {_gap(one)}" for name, one in cameras.items())
             raise InputError(manifest.path, f"{key}.{other}", found, "the same numbers of frames in both cameras")
         if numbers is not None and first.exact and numbers.exact and 0 < _later(first, numbers) < frames:
@@ -439,18 +442,18 @@ def frame_places(
             )
             told.append(Notice("warning", text, entry.stereo))
     trigger = base.first_with(entry.trigger)[1]
-    edges, last = trigger.edges - (entry.first_edge or 0), int(first.place[-1])
+    edges, last = trigger.edges - (entry.first_edge or 0), int(first.frame_index[-1])
     if entry.edge_step is None and first.step > 1 and first.step * last < edges:
         found = f"none, numbers of files that count by {first.step} and {trigger.edges} edges in {entry.trigger}"
         expected = f"1, where each frame has the next edge, or {first.step}, where edges between have no frame"
         raise InputError(manifest.path, f"{key}.edge_step", found, expected)
     every = entry.edge_step or 1
     if not first.missing:
-        return first.place * every, tuple(told)
+        return first.frame_index * every, tuple(told)
     gap = f"a gap in the numbering of {frames} files ({first.first} to {first.last}): missing {first.missing}"
     if every * last < edges:
         text = f"{gap}; the frames after it are dated by their numbers"
-        return first.place * every, (*told, Notice("warning", text, entry.stereo))
+        return first.frame_index * every, (*told, Notice("warning", text, entry.stereo))
     if first.exact:
         expected = f"an edge in {entry.trigger} for each number, {every * last + 1} from the first frame on"
         raise InputError(manifest.path, f"{key}.trigger", f"{edges} edges and {gap}", expected)

@@ -11,25 +11,35 @@ from typing import Any
 
 import numpy as np
 
-from fusion.base import AnyNotice, ComputeError, InputError, rounded
+from fusion.base import round_to_uncertainty
+from fusion.errors import ComputeError, InputError
 from fusion.instruments.channel import errors_are_stated, scale_is_stated
-from fusion.instruments.transducer import TRANSDUCERS, Beams, chain_name
+from fusion.instruments.transducer import TRANSDUCERS, LaserBeams, chain_name
 from fusion.instruments.vibrometer import beam_notices
-from fusion.phasors.channels import folding, folds_told
+from fusion.phasors.channel_phasors import describe_folds, folding
 from fusion.phasors.timing import no_pulse_width
-from fusion.planning.observability import BODIES, TOGETHER, Observability, no_rig, observable, observed_by, told_alone
-from fusion.recording.excitation import KINDS, Recorded
-from fusion.recording.files import AlreadyRead, read_set_ups, recorded_channels, scanned_points, split_scan
+from fusion.planning.observability import (
+    BODIES,
+    TOGETHER,
+    Observability,
+    calibration_problems,
+    describe_single_cameras,
+    instrument_observability,
+    observable_components,
+)
+from fusion.recording.daq_records import FileCache, read_set_ups, recorded_channels, scanned_points, split_scan
+from fusion.recording.excitation import KINDS, RecordedChannels
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry, Daq, Frames, Images
-from fusion.recording.plausible import doubts
+from fusion.recording.plausibility import plausibility_notices
 from fusion.recording.response import check_response, read_response
 from fusion.recording.rig import Rig, Stereo
-from fusion.recording.toml import quoted
-from fusion.recording.units import unit_doubts
+from fusion.recording.toml import quote_key
+from fusion.recording.units import unit_notices
 from fusion.recording.values import PULSE
 from shaker.frf.chain import ChainResponse
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
+from shakercal._common.notices import Notice
 
 RIG, NO_REFERENCE = "rig.toml", "no channel"
 REFERENCE_HZ = 160.0
@@ -53,7 +63,7 @@ class CheckReport:
     remarks: tuple[str, ...]
     problems: tuple[str, ...]
 
-    def beyond(self, shown: set[str]) -> CheckReport:
+    def without_repeats(self, shown: set[str]) -> CheckReport:
         """Return the report without what other recordings `shown` before have of files outside their folders.
 
         Such are those of the rig, which a campaign shows once; what this report has of them is added.
@@ -99,32 +109,35 @@ def check(manifest: Manifest) -> CheckReport:
         excitation: sine at 80 Hz
     ...
     """
-    already = AlreadyRead()
-    report = inspect(manifest, already)
+    already = FileCache()
+    report = inspect_recording(manifest, already)
     if report.problems:
         return report
-    problems, notices = refused(manifest, already)
+    problems, notices = read_for_command(manifest, already)
     warned = [f"{notice.where}: {notice.text}" for notice in notices if notice.severity == "warning"]
     return replace(report, problems=tuple(problems), remarks=(*report.remarks, *warned))
 
 
-def inspect(manifest: Manifest, already: AlreadyRead) -> CheckReport:
+def inspect_recording(manifest: Manifest, already: FileCache) -> CheckReport:
     """Return contents, what can be observed, and the problems of single files; what is read of these is `already`."""
     kind, excitation = KINDS[manifest.excitation.kind], manifest.excitation
     remarks = [
         *kind.command_remark,
-        *(f"{notice.where}: {notice.text}" for notice in (*manifest.certified, *doubts(manifest))),
+        *(
+            f"{notice.where}: {notice.text}"
+            for notice in (*manifest.certificate_notices, *plausibility_notices(manifest))
+        ),
     ]
-    if kind.tabled and excitation.file is not None:
+    if kind.readings_in_table and excitation.file is not None:
         contents, problems = _table(manifest, excitation.file)
         return CheckReport(manifest.name, manifest.path, tuple(contents), (), tuple(remarks), tuple(problems))
     takes = [take for _, block in manifest.set_ups for take in _takes(block)]
     contents, problems = _contents(manifest, takes, already)
     named = {(where, daq.name): (block, daq) for where, block in manifest.set_ups for daq in block.daq}
-    doubted = [unit_doubts(*named[place], raw) for place, raw in already.channels.items()]
+    doubted = [unit_notices(*named[place], raw) for place, raw in already.channels.items()]
     remarks += [f"{notice.where}: {notice.text}" for notices in doubted for notice in notices]
-    observed = observed_by(manifest.rig, takes)
-    alone = told_alone(manifest.rig, takes, observed, already)
+    observed = instrument_observability(manifest.rig, takes)
+    alone = describe_single_cameras(manifest.rig, takes, observed, already)
     blank = _blank(takes, already)
     seen = {item.instrument for item in observed} - {TOGETHER} - {f"stereo {name}" for name, _ in blank}
     (remarks if seen else problems).extend(text for _, text in blank)
@@ -143,11 +156,11 @@ def inspect(manifest: Manifest, already: AlreadyRead) -> CheckReport:
     else:
         outputs = tuple(entry.channel for entry in entries if entry.quantity == "output")
         forces = tuple(entry.name for entry in entries if entry.quantity == "force")
-        remarks += kind.remarks(excitation, Recorded(outputs, forces, len(takes)))
+        remarks += kind.remarks(excitation, RecordedChannels(outputs, forces, len(takes)))
     return CheckReport(manifest.name, manifest.path, tuple(contents), tuple(observed), tuple(remarks), tuple(problems))
 
 
-def refused(manifest: Manifest, already: AlreadyRead) -> tuple[list[str], list[AnyNotice]]:
+def read_for_command(manifest: Manifest, already: FileCache) -> tuple[list[str], list[Notice]]:
     """What the command that evaluates a recording refuses of its files, and what it says of them.
 
     An image beyond the first is not looked at.
@@ -162,27 +175,27 @@ def refused(manifest: Manifest, already: AlreadyRead) -> tuple[list[str], list[A
         return [], []
 
 
-def _read_as(command: str, manifest: Manifest, already: AlreadyRead) -> list[AnyNotice]:
+def _read_as(command: str, manifest: Manifest, already: FileCache) -> list[Notice]:
     """Read what a command reads, and return its notices; its modules are imported for it alone."""
-    notices = list[AnyNotice]()
+    notices = list[Notice]()
     if command == "run":
-        from fusion.phasors.setup import open_set_ups, with_channels
+        from fusion.phasors.set_up import prepare_set_ups, with_channels
 
-        for opened in open_set_ups(manifest, already):
+        for opened in prepare_set_ups(manifest, already):
             notices += [notice for images in opened.images for notice in images.notices]
             notices += [notice for channel in with_channels(opened, shown=False).channels for notice in channel.notices]
     elif command == "transfer":
-        from fusion.sensor.transfer.evaluate import estimated
-        from fusion.sensor.transfer.records import TransferSettings, read_together
+        from fusion.sensor.transfer.transfer_evaluation import estimate_transfer
+        from fusion.sensor.transfer.transfer_records import TransferSettings, read_synchronous
 
-        for together in read_together(manifest):
-            notices += estimated(manifest, together, TransferSettings()).notices
+        for together in read_synchronous(manifest):
+            notices += estimate_transfer(manifest, together, TransferSettings()).notices
     elif command == "step":
-        from fusion.sensor.step.releases import read_recording
+        from fusion.sensor.step.step_releases import read_recording
 
         notices += read_recording(manifest)[1]
     else:
-        from fusion.sensor.rotate.readings import read_rotation
+        from fusion.sensor.rotate.rotation_readings import read_rotation
 
         read_rotation(manifest)
     return notices
@@ -195,8 +208,8 @@ def check_together(manifests: Sequence[Manifest]) -> list[str]:
     told = list[str]()
     if max(len(loads), len(transfers)) < 2:
         return told
-    from fusion.sensor.identify.measured import check_sensor
-    from fusion.sensor.load.evaluate import check_one_sensor
+    from fusion.sensor.identify.identification_inputs import check_sensor
+    from fusion.sensor.load.load_evaluation import check_one_sensor
 
     for own, check_them in ((loads, check_one_sensor), (transfers, check_sensor)):
         try:
@@ -232,7 +245,7 @@ def _takes(block: Manifest) -> list[Manifest]:
         return [block]
 
 
-def _contents(manifest: Manifest, takes: Sequence[Manifest], already: AlreadyRead) -> tuple[list[str], list[str]]:
+def _contents(manifest: Manifest, takes: Sequence[Manifest], already: FileCache) -> tuple[list[str], list[str]]:
     """One line for each file group, and what is wrong with it; what is read for it is `already` there."""
     excitation = manifest.excitation
     lines = ", ".join(f"{line:g} Hz" for line in excitation.frequencies or ())
@@ -296,7 +309,7 @@ def _without_place(manifest: Manifest, takes: Sequence[Manifest]) -> list[str]:
     for part in manifest.rig.load.elastic if manifest.rig.load is not None else ():
         missing = [name for name in dict.fromkeys(names) if part.mode and name not in part.mode[0].displacement]
         if missing:
-            key = f"load.elastic.{quoted(part.name)}.mode.displacement"
+            key = f"load.elastic.{quote_key(part.name)}.mode.displacement"
             told.append(
                 f"{manifest.rig_path.name}: {key}: expected every instrument on the load, found no {missing[0]}"
             )
@@ -318,7 +331,7 @@ def _heads(entries: Sequence[ChannelEntry]) -> list[str]:
     return told
 
 
-def _read_daq(block: Manifest, daq: Daq, where: str, already: AlreadyRead) -> tuple[str, list[str]]:
+def _read_daq(block: Manifest, daq: Daq, where: str, already: FileCache) -> tuple[str, list[str]]:
     """Channels of a DAQ file, with samples and rate as the file has them."""
     listed = ", ".join(f"{entry.name} ({entry.quantity})" for entry in daq.channel)
     told = f"daq {daq.name}: {daq.file.name}, {_size([daq.file])}: {listed}"
@@ -336,24 +349,24 @@ def _read_daq(block: Manifest, daq: Daq, where: str, already: AlreadyRead) -> tu
     told += f"; {first.samples.size} samples at {first.sample_rate_hz:g} Hz"
     told += "" if first.gap is None else f", not uniform: {first.gap}"
     folds = folding(block.excitation.frequencies or (), first.sample_rate_hz, first.samples.size)
-    told += f" ({folds_told(folds)} unless an anti-aliasing filter keeps it off)" if folds else ""
+    told += f" ({describe_folds(folds)} unless an anti-aliasing filter keeps it off)" if folds else ""
     told += "" if points is None else f", a scan of {len(points)} points, each a take"
     return told, [f"daq {daq.name}: channel {name} holds values that are no finite numbers" for name in holes]
 
 
-def _read_images(images: Images, pair: Stereo, already: AlreadyRead, highest_hz: float) -> tuple[str, list[str]]:
+def _read_images(images: Images, pair: Stereo, already: FileCache, highest_hz: float) -> tuple[str, list[str]]:
     """Frames of each camera, with their size as the files have it, and whether the pair's calibration is one of it.
 
     Of a rolling shutter also how much later the last row is exposed, and how far a line at most turns meanwhile.
     """
-    from photogram.images.files import open_sequence
+    from photogram.images.image_files import open_sequence
 
     told = f"images {images.stereo}: {_size([*images.left, *images.right])}"
     try:
         for _, paths in images.cameras:
             already.images[paths, images.bit_depth] = open_sequence(paths, images.bit_depth)
     except (OSError, ValueError) as error:
-        return told, [f"images {images.stereo}: {' '.join(str(error).split())}", *no_rig(pair, ())]
+        return told, [f"images {images.stereo}: {' '.join(str(error).split())}", *calibration_problems(pair, ())]
     sequences = [already.images[paths, images.bit_depth] for _, paths in images.cameras]
     left = sequences[0]
     told += f", {len(left)} frames of {left.size_px[0]} x {left.size_px[1]} px, grey values up to {left.full_scale:g}"
@@ -362,7 +375,7 @@ def _read_images(images: Images, pair: Stereo, already: AlreadyRead, highest_hz:
         read_s = pair.readout_s(left.size_px[1])
         told += f", rows exposed one after the other over {1e3 * read_s:.4g} ms"
         told += f" ({360.0 * highest_hz * read_s:.3g}° at {highest_hz:g} Hz)" if highest_hz else ""
-    wrong = no_rig(pair, sequences)
+    wrong = calibration_problems(pair, sequences)
     if len(left) != len(sequences[-1]):
         wrong.append(f"images {images.stereo}: {len(left)} frames left and {len(sequences[-1])} right")
     if len(left) < 3:
@@ -370,16 +383,16 @@ def _read_images(images: Images, pair: Stereo, already: AlreadyRead, highest_hz:
     return told, wrong
 
 
-def _blank(takes: Sequence[Manifest], already: AlreadyRead) -> list[tuple[str, str]]:
+def _blank(takes: Sequence[Manifest], already: FileCache) -> list[tuple[str, str]]:
     """Stereo pairs whose first image shows no pattern, each with what is said of it; `run` leaves them out."""
-    from photogram.images.exposure import without_pattern
+    from photogram.images.exposure import missing_pattern_reason
 
     told = list[tuple[str, str]]()
     for images in (images for take in takes for images in take.images):
         for side, paths in images.cameras:
             sequence = already.images.get((paths, images.bit_depth))
             with suppress(OSError, ValueError):  # of which the command that reads it says more
-                why = without_pattern(sequence.read(0), sequence.full_scale) if sequence is not None else ""
+                why = missing_pattern_reason(sequence.read(0), sequence.full_scale) if sequence is not None else ""
                 if why:
                     told.append((images.stereo, f"images {images.stereo}: {side}: no pattern is seen: {why}"))
     return told
@@ -396,7 +409,7 @@ def _exposure(block: Manifest, frames: Frames) -> tuple[str, list[str]]:
         return told, [str(error)]
     except ValueError as error:
         return told, [str(no_pulse_width(block, daq.name, frames, error))]
-    width, expanded, _ = rounded(1e6 * pulse.width_s, 2e6 * pulse.u_width_s, 0)
+    width, expanded, _ = round_to_uncertainty(1e6 * pulse.width_s, 2e6 * pulse.u_width_s, 0)
     return f"{told}, ({width} ± {expanded}) µs, U (k = 2)", []
 
 
@@ -417,11 +430,13 @@ def _motion_remarks(
     told = []
     rows = {body: np.vstack([np.zeros((0, 6)), *(o.rows for o in observed if o.body == body)]) for body in BODIES}
     for body in BODIES:
-        unseen = [name for name, seen in zip(MOTION_COMPONENTS, observable(rows[body]), strict=True) if not seen]
+        unseen = [
+            name for name, seen in zip(MOTION_COMPONENTS, observable_components(rows[body]), strict=True) if not seen
+        ]
         if 0 < len(unseen) < 6:
             told.append(f"{body}: no instrument observes {' '.join(unseen)}")
     told += [f"{body} has no instrument" for body in BODIES if len(rows[body]) == 0]
-    seen_of_load = observable(rows["load"])
+    seen_of_load = observable_components(rows["load"])
     hidden = [i for i, share in enumerate(direction) if share and not seen_of_load[i] and len(rows["load"])]
     told += [f"load: no instrument observes the driven component {LOAD_COMPONENTS[i]}" for i in hidden]
     if rig.load is None:
@@ -449,7 +464,7 @@ def _unstated(manifest: Manifest, entries: Sequence[ChannelEntry], pairs: Collec
             if entry.response is not None and file not in read:
                 read[file] = read_response(entry.response, lines, entry.response_result, entry.response_columns)
             readable.append((entry, read.get(file)))
-    beams = Beams.of([entry for entry, _ in readable])
+    beams = LaserBeams.of([entry for entry, _ in readable])
     instruments = [(str(entry.body), entry.quantity, chain_name(entry)) for entry, _ in readable]
     stated = {
         name for name, (entry, response) in zip(instruments, readable, strict=True)

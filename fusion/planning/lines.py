@@ -10,20 +10,22 @@ from pathlib import Path
 
 import numpy as np
 
-from fusion.base import K2, AnyNotice, InputError, rounded
-from fusion.phasors.channels import MOST_BINS, gaps_filled, line_record, lines_in
+from fusion.base import K2, round_to_uncertainty
+from fusion.errors import InputError
+from fusion.phasors.channel_phasors import MOST_BINS, fill_gaps, line_record, lines_of_record
 from fusion.phasors.timing import tie_daqs
-from fusion.recording.files import check_uniform, read_set_ups, told_in
+from fusion.recording.daq_records import check_uniform, errors_in_set_up, read_set_ups
 from fusion.recording.load import Manifest
-from fusion.report.terminal import say, stdout_console
+from fusion.report.terminal import print_text, stdout_console
 from shaker.arrays import FloatArray, Stacked
 from shaker.io import read_channels
 from shaker.io.channel import RawChannel
 from shaker.lines.detection import Survey, decibel, survey_lines
-from shaker.lines.frequencies import Lines
+from shaker.lines.frequencies import LineFrequencies
 from shaker.lines.spectrum import Spectrum, amplitude_spectrum
 from shaker.sine.aliasing import alias_frequency
-from shaker.sine.fit import fit_sines
+from shaker.sine.sine_fit import fit_sines
+from shakercal._common.notices import Notice
 
 COLUMNS = ("channel", "frequency_hz", "u_frequency_hz", "amplitude", "u_amplitude", "unit", "floor_db", "what", "use")
 WHY, WHY_WIDTH = "what and why", 18
@@ -34,7 +36,7 @@ _HANN_NOISE = 3.0  # noise power in a bin of the figure's spectrum over the vari
 
 
 @dataclass(frozen=True)
-class Entry:
+class LineEntry:
     """One line: `amplitude`, `u_amplitude` (C,) NaN where it does not stand out; `floor_db` above the noise in a bin.
 
     `use`: what a run does with it (empty for a file); `places`: where each camera sees it, in Hz.
@@ -47,11 +49,11 @@ class Entry:
     floor_db: float
     what: str
     use: str = ""
-    places: tuple[float, ...] = ()
+    alias_hz: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
-class LineList:
+class ChannelLines:
     """Lines of channels sampled together, in ascending frequency, with their noise floor, and spectrum if drawn.
 
     `cameras`: name and rate (Hz) of what sees the lines aliased.
@@ -62,11 +64,11 @@ class LineList:
     units: tuple[str, ...]
     rate_hz: float
     samples: int
-    entries: tuple[Entry, ...]
+    entries: tuple[LineEntry, ...]
     cameras: tuple[tuple[str, float], ...]
     spectrum: Spectrum | None
     survey: Survey
-    notices: tuple[AnyNotice, ...]
+    notices: tuple[Notice, ...]
 
 
 def lines_of_file(
@@ -76,7 +78,7 @@ def lines_of_file(
     band_hz: tuple[float, float] | None,
     *,
     drawn: bool = False,
-) -> list[LineList]:
+) -> list[ChannelLines]:
     """Survey the channels of a DAQ file, those sampled alike together; a band keeps the lines in it.
 
     `drawn`: with their spectra for the figure, which take as much memory as the samples.
@@ -84,7 +86,7 @@ def lines_of_file(
     try:
         channels = read_channels(path, names, rate_hz)
     except (OSError, ValueError) as error:
-        raise InputError.told_by(error, path) from error
+        raise InputError.from_exception(error, path) from error
     groups: dict[tuple[float, int], dict[str, RawChannel]] = {}
     for name, channel in channels.items():
         groups.setdefault((channel.sample_rate_hz, len(channel.samples)), {})[name] = channel
@@ -93,19 +95,19 @@ def lines_of_file(
     return [_file_group(path, group, band_hz, drawn=drawn) for group in groups.values()]
 
 
-def lines_of_recording(manifest: Manifest, *, drawn: bool = False) -> LineList:
+def lines_of_recording(manifest: Manifest, *, drawn: bool = False) -> ChannelLines:
     """Return the lines that a run of this recording fits, all others of the same channels, and the cameras' aliases.
 
     Of a recording in takes these are those of the first one.
     """
     where, block = manifest.set_ups[0]
-    with told_in(block.path, where):
+    with errors_in_set_up(block.path, where):
         first = read_set_ups(block)[0]
         manifest, base = first.manifest, tie_daqs(first.manifest, first.records)
     chosen = line_record(base)
     if chosen is None:
         raise InputError(manifest.path, "daq", found="triggers only", expected="a channel that shows the excitation")
-    lines = lines_in(manifest, chosen)
+    lines = lines_of_record(manifest, chosen)
     names = tuple(channel.name for channel in chosen.channels)
     rates = {name: 1.0 / fit.period_s for (_, name), fit in base.triggers.items()}
     pairs: dict[str, list[str]] = {}  # those of one trigger together
@@ -115,24 +117,24 @@ def lines_of_recording(manifest: Manifest, *, drawn: bool = False) -> LineList:
     cameras = tuple((", ".join(seen_by), rates[trigger]) for trigger, seen_by in pairs.items())
     rate_hz = chosen.record.raw[names[0]].sample_rate_hz
     entries = [*_fitted(chosen.time_s, chosen.values, lines, rate_hz), *_others(lines.others, lines.nuisance_hz)]
-    return LineList(
+    return ChannelLines(
         chosen.record.entry.file,
         names,
         tuple(manifest.rig.unit_of(channel) for channel in chosen.channels),
         rate_hz,
         len(chosen.values),
         tuple(
-            replace(entry, places=tuple(float(alias_frequency(entry.frequency_hz, rate)) for _, rate in cameras))
+            replace(entry, alias_hz=tuple(float(alias_frequency(entry.frequency_hz, rate)) for _, rate in cameras))
             for entry in sorted(entries, key=lambda entry: entry.frequency_hz)
         ),
         cameras,
-        amplitude_spectrum(gaps_filled(chosen.values), rate_hz, MOST_BINS) if drawn else None,
+        amplitude_spectrum(fill_gaps(chosen.values), rate_hz, MOST_BINS) if drawn else None,
         lines.others,
         lines.notices,
     )
 
 
-def lines_csv(lists: Sequence[LineList]) -> str:
+def lines_csv(lists: Sequence[ChannelLines]) -> str:
     """Return all lines as a table: a row per line and channel in which it stands out."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
@@ -140,7 +142,7 @@ def lines_csv(lists: Sequence[LineList]) -> str:
     writer.writerow((*COLUMNS, *cameras))
     for item in lists:
         for entry in item.entries:
-            places = [f"{place:.9g}" for place in entry.places]
+            places = [f"{place:.9g}" for place in entry.alias_hz]
             frequency = [f"{entry.frequency_hz:.12g}", f"{entry.u_frequency_hz:.3g}"]
             for c in np.flatnonzero(np.isfinite(entry.amplitude)):
                 size = [f"{entry.amplitude[c]:.9g}", f"{entry.u_amplitude[c]:.3g}", item.units[c]]
@@ -151,7 +153,7 @@ def lines_csv(lists: Sequence[LineList]) -> str:
 
 def _file_group(
     path: Path, group: dict[str, RawChannel], band_hz: tuple[float, float] | None, *, drawn: bool
-) -> LineList:
+) -> ChannelLines:
     """Survey channels that were sampled alike."""
     rate_hz = next(iter(group.values())).sample_rate_hz
     values = Stacked(tuple(channel.samples for channel in group.values()), (1.0,) * len(group))
@@ -163,10 +165,10 @@ def _file_group(
     try:
         survey = survey_lines(values, rate_hz)
     except ValueError as error:
-        raise InputError.told_by(error, path, next(iter(group))) from error
+        raise InputError.from_exception(error, path, next(iter(group))) from error
     if band_hz is not None:
         survey = survey.select((survey.frequency_hz >= band_hz[0]) & (survey.frequency_hz <= band_hz[1]))
-    return LineList(
+    return ChannelLines(
         path,
         tuple(group),
         tuple(channel.unit for channel in group.values()),
@@ -180,7 +182,7 @@ def _file_group(
     )
 
 
-def _fitted(time_s: FloatArray, values: Stacked, lines: Lines, rate_hz: float) -> list[Entry]:
+def _fitted(time_s: FloatArray, values: Stacked, lines: LineFrequencies, rate_hz: float) -> list[LineEntry]:
     """Return the lines that a run fits."""
     names = [str(c) for c in range(values.shape[1])]
     both = np.concatenate([lines.frequency_hz, lines.nuisance_hz])
@@ -198,11 +200,11 @@ def _fitted(time_s: FloatArray, values: Stacked, lines: Lines, rate_hz: float) -
             what = f"harmonic {multiple} of {nominal_hz:.6g} Hz, {share:.2g} of it"
         if frequency > rate_hz / 2.0:
             what += f", read at {float(alias_frequency(frequency, rate_hz)):.6g} Hz"
-        entries.append(Entry(float(frequency), float(u_frequency), amplitude[k], u[k], height, what, "fitted"))
+        entries.append(LineEntry(float(frequency), float(u_frequency), amplitude[k], u[k], height, what, "fitted"))
     return entries
 
 
-def _others(survey: Survey, nuisance_hz: FloatArray | None) -> list[Entry]:
+def _others(survey: Survey, nuisance_hz: FloatArray | None) -> list[LineEntry]:
     """Return lines of a survey; beside a fit, those that are fitted with its lines are marked."""
     entries = []
     for i, origin in enumerate(survey.origin):
@@ -212,11 +214,11 @@ def _others(survey: Survey, nuisance_hz: FloatArray | None) -> list[Entry]:
             beside = bool(np.any(np.abs(nuisance_hz - frequency) <= _SAME_U * survey.u_frequency_hz[i] + _SAME_HZ))
             use = "fitted beside" if beside else "not fitted"
         numbers = frequency, float(survey.u_frequency_hz[i]), survey.amplitude[i], survey.u_amplitude[i]
-        entries.append(Entry(*numbers, decibel(float(survey.snr[i])), origin.text, use))
+        entries.append(LineEntry(*numbers, decibel(float(survey.snr[i])), origin.text, use))
     return entries
 
 
-def print_lines(lists: Sequence[LineList]) -> None:
+def print_lines(lists: Sequence[ChannelLines]) -> None:
     """Print the lines to stdout, a table for each group of channels."""
     from rich import box
     from rich.table import Table
@@ -226,15 +228,15 @@ def print_lines(lists: Sequence[LineList]) -> None:
         names, duration = ", ".join(item.channels), item.samples / item.rate_hz
         seen = "".join(f"; {pairs}: lines as seen at {rate:.6g} Hz" for pairs, rate in item.cameras)
         size = f"{item.samples} samples at {item.rate_hz:.9g} Hz, {duration:.4g} s"
-        say(f"{item.source.name}: {names}; {size}{seen}")
+        print_text(f"{item.source.name}: {names}; {size}{seen}")
         if not item.entries:
-            say("  no line stands out of the noise")
+            print_text("  no line stands out of the noise")
             continue
         rows = [_cells(item, entry) for entry in item.entries]
         least = sum(max(len(head), *(len(row[head]) for row in rows)) + 2 for head in [*rows[0]][:-1]) + WHY_WIDTH
         if least > console.width:
             for row in rows:
-                say("  " + "; ".join(f"{head}: {cell}" for head, cell in row.items()))
+                print_text("  " + "; ".join(f"{head}: {cell}" for head, cell in row.items()))
             continue
         table = Table(box=box.SIMPLE, pad_edge=False)
         for head in rows[0]:
@@ -244,18 +246,18 @@ def print_lines(lists: Sequence[LineList]) -> None:
             table.add_row(*row.values())
         console.print(table)
     for notice in dict.fromkeys(notice for item in lists for notice in item.notices if notice.where != LISTED):
-        say(f"{notice.severity}: {notice.text}")
-    say(
+        print_text(f"{notice.severity}: {notice.text}")
+    print_text(
         "U (k = 2); amplitude: in the channel in which the line stands out most; dB: its power there over that of the "
         "noise in a bin of the Hann spectrum"
     )
 
 
-def _cells(item: LineList, entry: Entry) -> dict[str, str]:
+def _cells(item: ChannelLines, entry: LineEntry) -> dict[str, str]:
     """Return the cells of a line by the heads of their columns."""
     best = int(np.nanargmax(entry.amplitude / np.maximum(entry.u_amplitude, np.finfo(np.float64).tiny)))
     size = _with_u(float(entry.amplitude[best]), float(entry.u_amplitude[best]))
-    places = {f"{name} / Hz": f"{place:.4f}" for (name, _), place in zip(item.cameras, entry.places, strict=True)}
+    places = {f"{name} / Hz": f"{place:.4f}" for (name, _), place in zip(item.cameras, entry.alias_hz, strict=True)}
     return {
         "frequency / Hz": _with_u(entry.frequency_hz, entry.u_frequency_hz, 0),
         **places,
@@ -268,6 +270,6 @@ def _cells(item: LineList, entry: Entry) -> dict[str, str]:
 
 def _with_u(value: float, u: float, exponent: int | None = None) -> str:
     """Return a number with its expanded uncertainty."""
-    text, uncertainty, power = rounded(value, K2 * u, exponent)
+    text, uncertainty, power = round_to_uncertainty(value, K2 * u, exponent)
     both = f"{text} ± {uncertainty}"
     return f"({both})e{power}" if power else both

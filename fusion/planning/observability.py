@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion.base import InputError
+from fusion.errors import InputError
 from fusion.instruments.stereo import GEOMETRY, carrier_of
-from fusion.instruments.transducer import ROOM, TRANSDUCERS, carrier, main_direction, placed_at
-from fusion.recording.files import AlreadyRead
+from fusion.instruments.transducer import STATIONARY, TRANSDUCERS, carrier, main_direction, measuring_point
+from fusion.recording.daq_records import FileCache
 from fusion.recording.load import Manifest
 from fusion.recording.rig import Rig, Stereo
 from photogram.images.sequence import ImageSequence
@@ -34,13 +34,15 @@ class Observability:
     @property
     def components(self) -> tuple[str, ...]:
         """Names of the components determined."""
-        return tuple(name for name, seen in zip(MOTION_COMPONENTS, observable(self.rows), strict=True) if seen)
+        return tuple(
+            name for name, seen in zip(MOTION_COMPONENTS, observable_components(self.rows), strict=True) if seen
+        )
 
     def __str__(self) -> str:
         return f"{self.body}: {self.instrument}: {' '.join(self.components) or 'no component by itself'}"
 
 
-def observable(rows: FloatArray) -> BoolArray:
+def observable_components(rows: FloatArray) -> BoolArray:
     """Which unit motions (6,) lie in the row space of geometric rows (M, 6) = [d, r×d], hence are determined.
 
     Lever arms are measured in units of the longest one, so that the tolerance knows no length.
@@ -54,7 +56,7 @@ def observable(rows: FloatArray) -> BoolArray:
     return np.asarray(np.sum(basis**2, axis=0) > 1 - 1e-6)
 
 
-def observed_by(rig: Rig, takes: Sequence[Manifest]) -> list[Observability]:
+def instrument_observability(rig: Rig, takes: Sequence[Manifest]) -> list[Observability]:
     """Rows of every instrument, then of all instruments of a body together.
 
     A stereo pair determines all six components of the body it sees. Channels of one `common` name are one instrument.
@@ -63,7 +65,7 @@ def observed_by(rig: Rig, takes: Sequence[Manifest]) -> list[Observability]:
     names = dict.fromkeys(entry.stereo for take in takes for entry in (*take.images, *take.points))
     pairs = [(name, rig.stereo[name]) for name in names]
     single = [
-        Observability(carrier_of(name, pair) if pair.body == ROOM else pair.body, f"stereo {name}", GEOMETRY)
+        Observability(carrier_of(name, pair) if pair.body == STATIONARY else pair.body, f"stereo {name}", GEOMETRY)
         for name, pair in pairs
     ]
     groups: dict[tuple[str, str], list[FloatArray]] = {}
@@ -72,7 +74,7 @@ def observed_by(rig: Rig, takes: Sequence[Manifest]) -> list[Observability]:
             if entry.quantity in TRANSDUCERS and entry.body is not None:
                 seen = entry.body if entry.body in BODIES else carrier(entry) or entry.body
                 rows = groups.setdefault((seen, entry.common or f"{daq.name}.{entry.name}"), [])
-                rows.append(TRANSDUCERS[entry.quantity].geometry(placed_at(entry), main_direction(entry)))
+                rows.append(TRANSDUCERS[entry.quantity].geometry(measuring_point(entry), main_direction(entry)))
     single += [Observability(body, name, np.stack(rows)) for (body, name), rows in groups.items()]
     observed = []
     for body in dict.fromkeys((*BODIES, *(item.body for item in single))):
@@ -83,8 +85,8 @@ def observed_by(rig: Rig, takes: Sequence[Manifest]) -> list[Observability]:
     return observed
 
 
-def told_alone(
-    rig: Rig, takes: Sequence[Manifest], observed: Sequence[Observability], already: AlreadyRead
+def describe_single_cameras(
+    rig: Rig, takes: Sequence[Manifest], observed: Sequence[Observability], already: FileCache
 ) -> list[str]:
     """What each camera alone tells of its body, and what is left open beside the other instruments there."""
     told = []
@@ -94,7 +96,7 @@ def told_alone(
             rig.stereo[images.stereo],
             already.images.get((images.left, images.bit_depth)),
         )
-        if pair.surface is None or first is None or no_rig(pair, (first,)):
+        if pair.surface is None or first is None or calibration_problems(pair, (first,)):
             continue
         seen = _seen_alone(name, pair, first)
         if seen is None:
@@ -125,18 +127,20 @@ def _seen_alone(name: str, pair: Stereo, images: ImageSequence) -> tuple[FloatAr
     about the sensor origin in those of the sensor.
     """
     from fusion.phasors.stereo_motion import read_rig, sensor_from_camera
-    from fusion.planning.look.pictures import look_at_camera
+    from fusion.planning.look.image_checks import examine_camera
     from photogram.camera import FaceCamera, locate
-    from photogram.direct.surface import PlacedCamera, see_points
+    from photogram.direct.surface import PlacedCamera, project_body_points
     from photogram.geometry import RigidTransform
 
-    face, (_, look) = read_rig(pair, (images,)), look_at_camera(name, images)
+    face, (_, look) = read_rig(pair, (images,)), examine_camera(name, images)
     if look is None or len(look.points_px) < FEWEST_SUBSETS or not isinstance(face, FaceCamera):
         return None
     points = locate(face, [look.points_px[None]]).position_m[0]
 
     def covariance(camera_from_body: RigidTransform) -> FloatArray:
-        seen = see_points(PlacedCamera(face.camera, camera_from_body), camera_from_body.inverse().apply(points))
+        seen = project_body_points(
+            PlacedCamera(face.camera, camera_from_body), camera_from_body.inverse().apply(points)
+        )
         rates = seen.rates.reshape(-1, 6)
         return np.asarray(np.linalg.inv(rates.T @ rates / look.sigma_px**2), dtype=np.float64)
 
@@ -153,7 +157,7 @@ def _sizes(covariance: FloatArray, before: FloatArray) -> str:
     return ", ".join(sizes) or "nothing left open"
 
 
-def no_rig(pair: Stereo, sequences: Sequence[ImageSequence]) -> list[str]:
+def calibration_problems(pair: Stereo, sequences: Sequence[ImageSequence]) -> list[str]:
     """Return what is wrong with a pair's calibration, also against the size of its pictures."""
     from fusion.phasors.stereo_motion import read_rig
 

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from fusion.base import DASH, InputError, prefix
-from fusion.report.table import Column, R, csv_text, on_page
-from fusion.report.terminal import say, stdout_console
+from fusion.base import DASH, prefix
+from fusion.errors import InputError
+from fusion.report.table import R, TableColumn, csv_text, page_column
+from fusion.report.terminal import print_text, stdout_console
 from shaker.arrays import FloatArray
 from shaker.lines.rate_planner import (
     PREFERRED,
-    Lines,
+    PlannedLines,
     RatePlan,
     Sampling,
     best_rates,
@@ -37,7 +38,7 @@ SHOWN = 3  # frequencies that are written out; of more there is a count
 
 
 @dataclass(frozen=True)
-class Size:
+class MotionSize:
     """What makes uncertainties absolute: `noise_m` per frame; `amplitude_m` or `acceleration_mps2` of a fundamental."""
 
     noise_m: float | None = None
@@ -76,17 +77,17 @@ class Request:
     limits_hz: tuple[float, float] = (0.0, 0.0)
     rate_step_hz: float = 1e-3
     settle_s: float = 0.0
-    size: Size = Size()
+    size: MotionSize = MotionSize()
 
 
 @dataclass(frozen=True)
-class Point:
+class PlanPoint:
     """One point of the plan: its lines, and what its best rates (best first), or the rate given, make of them.
 
     `nearby`: the good rate nearest to the rate given, None where that one is good itself or none is near.
     """
 
-    lines: Lines
+    lines: PlannedLines
     choices: tuple[RatePlan, ...]
     nearby: RatePlan | None = None
 
@@ -105,7 +106,7 @@ class Plan:
     """Answer to a request: its points, and the fewest rates that serve all of them (none where a rate was given)."""
 
     request: Request
-    points: tuple[Point, ...]
+    points: tuple[PlanPoint, ...]
     shared: tuple[SharedRate, ...]
 
 
@@ -132,7 +133,7 @@ def make_plan(request: Request) -> Plan:
         return Plan(request, tuple(_explained(lines, request.rate_hz, rates, sampling) for lines in points), ())
     scans = [scan_rates(lines, rates, sampling) for lines in points]
     chosen = tuple(
-        Point(lines, tuple(plan_at(lines, rate, sampling) for rate in best_rates(scan)))
+        PlanPoint(lines, tuple(plan_at(lines, rate, sampling) for rate in best_rates(scan)))
         for lines, scan in zip(points, scans, strict=True)
     )
     shared = [
@@ -156,7 +157,7 @@ def _check_size(request: Request) -> None:
         raise InputError("--frequencies", "", found=str(excitations), expected=expected)
 
 
-def _explained(lines: Lines, rate_hz: float, rates: FloatArray, sampling: Sampling) -> Point:
+def _explained(lines: PlannedLines, rate_hz: float, rates: FloatArray, sampling: Sampling) -> PlanPoint:
     """Return what the given rate makes of a point, with the nearest good rate unless it is good itself."""
     scan = scan_rates(lines, np.sort(np.append(rates, rate_hz)), sampling)
     good = scan.rate_hz[scan.good]
@@ -164,10 +165,10 @@ def _explained(lines: Lines, rate_hz: float, rates: FloatArray, sampling: Sampli
     if len(good):
         nearest = float(good[np.argmin(np.abs(good - rate_hz))])
         nearby = None if nearest == rate_hz else plan_at(lines, nearest, sampling)
-    return Point(lines, (plan_at(lines, rate_hz, sampling),), nearby)
+    return PlanPoint(lines, (plan_at(lines, rate_hz, sampling),), nearby)
 
 
-def _check(request: Request, points: Sequence[Lines]) -> None:
+def _check(request: Request, points: Sequence[PlannedLines]) -> None:
     """Refuse what no rate can serve, naming the option."""
     highest = max(request.limits_hz) if request.rate_hz is None else request.rate_hz
     if request.rate_hz is None and not 0.0 < request.limits_hz[0] <= request.limits_hz[1]:
@@ -207,7 +208,7 @@ class _Line(NamedTuple):
     relative: float | None
 
 
-def _lines_at(size: Size, plan: RatePlan, point: str = "", choice: str = "") -> list[_Line]:
+def _lines_at(size: MotionSize, plan: RatePlan, point: str = "", choice: str = "") -> list[_Line]:
     """Return the lines of a point at one rate."""
     numbers = (
         plan.lines.frequency_hz,
@@ -236,7 +237,7 @@ def plan_csv(plan: Plan) -> str:
     return csv_text(_line_columns(size), rows)
 
 
-def _line_columns(size: Size) -> list[Column[_Line]]:
+def _line_columns(size: MotionSize) -> list[TableColumn[_Line]]:
     """Return the columns of lines at a rate: a file has those with a name, the terminal those with a head."""
     noise_m, unit = (1.0, PER_NOISE) if size.noise_m is None else (size.noise_m, "m")
     noise, shown_unit = _shown_noise(size)
@@ -247,37 +248,39 @@ def _line_columns(size: Size) -> list[Column[_Line]]:
         return f"{line.neighbour_hz:.9g} Hz" if np.isfinite(line.neighbour_hz) else "Nyquist"
 
     return [
-        Column("point", lambda line: line.point),
-        Column("choice", lambda line: line.choice),
-        Column("rate_hz", lambda line: f"{line.plan.rate_hz:.9g}"),
-        Column("duration_s", lambda line: f"{line.plan.duration_s:.9g}"),
-        Column("condition", lambda line: f"{line.plan.condition:.9g}"),
-        Column("line_hz", lambda line: f"{line.frequency_hz:.9g}", "line / Hz"),
-        Column("fundamental_hz", lambda line: f"{line.fundamental_hz:.9g}"),
-        Column("multiple", lambda line: line.multiple, "harmonic"),
-        Column("alias_hz", lambda line: f"{line.alias_hz:.6g}", "seen at / Hz", lambda line: f"{line.alias_hz:.3f}"),
-        Column(
+        TableColumn("point", lambda line: line.point),
+        TableColumn("choice", lambda line: line.choice),
+        TableColumn("rate_hz", lambda line: f"{line.plan.rate_hz:.9g}"),
+        TableColumn("duration_s", lambda line: f"{line.plan.duration_s:.9g}"),
+        TableColumn("condition", lambda line: f"{line.plan.condition:.9g}"),
+        TableColumn("line_hz", lambda line: f"{line.frequency_hz:.9g}", "line / Hz"),
+        TableColumn("fundamental_hz", lambda line: f"{line.fundamental_hz:.9g}"),
+        TableColumn("multiple", lambda line: line.multiple, "harmonic"),
+        TableColumn(
+            "alias_hz", lambda line: f"{line.alias_hz:.6g}", "seen at / Hz", lambda line: f"{line.alias_hz:.3f}"
+        ),
+        TableColumn(
             "alias_over_rate",
             lambda line: f"{line.alias_hz / line.plan.rate_hz:.6g}",
             "of rate",
             lambda line: f"{line.alias_hz / line.plan.rate_hz:.3f}",
         ),
-        Column("distance_bins", lambda line: f"{line.bins:.6g}", "apart", lambda line: f"{line.bins:.2f}"),
-        on_page("nearest", nearest),
-        Column("exposure_gain", lambda line: f"{line.gain:.6g}", "loss / %", _loss),
-        Column(
+        TableColumn("distance_bins", lambda line: f"{line.bins:.6g}", "apart", lambda line: f"{line.bins:.2f}"),
+        page_column("nearest", nearest),
+        TableColumn("exposure_gain", lambda line: f"{line.gain:.6g}", "loss / %", _loss),
+        TableColumn(
             "u_amplitude",
             lambda line: f"{line.u_amplitude * noise_m:.4g}",
             f"u{shown_unit}",
             lambda line: _three_digits(noise * line.u_amplitude),
         ),
-        Column("u_amplitude_unit", lambda line: unit),
-        Column("u_phase_rad", lambda line: "" if line.relative is None else f"{line.relative:.4g}"),
+        TableColumn("u_amplitude_unit", lambda line: unit),
+        TableColumn("u_phase_rad", lambda line: "" if line.relative is None else f"{line.relative:.4g}"),
         *_relative_columns(size),
     ]
 
 
-def _rate_columns(size: Size) -> list[Column[_Line]]:
+def _rate_columns(size: MotionSize) -> list[TableColumn[_Line]]:
     """Return the columns of rates, of which each row is the least certain fundamental."""
     noise, unit = _shown_noise(size)
 
@@ -285,21 +288,21 @@ def _rate_columns(size: Size) -> list[Column[_Line]]:
         return np.asarray(line.plan.alias_hz[line.plan.lines.multiple == 1])
 
     return [
-        on_page("excited / Hz", lambda line: line.point),
-        on_page("rate / Hz", lambda line: f"{line.plan.rate_hz:.3f}"),
-        on_page("seen at / Hz", lambda line: _range(aliases(line))),
-        on_page("of rate", lambda line: _range(aliases(line) / line.plan.rate_hz)),
-        on_page("apart", lambda line: f"{line.plan.distance_bins:.2f}"),
-        on_page("cond.", lambda line: f"{line.plan.condition:.2f}"),
-        on_page(f"u{unit}", lambda line: _three_digits(noise * line.u_amplitude)),
-        on_page(f"worst u{unit}", lambda line: _three_digits(noise * float(np.max(line.plan.u_amplitude)))),
+        page_column("excited / Hz", lambda line: line.point),
+        page_column("rate / Hz", lambda line: f"{line.plan.rate_hz:.3f}"),
+        page_column("seen at / Hz", lambda line: _range(aliases(line))),
+        page_column("of rate", lambda line: _range(aliases(line) / line.plan.rate_hz)),
+        page_column("apart", lambda line: f"{line.plan.distance_bins:.2f}"),
+        page_column("cond.", lambda line: f"{line.plan.condition:.2f}"),
+        page_column(f"u{unit}", lambda line: _three_digits(noise * line.u_amplitude)),
+        page_column(f"worst u{unit}", lambda line: _three_digits(noise * float(np.max(line.plan.u_amplitude)))),
         *_relative_columns(size),
-        on_page("loss / %", _loss),
-        on_page("time / s", lambda line: f"{line.plan.duration_s:.2f}"),
+        page_column("loss / %", _loss),
+        page_column("time / s", lambda line: f"{line.plan.duration_s:.2f}"),
     ]
 
 
-def _relative_columns(size: Size) -> list[Column[_Line]]:
+def _relative_columns(size: MotionSize) -> list[TableColumn[_Line]]:
     """Return the columns of the relative uncertainty of amplitude and phase, where the size of the motion is known."""
 
     def shown(line: _Line, factor: float) -> str:
@@ -307,7 +310,10 @@ def _relative_columns(size: Size) -> list[Column[_Line]]:
 
     if not size.is_whole:
         return []
-    return [on_page("u / %", lambda line: shown(line, 100.0)), on_page("phase / mrad", lambda line: shown(line, 1e3))]
+    return [
+        page_column("u / %", lambda line: shown(line, 100.0)),
+        page_column("phase / mrad", lambda line: shown(line, 1e3)),
+    ]
 
 
 def _loss(line: _Line) -> str:
@@ -326,7 +332,7 @@ def _three_digits(value: float) -> str:
     return f"{value:#.3g}".rstrip(".")
 
 
-def _shown_noise(size: Size) -> tuple[float, str]:
+def _shown_noise(size: MotionSize) -> tuple[float, str]:
     """Return the noise of one frame in a readable unit, and what stands behind u in a table's head."""
     if size.noise_m is None:
         return 1.0, ""
@@ -347,7 +353,7 @@ def print_plan(plan: Plan) -> None:
     together = " at the same time" if request.together else ""
     fitted = "fundamentals alone" if sampling.harmonics == 1 else f"harmonics 1 to {sampling.harmonics}"
     rates = "" if request.rate_hz else f", camera rate {request.limits_hz[0]:g} to {request.limits_hz[1]:g} Hz"
-    say(
+    print_text(
         f"Excitation {frequencies} Hz{together}, {fitted}; {sampling.frames} frames, exposure "
         f"{sampling.exposure_s * 1e6:g} µs{rates}; 1/f noise exceeds white noise below {sampling.corner_hz:g} Hz",
     )
@@ -357,17 +363,17 @@ def print_plan(plan: Plan) -> None:
         for point in plan.points:
             _print_explained(console, request.size, point)
     unit = " in units of the noise of one frame" if request.size.noise_m is None else ""
-    say(
+    print_text(
         f"u: standard uncertainty (k = 1) of an amplitude{unit}, of the fundamental and of the worst line; "
         "over the amplitude it is that of the phase in rad",
     )
     if not request.size.is_whole:
-        say("(--noise with --amplitude or --acceleration gives numbers)")
+        print_text("(--noise with --amplitude or --acceleration gives numbers)")
     apart = "apart: smallest distance of two lines as the camera sees them, in bins of rate/frames"
-    say(f"{apart} ({CLEAR_BINS:g} needed); loss: of amplitude, by exposure (a run corrects it)")
+    print_text(f"{apart} ({CLEAR_BINS:g} needed); loss: of amplitude, by exposure (a run corrects it)")
 
 
-def _boxed(title: str, columns: Sequence[Column[R]], sections: Sequence[Sequence[R]], width: int) -> Table:
+def _boxed(title: str, columns: Sequence[TableColumn[R]], sections: Sequence[Sequence[R]], width: int) -> Table:
     """Return a table for a terminal of some width, its sections with a line between them."""
     from rich.table import Table
 
@@ -412,30 +418,30 @@ def _print_choices(console: Console, plan: Plan) -> None:
     fewer = "fewer harmonics, or know the frequencies better (--tolerance)"
     for name, point in zip(excited, points, strict=True):
         if not point.choices:
-            say(f"{name} Hz: no such rate keeps all lines apart; take more frames or {fewer}")
+            print_text(f"{name} Hz: no such rate keeps all lines apart; take more frames or {fewer}")
     first = [point.choices[0] for point in points if point.choices]
     if len(points) > 1 and first:
-        say(served(first, "each at its first rate"))
+        print_text(served(first, "each at its first rate"))
         pairs = [zip(shared.points, shared.plans, strict=True) for shared in plan.shared]
         sections = [[row(excited[index], at_rate) for index, at_rate in pair] for pair in pairs]
         console.print(_boxed("With as few rates as possible", columns, sections, console.width))
         rates = ", ".join(f"{shared.rate_hz:.3f}" for shared in plan.shared)
         number = "one rate" if len(plan.shared) == 1 else f"{len(plan.shared)} rates"
         plans = [at_rate for shared in plan.shared for at_rate in shared.plans]
-        say(served(plans, f"with {number} ({rates} Hz)"))
+        print_text(served(plans, f"with {number} ({rates} Hz)"))
     elif first:
-        say(f"Time: {time_of(first)}")
+        print_text(f"Time: {time_of(first)}")
         _print_lines(console, size, first[0])
 
 
-def _print_lines(console: Console, size: Size, plan: RatePlan) -> None:
+def _print_lines(console: Console, size: MotionSize, plan: RatePlan) -> None:
     """Print all lines of a point at one rate."""
     console.print(
         _boxed(f"Lines at {plan.rate_hz:.9g} Hz", _line_columns(size), [_lines_at(size, plan)], console.width)
     )
 
 
-def _print_explained(console: Console, size: Size, point: Point) -> None:
+def _print_explained(console: Console, size: MotionSize, point: PlanPoint) -> None:
     """Print what the given rate does to one point, line by line."""
     (plan,) = point.choices
     for frequency, alias in zip(plan.lines.frequency_hz, plan.alias_hz, strict=True):
@@ -443,7 +449,7 @@ def _print_explained(console: Console, size: Size, point: Point) -> None:
             turns = round(frequency / plan.rate_hz)
             sign = "+" if frequency >= turns * plan.rate_hz else "-"
             seen = "as it is" if turns == 0 else f"as a beat of {alias:.3f} Hz"
-            say(
+            print_text(
                 f"{frequency:.9g} Hz = {turns} × {plan.rate_hz:.9g} Hz {sign} {alias:.3f} Hz: seen {seen}, "
                 f"{alias * plan.duration_s:.2f} periods in {plan.duration_s:.2f} s",
             )
@@ -451,22 +457,22 @@ def _print_explained(console: Console, size: Size, point: Point) -> None:
     for frequency, alias in zip(plan.lines.fundamentals_hz, plan.alias_hz, strict=False):
         share = float(alias) / plan.rate_hz
         if share < PREFERRED[0]:
-            say(
+            print_text(
                 f"{frequency:.9g} Hz is seen below {PREFERRED[0]:g} of the rate: drift, slow motion of the rig and "
                 f"other 1/f noise around {alias:.3f} Hz disturb it",
             )
         elif share > PREFERRED[1]:
-            say(
+            print_text(
                 f"{frequency:.9g} Hz is seen above {PREFERRED[1]:g} of the rate: near the Nyquist frequency a small "
                 "change of rate brings its mirror image onto it",
             )
     if plan.distance_bins < CLEAR_BINS:
-        say(f"lines are only {plan.distance_bins:.2f} bins apart: {CLEAR_BINS:g} are needed to tell them apart")
-    for other in plan.folds:
+        print_text(f"lines are only {plan.distance_bins:.2f} bins apart: {CLEAR_BINS:g} are needed to tell them apart")
+    for other in plan.aliased_harmonics:
         name = f"harmonic {other.multiple} of {other.fundamental_hz:.9g} Hz, not fitted"
-        say(f"{name}, is aliased to {other.alias_hz:.3f} Hz, within a bin of a line that is fitted")
+        print_text(f"{name}, is aliased to {other.alias_hz:.3f} Hz, within a bin of a line that is fitted")
     if point.nearby is not None:
         rate = point.nearby.rate_hz
         share = float(np.max(point.nearby.u_amplitude)) / float(np.max(plan.u_amplitude))
         gain = f", worst u {share:.2g} times the present one" if share > 0.0 else ""
-        say(f"Nearest good rate: {rate:.3f} Hz ({rate - plan.rate_hz:+.3f} Hz){gain}")
+        print_text(f"Nearest good rate: {rate:.3f} Hz ({rate - plan.rate_hz:+.3f} Hz){gain}")

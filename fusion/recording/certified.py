@@ -12,15 +12,16 @@ import numpy as np
 from pydantic import Field
 from pydantic_core import PydanticCustomError
 
-from fusion.base import Identity, InputError
+from fusion.base import FileIdentity
+from fusion.errors import InputError
 from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.dcc import SUFFIX, CalibrationCertificate, CertifiedQuantity, read_dcc
 from fusion.recording.dcc_curves import curve_named, in_hertz
 from fusion.recording.dsi import CELSIUS_AT_0_K, Dimension, parse_unit
 from fusion.recording.response import certified_table
-from fusion.recording.toml import UNFILLED, Stated, UncertainInput, checked_table, key_path
-from fusion.recording.values import Block, PathScope, Text, describe
-from shaker.arrays import Notice
+from fusion.recording.toml import UNFILLED, UncertainInput, UncertaintyStatement, checked_table, key_path
+from fusion.recording.values import ManifestBlock, PathScope, Text, describe
+from shakercal._common.notices import Notice
 
 UNIT_OF = {
     **dict.fromkeys(("mass", "internal_mass", "tip_mass"), "kg"),
@@ -50,7 +51,7 @@ At = tuple[dict[str, Any], list[int | str]]
 """A whole file, and a place in it."""
 
 
-class Certified(Block):
+class CertificateReference(ManifestBlock):
     """A table at a key whose value stands in a certificate: which file, which of its results, until when it holds."""
 
     dcc: Text
@@ -71,10 +72,10 @@ class CertifiedInputs:
     scope: PathScope
     sensor_unit: str
     text: dict[str, Any] = field(default_factory=dict)
-    files: dict[Path, Identity | None] = field(default_factory=dict)
+    files: dict[Path, FileIdentity | None] = field(default_factory=dict)
     curves: list[UncertainInput] = field(default_factory=list)
-    wrong: list[InputError] = field(default_factory=list)
-    signed: list[Notice] = field(default_factory=list)
+    errors: list[InputError] = field(default_factory=list)
+    signature_notices: list[Notice] = field(default_factory=list)
 
     def replaced(self, value: Any, whole: dict[str, Any], place: list[int | str]) -> Any:
         """Return a part of a manifest, tables with `dcc` replaced by what the certificate states."""
@@ -95,13 +96,13 @@ class CertifiedInputs:
             try:
                 out |= self._taken(own, (whole, here), value)
             except InputError as error:
-                self.wrong += error.each
+                self.errors += error.each
         return out
 
     def _taken(self, own: dict[str, Any], at: At, beside: Mapping[str, Any]) -> Any:
         """Return what stands in the place of one table, by key."""
         whole, place = at
-        table, name = checked_table(Certified, own, self.path, at), str(place[-1])
+        table, name = checked_table(CertificateReference, own, self.path, at), str(place[-1])
         key = key_path(whole, place)
         known = name in UNIT_OF or name in UNIT_OF_THREE or name in ("scale", "response", "step_amplitude")
         if not known or (name == "response" and "quantity" not in beside):
@@ -141,9 +142,9 @@ class CertifiedInputs:
             raise InputError(self.path, key, str(told.get("found")), str(told.get("expected"))) from error
         except OSError as error:
             raise InputError(self.path, key, error.strerror or str(error), "a path that can be read") from error
-        self.files.setdefault(path, Identity.of(path))
+        self.files.setdefault(path, FileIdentity.of(path))
         certificate = read_dcc(path)
-        self.signed += certificate.signed
+        self.signature_notices += certificate.signature_notices
         return certificate
 
     def _dimension(self, beside: Mapping[str, Any]) -> Dimension | None:
@@ -158,7 +159,7 @@ class CertifiedInputs:
             return None
 
     def _quantity(
-        self, certificate: CalibrationCertificate, table: Certified, key: str, beside: Mapping[str, Any]
+        self, certificate: CalibrationCertificate, table: CertificateReference, key: str, beside: Mapping[str, Any]
     ) -> tuple[CertifiedQuantity, Any, float | None]:
         """Return the quantity that a table means, its value for the key, and U relative to it where it is inverted."""
         name, ways = key.rsplit(".", 1)[-1], dict[Dimension, bool]()  # by dimension: whether it is the reciprocal
@@ -188,13 +189,13 @@ class CertifiedInputs:
         return found, float(1.0 / value[0]), float(found.expanded[0] / abs(value[0]))
 
     def _picked(
-        self, certificate: CalibrationCertificate, table: Certified, key: str,
+        self, certificate: CalibrationCertificate, table: CertificateReference, key: str,
         fits: tuple[Mapping[Dimension, bool], int, str],
     ) -> CertifiedQuantity:  # fmt: skip
         """Return the one quantity of a certificate that a name, or its unit, picks; it has to have an uncertainty."""
         (ways, count, told), file = fits, certificate.path.name
         real = [q for q in certificate.quantities if q.is_real]
-        named = [q for q in real if not table.result or q.called(table.result)]
+        named = [q for q in real if not table.result or q.is_named(table.result)]
         if not named:
             known = ", ".join(dict.fromkeys(f'"{q.result or q.name}"' for q in real[:8])) or "none"
             found = f'"{table.result}"' if table.result else "no result with numbers"
@@ -224,7 +225,7 @@ class CertifiedInputs:
         return picked
 
     def _curve(
-        self, certificate: CalibrationCertificate, table: Certified, at: tuple[At, dict[str, Any]],
+        self, certificate: CalibrationCertificate, table: CertificateReference, at: tuple[At, dict[str, Any]],
         beside: Mapping[str, Any],
     ) -> None:  # fmt: skip
         """Check the list over frequency that a channel follows, and keep where it comes from."""
@@ -239,7 +240,7 @@ class CertifiedInputs:
             raise InputError(self.path, key, found, expected)
         relative = read.u_magnitude / read.magnitude
         stated = checked_table(
-            Stated, {"U_relative": float(2.0 * relative.max()), "k": 2.0, **source}, self.path, inside
+            UncertaintyStatement, {"U_relative": float(2.0 * relative.max()), "k": 2.0, **source}, self.path, inside
         )
         self.curves.append(UncertainInput(self.path, key, None, relative, True, stated))
 

@@ -17,11 +17,13 @@ from typing import Any
 
 import numpy as np
 
-from fusion.base import Identity, InputError
+from fusion.base import FileIdentity
+from fusion.errors import InputError
 from fusion.recording.dsi import CELSIUS_AT_0_K, LEVEL, NONE, Dimension, Unit, parse_unit
 from fusion.recording.toml import read_text
 from fusion.recording.values import describe, wrong_size
-from shaker.arrays import ComplexArray, FloatArray, Notice
+from shaker.arrays import ComplexArray, FloatArray
+from shakercal._common.notices import Notice
 
 SUFFIX = ".xml"
 ROOT = "{https://ptb.de/dcc}digitalCalibrationCertificate"
@@ -63,7 +65,7 @@ class CertifiedQuantity:
     listed: bool
     ids: tuple[str, ...] = ()
     names: tuple[str, ...] = ()
-    about: str = ""
+    description: str = ""
     problem: InputError | None = None
 
     @property
@@ -81,7 +83,7 @@ class CertifiedQuantity:
         """Return types and names, in small letters, `phaseLag` as `phase lag`."""
         return re.sub(r"(?<=[a-z])(?=[A-Z])|_", " ", " ".join((*self.types, *self.names))).lower()
 
-    def called(self, name: str) -> bool:
+    def is_named(self, name: str) -> bool:
         """Whether a name or type that a user gives is this quantity's or its result's."""
         return name in (self.result, self.name, *self.names, *self.types, *self.ids)
 
@@ -112,7 +114,7 @@ class CalibrationCertificate:
     date: Date | None
     valid_until: Date | None
     quantities: tuple[CertifiedQuantity, ...]
-    signed: tuple[Notice, ...] = ()
+    signature_notices: tuple[Notice, ...] = ()
 
     def refusal(self, key: str, found: str, expected: str) -> InputError:
         """Return the mistake of an element of this file."""
@@ -125,12 +127,12 @@ def read_dcc(path: Path) -> CalibrationCertificate:
     A file that is what it was is parsed once, however many channels and recordings name it; one that was changed so
     shortly before that another change may not show, every time.
     """
-    now = Identity.of(path)
-    return _parsed(path, now) if now is not None and now.settled else _parsed.__wrapped__(path, now)
+    now = FileIdentity.of(path)
+    return _parsed(path, now) if now is not None and now.is_settled else _parsed.__wrapped__(path, now)
 
 
 @lru_cache(maxsize=MOST_KEPT)
-def _parsed(path: Path, _: Identity | None) -> CalibrationCertificate:
+def _parsed(path: Path, _: FileIdentity | None) -> CalibrationCertificate:
     """Parse a certificate."""
     root = _root(path)
     administrative = root.find("{*}administrativeData")
@@ -153,7 +155,7 @@ def _parsed(path: Path, _: Identity | None) -> CalibrationCertificate:
         date=next((day for day in days if day is not None), None),
         valid_until=min((day for day in statements if day is not None), default=None),
         quantities=tuple(_quantities(path, root)),
-        signed=tuple(_signatures(path)),
+        signature_notices=tuple(_signatures(path)),
     )
 
 
@@ -172,7 +174,7 @@ def _signatures(path: Path) -> Iterator[Notice]:
         yield Notice("warning", f"{text}; verify it with the laboratory's tool", path.name)
     elif found.count:
         text = "the content was not changed after signing (its digests agree); who signed it was not verified"
-        yield Notice("info", text, path.name)
+        yield Notice("note", text, path.name)
 
 
 def _root(path: Path, *, whole: bool = False) -> Any:
@@ -269,7 +271,7 @@ def _quantity(path: Path, result: Any, element: Any, values: Any) -> CertifiedQu
         name=name,
         types=tuple(dict.fromkeys(f"{result.get('refType') or ''} {element.get('refType') or ''}".split())),
         names=tuple(dict.fromkeys(filter(None, map(_text, element.iterfind("{*}name/{*}content"))))),
-        about=" ".join(filter(None, map(_text, element.iterfind("{*}description/{*}content")))),
+        description=" ".join(filter(None, map(_text, element.iterfind("{*}description/{*}content")))),
     )
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fusion.base import InputError
+from fusion.errors import InputError
 from fusion.recording.dcc import NO_UNIT, CalibrationCertificate, CertifiedQuantity
 from fusion.recording.dsi import BASE, LEVEL, NONE, Unit, parse_unit
 from fusion.recording.values import describe
@@ -222,7 +222,7 @@ def _as_ratio(certificate: CalibrationCertificate, size: CertifiedQuantity) -> C
     """Return a magnitude as a number, a level in Np or dB (of a field quantity, re 1) as the ratio that it means."""
     if size.unit.dimension != LEVEL:
         return size
-    if LOSS.search(f"{size.words} {size.about.lower()}"):
+    if LOSS.search(f"{size.words} {size.description.lower()}"):
         raise certificate.refusal(
             size.where, f"a loss in {size.unit.text}", "a gain, whose sign is that of the response"
         )
@@ -234,16 +234,16 @@ def _phase(certificate: CalibrationCertificate, turn: CertifiedQuantity) -> Floa
     """Return phases in rad, positive where the output leads; the sign of what is named a lag is changed."""
     if not (turn.unit.angle == 1 or turn.unit.factor == 1.0):
         raise certificate.refusal(turn.where, turn.unit.text, "a phase in rad or degrees")
-    about = turn.about.lower()
+    about = turn.description.lower()
     try:
         if LAG.search(about) and not LAG.search(turn.words) and ("positiv" in about or "negativ" not in about):
-            raise ValueError(f'"{turn.about[:60]}"')  # its description does not say what is so here anyhow
-        return leading(np.asarray(turn.value.real), turn.expanded, turn.words)
+            raise ValueError(f'"{turn.description[:60]}"')  # its description does not say what is so here anyhow
+        return leading_phase(np.asarray(turn.value.real), turn.expanded, turn.words)
     except ValueError as error:
         raise certificate.refusal(turn.where, str(error), PLAIN_SIGN) from error
 
 
-def leading(phase_rad: FloatArray, expanded_rad: FloatArray, words: str) -> FloatArray:
+def leading_phase(phase_rad: FloatArray, expanded_rad: FloatArray, words: str) -> FloatArray:
     """Return phases that are positive where the output leads, by what their name says (`words`, in small letters).
 
     Raises `ValueError` with what was found where the name, or all numbers of a lag, leave the sign open.

@@ -10,25 +10,25 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from fusion.recording.values import (
     ZERO3,
-    Block,
     Celsius,
     Direction,
+    ManifestBlock,
     NotNegative,
     Positive,
     Share,
-    Spread3,
+    Uncertainty3,
     Vector3,
     describe,
     refusal,
+    size_range,
     vector,
-    within,
 )
-from shaker.static_rotation.harmonics import Known, air_density_at, gravity_at
+from shaker.static_rotation.harmonics import SourcedValue, air_density_at, gravity_at
 
 GRAVITY_ON_EARTH = (9.7, 9.9)  # m/s^2
 U_STATED_AIR = 0.01  # relative, of an air density without any other statement
-STRAIN = within(0.0, 0.01, "m/m", **{"µm/m": 1e-6})
-AIR = within(0.01, 20.0, "kg/m^3", **{"g/cm^3": 1e3})
+STRAIN = size_range(0.0, 0.01, "m/m", **{"µm/m": 1e-6})
+AIR = size_range(0.01, 20.0, "kg/m^3", **{"g/cm^3": 1e3})
 
 
 def _gravity(value: object) -> tuple[float, ...]:
@@ -41,7 +41,7 @@ def _gravity(value: object) -> tuple[float, ...]:
     return elements
 
 
-class Environment(Block):
+class Environment(ManifestBlock):
     """The surroundings: gravity m/s^2 in sensor axes, the place, the air, temperatures, and what moves along.
 
     `latitude` °, `height` m above the sea; `temperature` °C of the air, `air_density` kg/m^3, `pressure` Pa, relative
@@ -50,7 +50,7 @@ class Environment(Block):
     """
 
     gravity: Annotated[Vector3 | None, BeforeValidator(_gravity)] = None
-    gravity_uncertainty: Spread3 = ZERO3
+    gravity_uncertainty: Uncertainty3 = ZERO3
     down: Direction | None = None
     temperature: Celsius | None = None
     air_density: Annotated[Positive, AIR] | None = None
@@ -89,11 +89,11 @@ class Environment(Block):
         return (size.value * x, size.value * y, size.value * z), spread
 
     @property
-    def air(self) -> Known:
+    def air(self) -> SourcedValue:
         """Return the density of the air, kg/m^3: as stated, else what pressure, temperature, humidity and height say.
 
         Of what is not stated the usual conditions of a laboratory are taken, with their uncertainty.
         """
         if self.air_density is not None:
-            return Known(self.air_density, U_STATED_AIR * self.air_density, "stated in rig.toml")
+            return SourcedValue(self.air_density, U_STATED_AIR * self.air_density, "stated in rig.toml")
         return air_density_at(self.height, self.pressure, self.temperature, self.humidity)

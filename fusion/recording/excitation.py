@@ -15,10 +15,10 @@ from pydantic import BeforeValidator, Field, model_validator
 from fusion.recording.values import (
     HERTZ,
     Angle,
-    Block,
     Component,
     Direction,
     ExistingFile,
+    ManifestBlock,
     Number,
     Positive,
     Share,
@@ -28,15 +28,15 @@ from fusion.recording.values import (
     refusal,
     refuse_foreign,
     refuse_missing,
+    size_range,
     unit_vector,
     vector,
-    within,
 )
 
 MOST_FREQUENCIES = 2000
 HIGHEST_HARMONIC = 1000
-LASTING = within(0.0, 1e6, "s")
-FORCE = within(0.0, 1e9, "N or N m")
+LASTING = size_range(0.0, 1e6, "s")
+FORCE = size_range(0.0, 1e9, "N or N m")
 Kind = Literal["sine", "multisine", "chirp", "noise", "impact", "step", "rotation"]
 
 
@@ -88,14 +88,14 @@ def _band(value: object) -> tuple[float, ...]:
     return low, high
 
 
-class Excitation(Block):
+class ExcitationEntry(ManifestBlock):
     """What drove the rig: kind, direction in sensor axes, and what the kind needs."""
 
     kind: Kind
     direction: Annotated[tuple[float, ...] | None, BeforeValidator(_driven)] = None
     frequencies: Annotated[tuple[float, ...] | None, BeforeValidator(_frequencies), HERTZ] = None
     harmonics: Annotated[Literal["auto"] | tuple[int, ...], BeforeValidator(_harmonics)] = "auto"
-    band: Annotated[tuple[float, float] | None, BeforeValidator(_band), within(0.0, 1e8, "Hz")] = None
+    band: Annotated[tuple[float, float] | None, BeforeValidator(_band), size_range(0.0, 1e8, "Hz")] = None
     period: Annotated[Positive, LASTING] | None = None
     settle_periods: Annotated[int, Field(ge=0, le=1_000_000)] = 0
     response: Annotated[Texts, Field(min_length=1)] = ()
@@ -141,7 +141,7 @@ class Excitation(Block):
 
 
 @dataclass(frozen=True)
-class Recorded:
+class RecordedChannels:
     """What of a recording's channels `check` tells an excitation: outputs of the sensor, force channels, take count."""
 
     outputs: tuple[str | None, ...]
@@ -149,7 +149,7 @@ class Recorded:
     takes: int
 
 
-def _released(excitation: Excitation, recorded: Recorded) -> list[str]:
+def _released(excitation: ExcitationEntry, recorded: RecordedChannels) -> list[str]:
     """What the models of a step response will lack."""
     told = []
     if not recorded.outputs:
@@ -176,12 +176,12 @@ class ExcitationKind:
     commands: tuple[str, ...]
     required: tuple[str, ...]
     allowed: tuple[str, ...] = ()
-    remarks: Callable[[Excitation, Recorded], list[str]] | None = None
-    how: str = ""
-    tabled: bool = False
+    remarks: Callable[[ExcitationEntry, RecordedChannels], list[str]] | None = None
+    command_note: str = ""
+    readings_in_table: bool = False
 
     @property
-    def uniform(self) -> bool:
+    def needs_uniform_samples(self) -> bool:
         """Whether it needs channels that are sampled uniformly; sines are fitted at whatever times there are."""
         return self.commands[0] != "run"
 
@@ -189,7 +189,7 @@ class ExcitationKind:
     def command_remark(self) -> list[str]:
         """Return what `check` says first, of what `shakercal run` does not evaluate."""
         command = self.commands[0]
-        return [] if command == "run" else [f"shakercal {command} evaluates this recording{self.how}"]
+        return [] if command == "run" else [f"shakercal {command} evaluates this recording{self.command_note}"]
 
 
 KINDS = {
@@ -218,8 +218,8 @@ KINDS = {
         commands=("rotate",),
         required=("file", "angle_unit", "axis", "zero_gravity", "with_load"),
         allowed=("angle_uncertainty", "scale"),
-        how=", by gravity alone",
-        tabled=True,
+        command_note=", by gravity alone",
+        readings_in_table=True,
     ),
 }
 """In the order in which sentences list them."""
@@ -235,11 +235,11 @@ def kinds_of(command: str) -> tuple[str, ...]:
     """Return the kinds of excitation that a command evaluates; refuse a command of which no kind says so."""
     kinds = tuple(name for name, kind in KINDS.items() if command in kind.commands)
     if not kinds:
-        known = listed(list(dict.fromkeys(name for kind in KINDS.values() for name in kind.commands)))
+        known = join_alternatives(list(dict.fromkeys(name for kind in KINDS.values() for name in kind.commands)))
         raise ValueError(f"command: expected one that evaluates recordings, {known}, found {command}")
     return kinds
 
 
-def listed(names: Sequence[str]) -> str:
+def join_alternatives(names: Sequence[str]) -> str:
     """Return names as a sentence has alternatives: `sine or multisine`."""
     return " or ".join(filter(None, (", ".join(names[:-1]), names[-1])))

@@ -16,10 +16,18 @@ from typing import Any
 
 import numpy as np
 
-from fusion.base import Identity, InputError, check_names, natural_key
-from fusion.instruments.transducer import CLOSE_TO_AXIS_RAD, HEAD, ROOM, carrier, unit_direction, wrong_aim
+from fusion.base import FileIdentity, check_names, natural_key
+from fusion.errors import InputError
+from fusion.instruments.transducer import (
+    CLOSE_TO_AXIS_RAD,
+    HEAD,
+    STATIONARY,
+    aim_contradiction,
+    carrier,
+    unit_direction,
+)
 from fusion.recording.certified import CertifiedInputs, certified_inputs
-from fusion.recording.excitation import KINDS, ONE_SET_UP, Excitation, kinds_of, listed
+from fusion.recording.excitation import KINDS, ONE_SET_UP, ExcitationEntry, join_alternatives, kinds_of
 from fusion.recording.manifest import (
     SCAN,
     ChannelEntry,
@@ -31,19 +39,19 @@ from fusion.recording.manifest import (
     SetUpFiles,
     Take,
 )
-from fusion.recording.repair import AnyBlock, Repair, doubted
-from fusion.recording.rig import Head, Part, Rig, Shaker, Stereo
+from fusion.recording.repair import AnyBlock, Repair, is_doubtful
+from fusion.recording.rig import InstrumentHead, Rig, RigPart, Shaker, Stereo
 from fusion.recording.toml import (
     UncertainInput,
     expand_statements,
-    quoted,
+    find_unfilled,
+    quote_key,
     read_toml,
     uncertain_inputs,
-    unfilled,
 )
 from fusion.recording.values import Context, PathScope, describe, repeated_name
-from shaker.arrays import Notice
-from shaker.io import refused_suffix
+from shaker.io import unsupported_suffix
+from shakercal._common.notices import Notice
 
 log = logging.getLogger("shakercal")
 RECORDING_NAME = "recording.toml"
@@ -74,20 +82,20 @@ class Manifest:
     rig: Rig
     name: str
     mounting: str
-    excitation: Excitation
+    excitation: ExcitationEntry
     daq: tuple[Daq, ...]
     images: tuple[Images, ...]
     points: tuple[PointFiles, ...]
     take: tuple[Take, ...]
-    part: tuple[Part, ...]
+    part: tuple[RigPart, ...]
     shaker: Shaker
     files: tuple[Path, ...]
     date: Date | None = None
     operator: str | None = None
     procedure: str | None = None
     inputs: tuple[UncertainInput, ...] = ()
-    signed: tuple[Notice, ...] = ()
-    read: Mapping[Path, Identity] = field(default_factory=dict)
+    signature_notices: tuple[Notice, ...] = ()
+    file_identities: Mapping[Path, FileIdentity] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"Manifest({self.name!r}, {self.excitation.kind}, {str(self.path)!r})"
@@ -102,12 +110,12 @@ class Manifest:
         return blocks
 
     @property
-    def certified(self) -> tuple[Notice, ...]:
+    def certificate_notices(self) -> tuple[Notice, ...]:
         """Return the notices of all certificates: those that were not valid, and those of signatures."""
-        return (*self.expired, *self.signed)
+        return (*self.expiry_notices, *self.signature_notices)
 
     @property
-    def expired(self) -> tuple[Notice, ...]:
+    def expiry_notices(self) -> tuple[Notice, ...]:
         """Return a warning for every certificate that was no longer valid on the day of the recording, else today."""
         day = self.date or Date.today()
         told = []
@@ -123,7 +131,7 @@ class Manifest:
         if kind not in kinds:
             which = "kind" if len(kinds) == 1 else "kinds"
             other = f"(shakercal {KINDS[kind].commands[0]} takes this one)"
-            expected = f"{listed(kinds)}, the {which} that shakercal {command} evaluates {other}"
+            expected = f"{join_alternatives(kinds)}, the {which} that shakercal {command} evaluates {other}"
             raise InputError(self.path, "excitation.kind", found=kind, expected=expected)
         if self.take and command in ONE_SET_UP:
             raise InputError(self.path, "take", found=f"{len(self.take)} takes", expected=ONE_SET_UP[command])
@@ -147,7 +155,7 @@ def find_recordings(path: str | Path) -> list[Path]:
     """
     path = Path(path)
     if path.is_file():
-        if refused_suffix(path) is None:
+        if unsupported_suffix(path) is None:
             expected = f"a recording's folder or {RECORDING_NAME}; shakercal init {path.parent} drafts one"
             raise InputError(path, "", "a recorder's file", expected)
         return [path]
@@ -168,7 +176,7 @@ def find_recordings(path: str | Path) -> list[Path]:
     return found
 
 
-def only_recording(path: str | Path) -> Path:
+def find_single_recording(path: str | Path) -> Path:
     """Return the one recording.toml at a path, as `find_recordings` finds it."""
     found = find_recordings(path)
     if len(found) > 1:
@@ -176,7 +184,7 @@ def only_recording(path: str | Path) -> Path:
     return found[0]
 
 
-def for_kinds(recordings: Sequence[Path], kinds: Collection[str]) -> list[Path]:
+def select_kinds(recordings: Sequence[Path], kinds: Collection[str]) -> list[Path]:
     """Return the recordings of a campaign that have one of some kinds of excitation, or that cannot be read.
 
     Where none is left, all are returned, so that the command says of each what it expects.
@@ -204,14 +212,14 @@ def load_for_command(paths: Sequence[str | Path], command: str, *, allow_outside
     manifests: dict[Path, Manifest] = {}
     for path in paths:
         recordings = find_recordings(path)
-        chosen = for_kinds(recordings, kinds)
+        chosen = select_kinds(recordings, kinds)
         for recording in chosen:
             manifest = load_manifest(recording, allow_outside=allow_outside)
             manifest.check_command(command)
             manifests.setdefault(manifest.path.resolve(), manifest)
         others = [recording.parent.name for recording in recordings if recording not in chosen]
         if others:
-            log.info("%s: left out, since their kind is not %s: %s", path, listed(kinds), ", ".join(others))
+            log.info("%s: left out, since their kind is not %s: %s", path, join_alternatives(kinds), ", ".join(others))
     return list(manifests.values())
 
 
@@ -224,7 +232,7 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
     """
     path = Path(recording)
     path = path if path.is_file() else path / RECORDING_NAME
-    at_first = {path.resolve(): Identity.of(path)}
+    at_first = {path.resolve(): FileIdentity.of(path)}
     text = read_toml(path)
     try:
         rig_path = _rig_path(path, text)
@@ -232,7 +240,7 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
         if not allow_outside and not folder.is_relative_to(root):
             expected = "a rig.toml in a folder above the recording (--allow-outside permits others)"
             raise InputError(path, "rig", f'"{text["rig"]}"', expected)
-        at_first[rig_path.resolve()] = Identity.of(rig_path)
+        at_first[rig_path.resolve()] = FileIdentity.of(rig_path)
         rig_text = read_toml(rig_path)
     except InputError as error:
         raise InputError.together([error, *_without_rig(path, text)]) from error
@@ -250,7 +258,7 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
     rig = rig.model_copy(update={"environment": record.environment or rig.environment})
     files = tuple(dict.fromkeys((*_input_files(path, rig_path, rig, record), *certificates)))
     check_names(files)
-    seen = {file: Identity.of(file) for file in files} | certificates | at_first
+    seen = {file: FileIdentity.of(file) for file in files} | certificates | at_first
     return Manifest(
         path=path,
         folder=folder,
@@ -271,8 +279,10 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
         operator=record.operator,
         procedure=record.procedure,
         inputs=(*of_rig, *uncertain_inputs(text, path), *(item for found in of_certificates for item in found.curves)),
-        signed=tuple(dict.fromkeys(notice for found in of_certificates for notice in found.signed)),
-        read={file: identity for file, identity in seen.items() if identity is not None},
+        signature_notices=tuple(
+            dict.fromkeys(notice for found in of_certificates for notice in found.signature_notices)
+        ),
+        file_identities={file: identity for file, identity in seen.items() if identity is not None},
     )
 
 
@@ -284,9 +294,9 @@ def _certificates(
     sensor = rig_text.get("sensor")
     unit = str(sensor.get("unit", "1")) if isinstance(sensor, dict) else "1"
     found = certified_inputs(text, path, folders[0], unit), certified_inputs(rig_text, rig_path, folders[1], unit)
-    wrong = [error for one in found for error in one.wrong]
+    wrong = [error for one in found for error in one.errors]
     if wrong:
-        raise InputError.together([*unfilled(text, path), *unfilled(rig_text, rig_path), *wrong])
+        raise InputError.together([*find_unfilled(text, path), *find_unfilled(rig_text, rig_path), *wrong])
     return found
 
 
@@ -298,7 +308,7 @@ def _checked_files(
     Values that are still to be filled in come first.
     """
     (path, text), (rig_path, rig_text) = of_recording, of_rig
-    unknown, wrong = [*unfilled(text, path), *unfilled(rig_text, rig_path)], list[InputError]()
+    unknown, wrong = [*find_unfilled(text, path), *find_unfilled(rig_text, rig_path)], list[InputError]()
     rig, record, doubtful = None, None, dict[Path, set[str]]()
     with _added_to(wrong):
         rig = _validated(
@@ -320,7 +330,7 @@ def _checked_files(
         with _added_to(wrong), suppress(*[KeyError] if wrong else []):
             told = {(error.file, error.key) for error in wrong}
             for one in _contradictions(rig, rig_path, record, path):
-                wrong += [one] if (one.file, one.key) not in told and not doubted(one, doubtful) else []
+                wrong += [one] if (one.file, one.key) not in told and not is_doubtful(one, doubtful) else []
     wrong = [*unknown, *(error for error in wrong if (error.file, error.key) not in {(e.file, e.key) for e in unknown})]
     if rig is None or record is None or wrong:
         raise InputError.together(wrong)
@@ -341,7 +351,7 @@ def _without_rig(path: Path, text: dict[str, Any]) -> list[InputError]:
         folder = path.parent.resolve()
         context = Context(PathScope(folder, folder, allow_outside=True), *_named_in(named))
         _validated(RecordingFile, values, path, context, found, {})
-    return [*unfilled(text, path), *(error for error in found if error.key != "rig")]
+    return [*find_unfilled(text, path), *(error for error in found if error.key != "rig")]
 
 
 def _tables(values: Any, *keys: str) -> Iterator[dict[str, Any]]:
@@ -375,11 +385,11 @@ def _added_to(wrong: list[InputError]) -> Iterator[None]:
         wrong += error.each
 
 
-def _named_in(rig_text: dict[str, Any]) -> tuple[dict[str, Stereo], dict[str, Head]]:
+def _named_in(rig_text: dict[str, Any]) -> tuple[dict[str, Stereo], dict[str, InstrumentHead]]:
     """Return stereo pairs and heads of a rig that has mistakes, so that the recording can be looked at all the same."""
     names = {key: rig_text[key] if isinstance(rig_text.get(key), dict) else {} for key in ("stereo", "head")}
     pairs = {name: Stereo.model_construct(exposure=0.0) for name in names["stereo"]}
-    return pairs, {name: Head.model_construct(mirror=(FAR_AWAY_M,) * 3) for name in names["head"]}
+    return pairs, {name: InstrumentHead.model_construct(mirror=(FAR_AWAY_M,) * 3) for name in names["head"]}
 
 
 def _rig_path(path: Path, text: dict[str, Any]) -> Path:
@@ -414,13 +424,13 @@ def _input_files(path: Path, rig_path: Path, rig: Rig, record: RecordingFile) ->
 
 def _contradictions(rig: Rig, rig_path: Path, record: RecordingFile, path: Path) -> Iterator[InputError]:
     """Yield every reference between rig and recording that leads nowhere."""
-    if not record.daq and not record.take and not KINDS[record.excitation.kind].tabled:
+    if not record.daq and not record.take and not KINDS[record.excitation.kind].readings_in_table:
         yield InputError(path, "daq", "none", "at least one [[daq]] or [[take]] block")
     blocks: list[tuple[str, SetUpFiles]] = [("", record)] if record.daq or record.images or record.points else []
     blocks += [(f"take[{number}].", take) for number, take in enumerate(record.take, 1)]
     channels = [
         [
-            (f"{prefix}daq.{quoted(daq.name)}.channel.{quoted(entry.name)}", daq, entry)
+            (f"{prefix}daq.{quote_key(daq.name)}.channel.{quote_key(entry.name)}", daq, entry)
             for daq in block.daq
             for entry in daq.channel
         ]
@@ -434,7 +444,7 @@ def _contradictions(rig: Rig, rig_path: Path, record: RecordingFile, path: Path)
         )
         yield from _of_outputs(located, path, rig, rig_path)
     for key, daq, entry in (item for located in channels for item in located):
-        wrong = None if daq.data_set(entry)[1] == "" and daq.file.suffix.lower() == SCAN else wrong_aim(entry)
+        wrong = None if daq.data_set(entry)[1] == "" and daq.file.suffix.lower() == SCAN else aim_contradiction(entry)
         if wrong is not None:
             yield InputError(path, f"{key}.direction", wrong[1], wrong[0])
     yield from _of_standoffs((item for located in channels for item in located), path)
@@ -455,7 +465,7 @@ def _contradictions(rig: Rig, rig_path: Path, record: RecordingFile, path: Path)
     twice = repeated_name([part.name for part in rig.part + record.part])
     if twice is not None:
         expected = "parts of different names in rig and recording"
-        yield InputError(path, f"part.{quoted(twice)}.name", f'"{twice}" twice', expected)
+        yield InputError(path, f"part.{quote_key(twice)}.name", f'"{twice}" twice', expected)
 
 
 def _of_standoffs(located: Iterable[tuple[str, Daq, ChannelEntry]], path: Path) -> Iterator[InputError]:
@@ -471,9 +481,9 @@ def _of_standoffs(located: Iterable[tuple[str, Daq, ChannelEntry]], path: Path) 
 
 def _of_carriers(located: Sequence[tuple[str, Daq, ChannelEntry]], path: Path) -> Iterator[InputError]:
     """What tells how a head moves belongs to one whose beams look at what is measured."""
-    carried = {carrier(entry) for _, _, entry in located if entry.body not in (ROOM, HEAD)}
+    carried = {carrier(entry) for _, _, entry in located if entry.body not in (STATIONARY, HEAD)}
     for key, _, entry in located:
-        if entry.body in (ROOM, HEAD) and entry.head is not None and carrier(entry) not in carried:
+        if entry.body in (STATIONARY, HEAD) and entry.head is not None and carrier(entry) not in carried:
             expected = "a head with a laser beam at the load or the base"
             yield InputError(path, f"{key}.head", f'"{entry.head.name}"', expected)
 
@@ -483,19 +493,19 @@ def _of_stereo(rig: Rig, rig_path: Path, blocks: Iterable[tuple[str, SetUpFiles]
     pictured = [images.stereo for _, block in blocks for images in block.images]
     tabled = [points.stereo for _, block in blocks for points in block.points]
     recorded = dict.fromkeys(pictured + tabled)
-    carried = {rig.stereo[name].support or name for name in recorded if rig.stereo[name].body != ROOM}
+    carried = {rig.stereo[name].support or name for name in recorded if rig.stereo[name].body != STATIONARY}
     for name in recorded:
         pair = rig.stereo[name]
-        if pair.body == ROOM and pair.support not in carried:
+        if pair.body == STATIONARY and pair.support not in carried:
             listed = ", ".join(sorted(carried)) or "none"
             expected = "what cameras at the load or the base stand on as well: their support, or the name of their pair"
             found = f"{describe(pair.support)}; others stand on {listed}"
-            yield InputError(rig_path, f"stereo.{quoted(name)}.support", found, expected)
+            yield InputError(rig_path, f"stereo.{quote_key(name)}.support", found, expected)
         if name in pictured and pair.calibration is None:
             expected = f"the calibration that the images of {name} need"
-            yield InputError(rig_path, f"stereo.{quoted(name)}.calibration", "no calibration", expected)
+            yield InputError(rig_path, f"stereo.{quote_key(name)}.calibration", "no calibration", expected)
         if pair.surface is not None:
-            key, looks = f"stereo.{quoted(name)}.surface", np.array(pair.rotation)[:, 2]
+            key, looks = f"stereo.{quote_key(name)}.surface", np.array(pair.rotation)[:, 2]
             away = float(looks @ np.subtract(pair.surface.point, pair.translation))
             turned = float(np.degrees(np.arccos(min(1.0, abs(float(looks @ np.array(pair.surface.normal)))))))
             if name in tabled:
@@ -506,7 +516,7 @@ def _of_stereo(rig: Rig, rig_path: Path, blocks: Iterable[tuple[str, SetUpFiles]
                 yield InputError(rig_path, key, found, expected)
         if pair.surface is None and pair.scale_uncertainty is None and (name in tabled or not _has_covariance(pair)):
             expected = "the relative standard uncertainty of all lengths, required without a calibration's covariance"
-            yield InputError(rig_path, f"stereo.{quoted(name)}.scale_uncertainty", "nothing", expected)
+            yield InputError(rig_path, f"stereo.{quote_key(name)}.scale_uncertainty", "nothing", expected)
 
 
 def _has_covariance(pair: Stereo) -> bool:
@@ -527,18 +537,21 @@ def _of_pictures(rig: Rig, blocks: Iterable[tuple[str, SetUpFiles]], path: Path)
     stands still, each has its part of it."""
     for prefix, block in blocks:
         for images in block.images:
-            alone, key = rig.stereo[images.stereo].surface is not None, f"{prefix}images.{quoted(images.stereo)}.right"
+            alone, key = (
+                rig.stereo[images.stereo].surface is not None,
+                f"{prefix}images.{quote_key(images.stereo)}.right",
+            )
             if alone and images.right:
                 yield InputError(path, key, "images", "none of a camera alone, whose surface rig.toml states")
             if not alone and not images.right:
                 expected = "the right camera's images (of a camera alone rig.toml states the surface that it sees)"
                 yield InputError(path, key, "nothing", expected)
-        shown = {images.left for images in block.images if rig.stereo[images.stereo].body == ROOM}
+        shown = {images.left for images in block.images if rig.stereo[images.stereo].body == STATIONARY}
         for images in block.images:
             if images.left in shown and images.region is None and not images.mask:
-                part = "what stands still" if rig.stereo[images.stereo].body == ROOM else "the body"
+                part = "what stands still" if rig.stereo[images.stereo].body == STATIONARY else "the body"
                 expected = f"the part of the pictures that shows {part}, since they show both"
-                yield InputError(path, f"{prefix}images.{quoted(images.stereo)}.region", "nothing", expected)
+                yield InputError(path, f"{prefix}images.{quote_key(images.stereo)}.region", "nothing", expected)
 
 
 def _of_triggers(block: SetUpFiles, triggers: set[str], prefix: str, path: Path) -> Iterator[InputError]:
@@ -548,10 +561,10 @@ def _of_triggers(block: SetUpFiles, triggers: set[str], prefix: str, path: Path)
         if frames.trigger not in triggers:
             found = f'"{frames.trigger}"; trigger channels are {", ".join(sorted(triggers)) or "none"}'
             expected = 'the name of a channel with quantity = "trigger"'
-            yield InputError(path, f"{prefix}{kind}.{quoted(frames.stereo)}.trigger", found, expected)
+            yield InputError(path, f"{prefix}{kind}.{quote_key(frames.stereo)}.trigger", found, expected)
     twice = repeated_name([frames.stereo for _, entries in kinds for frames in entries])
     if twice is not None:
-        key, expected = f"{prefix}images.{quoted(twice)}.stereo", "one images or points block per stereo pair"
+        key, expected = f"{prefix}images.{quote_key(twice)}.stereo", "one images or points block per stereo pair"
         yield InputError(path, key, f'two blocks for "{twice}"', expected)
 
 

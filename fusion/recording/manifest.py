@@ -8,32 +8,32 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, model_validator
 
-from fusion.instruments.transducer import HEAD, ROOM, TRANSDUCERS
+from fusion.instruments.transducer import HEAD, STATIONARY, TRANSDUCERS
 from fusion.recording.dsi import parse_unit
 from fusion.recording.environment import Environment
-from fusion.recording.excitation import Excitation
-from fusion.recording.rig import NamedHead, Part, Shaker
+from fusion.recording.excitation import ExcitationEntry
+from fusion.recording.rig import NamedHead, RigPart, Shaker
 from fusion.recording.values import (
     HERTZ,
     SECONDS,
     ZERO3,
     Angle,
-    Block,
     Context,
     Delay,
     Direction,
     ExistingFile,
     ExistingFiles,
     Exposure,
+    ManifestBlock,
     Mask,
     NotNegative,
     Number,
-    Place,
+    Position,
     Positive,
     Region,
     Share,
-    Spread3,
     Text,
+    Uncertainty3,
     Version,
     array_of_tables,
     describe,
@@ -43,7 +43,7 @@ from fusion.recording.values import (
     refuse_repeated,
     repeated_name,
 )
-from shaker.io import SUFFIXES, refused_suffix
+from shaker.io import SUFFIXES, unsupported_suffix
 
 if TYPE_CHECKING:
     Quantity = str
@@ -83,7 +83,7 @@ def _columns(value: object) -> tuple[str, ...]:
 
 
 def _daq_suffix(value: Path) -> Path:
-    wrong = refused_suffix(value)
+    wrong = unsupported_suffix(value)
     if wrong is not None:
         raise refusal(*wrong)
     return value
@@ -100,7 +100,7 @@ def _head(value: object, info: ValidationInfo) -> object:
     return NamedHead(value, known[value])
 
 
-class ResponseColumns(Block):
+class ResponseColumns(ManifestBlock):
     """Which columns of a response's table hold what, by the names its file gives them, in which units.
 
     `magnitude_unit`: converted into SI; without it the numbers count as they are. `u_magnitude_unit` "%": of the
@@ -124,7 +124,7 @@ class ResponseColumns(Block):
         return self.frequency, self.magnitude, self.phase, self.u_magnitude, self.u_phase
 
 
-class ChannelEntry(Block):
+class ChannelEntry(ManifestBlock):
     """One channel of a DAQ file: true phasor = file value · scale · exp(+jω·delay) / response(f).
 
     `in_file`: its name in the file, where that is not `name`, by which the recording knows it. `body` "head": it sits
@@ -136,8 +136,8 @@ class ChannelEntry(Block):
     in_file: Text | None = None
     quantity: Quantity
     body: Literal["load", "base", "room", "head"] | None = None
-    point: Place | None = None
-    point_uncertainty: Spread3 = ZERO3
+    point: Position | None = None
+    point_uncertainty: Uncertainty3 = ZERO3
     direction: Direction | None = None
     direction_uncertainty: Angle = 0.0
     head: Annotated[NamedHead | None, BeforeValidator(_head)] = None
@@ -170,7 +170,7 @@ class ChannelEntry(Block):
     VALUE: ClassVar[tuple[str, ...]] = (
         "scale", "scale_uncertainty", "common", "individual_uncertainty", "delay_of", "reference",
     )  # fmt: skip
-    PLACE: ClassVar[tuple[str, ...]] = (
+    PLACEMENT: ClassVar[tuple[str, ...]] = (
         "body", "point", "point_uncertainty", "direction", "direction_uncertainty", "head", "transverse_sensitivity",
     )  # fmt: skip
     TRIGGER: ClassVar[tuple[str, ...]] = ("threshold", "edge")
@@ -181,14 +181,14 @@ class ChannelEntry(Block):
         if self.quantity in TRANSDUCERS:
             transducer = TRANSDUCERS[self.quantity]
             aimed = self.head is not None and self.head.stated.mirror is not None and self.body != HEAD
-            if self.body in (ROOM, HEAD):
+            if self.body in (STATIONARY, HEAD):
                 refuse_missing(self, ("head",), f'body = "{self.body}"')
                 if (self.body == HEAD) != (transducer.kind == "accelerometer"):
                     expected = "an accelerometer on the head, or a laser beam at the room"
                     raise refusal(expected, f'{why} with body = "{self.body}"', key="body")
             elif self.head is not None and transducer.kind != "vibrometer" and (aimed or self.head.stated.standoff):
                 raise refusal(f"a head without mirror and standoff for {why}", f'"{self.head.name}"', key="head")
-            refuse_missing(self, ("body",) if transducer.turning else ("body", "point"), why)
+            refuse_missing(self, ("body",) if transducer.rotational else ("body", "point"), why)
             if not aimed:
                 refuse_missing(self, ("direction",), why)
             if self.head is not None and self.point is not None and self.point == self.head.stated.mirror:
@@ -197,7 +197,11 @@ class ChannelEntry(Block):
             refuse_missing(self, ("channel",), why)
         known = {*self.ANY, *self.TRIGGER}
         if self.quantity != "trigger":
-            known = {*self.ANY, *self.VALUE, *{"output": ("channel",), "voltage": ()}.get(self.quantity, self.PLACE)}
+            known = {
+                *self.ANY,
+                *self.VALUE,
+                *{"output": ("channel",), "voltage": ()}.get(self.quantity, self.PLACEMENT),
+            }
         refuse_foreign(self, known, why)
         suffix = self.response.suffix.lower() if self.response is not None else ""
         if self.response_result is not None and suffix != ".xml":
@@ -227,7 +231,7 @@ class ChannelEntry(Block):
         return 0.0 if kind == "pure" else max(self.delay, 0.0)
 
 
-class Daq(Block):
+class Daq(ManifestBlock):
     """One DAQ file with one clock."""
 
     name: Text
@@ -251,7 +255,7 @@ class Daq(Block):
         return self
 
 
-class Frames(Block):
+class Frames(ManifestBlock):
     """What images and points share: the stereo pair, the trigger, and the exposure, by default the pair's own.
 
     `edge_step`: edges from one frame to the next, or to the next number of a file.
@@ -266,7 +270,7 @@ class Frames(Block):
     delay_uncertainty: Annotated[NotNegative, SECONDS]
 
     INHERITED: ClassVar[tuple[str, ...]] = ("exposure", "delay", "delay_uncertainty")
-    TELLS_ROWS: ClassVar[bool] = False
+    HAS_ROW_TIMES: ClassVar[bool] = False
 
     @model_validator(mode="before")
     @classmethod
@@ -281,7 +285,7 @@ class Frames(Block):
         if name not in known:
             found = f'"{name}"; rig.toml has {", ".join(known) or "none"}'
             raise refusal("the name of a stereo pair of rig.toml", found, key="stereo")
-        if any(known[name].row_time) and not cls.TELLS_ROWS:
+        if any(known[name].row_time) and not cls.HAS_ROW_TIMES:
             expected = "images, which tell when the rows of a rolling shutter (row_time) showed what they show"
             raise refusal(expected, f'points of "{name}"', key="stereo")
         return {key: getattr(known[name], key) for key in cls.INHERITED} | value
@@ -344,7 +348,7 @@ class PointFiles(Frames):
         return self
 
 
-class SetUpFiles(Block):
+class SetUpFiles(ManifestBlock):
     """What was recorded at once."""
 
     daq: Annotated[tuple[Daq, ...], BeforeValidator(array_of_tables)] = ()
@@ -387,7 +391,7 @@ class RecordingFile(SetUpFiles):
     operator: Text | None = None
     procedure: Text | None = None
     environment: Environment | None = None
-    excitation: Excitation
-    part: Annotated[tuple[Part, ...], BeforeValidator(array_of_tables)] = ()
+    excitation: ExcitationEntry
+    part: Annotated[tuple[RigPart, ...], BeforeValidator(array_of_tables)] = ()
     shaker: Shaker | None = None
     take: Annotated[tuple[Take, ...], BeforeValidator(array_of_tables)] = ()

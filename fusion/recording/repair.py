@@ -11,11 +11,11 @@ from typing import Any, Generic, TypeVar, get_args
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from fusion.base import InputError
-from fusion.recording.toml import key_path, models_in, phrases
-from fusion.recording.values import Block, Context
+from fusion.errors import InputError
+from fusion.recording.toml import describe_problem, key_path, models_in
+from fusion.recording.values import Context, ManifestBlock
 
-AnyBlock = TypeVar("AnyBlock", bound=Block)
+AnyBlock = TypeVar("AnyBlock", bound=ManifestBlock)
 Place = list[int | str]
 PLACEHOLDER = "placeholder"
 MOST_REPAIRS, MOST_VALIDATIONS = 40, 400
@@ -68,7 +68,7 @@ class Repair(Generic[AnyBlock]):
         return []
 
     def _mistake(self, problem: ErrorDetails) -> InputError:
-        expected, found = phrases(self._model, problem)
+        expected, found = describe_problem(self._model, problem)
         return InputError(self._path, key_path(self._whole, _place(problem)), found, expected)
 
     def _new(self, mistake: InputError) -> bool:
@@ -181,11 +181,8 @@ def _without(values: dict[str, Any], place: Place) -> dict[str, Any]:
     return changed
 
 
-def doubted(contradiction: InputError, doubtful: Mapping[Path, set[str]]) -> bool:
+def is_doubtful(contradiction: InputError, doubtful: Mapping[Path, set[str]]) -> bool:
     """Whether a contradiction may follow from a placeholder: it names such a block, or is at a key of one."""
     every = set().union(*doubtful.values())
-    told, key = (
-        set(re.split(r"[^\w-]+", text))
-        for text in (f"{contradiction.found} {contradiction.expected}", contradiction.key)
-    )
+    told, key = (set(re.split(r"[^\w-]+", text)) for text in (contradiction.sentence, contradiction.key))
     return bool((every | {PLACEHOLDER}) & told or doubtful.get(contradiction.file, set()) & key)

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
-from fusion.base import InputError, as_input_error
+from fusion.errors import InputError, as_input_error
 from fusion.recording.dcc import SUFFIX, CalibrationCertificate, read_dcc
-from fusion.recording.dcc_curves import HERTZ, PLAIN_SIGN, CertifiedCurve, curve_named, leading
+from fusion.recording.dcc_curves import HERTZ, PLAIN_SIGN, CertifiedCurve, curve_named, leading_phase
 from fusion.recording.dsi import parse_unit
 from fusion.recording.toml import read_rows, read_toml, validate
 from fusion.recording.values import (
-    Block,
+    ManifestBlock,
     NotNegative,
     Number,
     Positive,
@@ -38,9 +38,9 @@ from shaker.frf.chain import (
     PassBand,
     PoleModel,
     ResponseTable,
+    cascade_responses,
     filter_poles,
     pole_response,
-    product,
     table_response,
 )
 
@@ -72,7 +72,7 @@ def _complex(roots: tuple[tuple[float, float], ...]) -> NDArray[np.complex128]:
     return np.array([complex(*root) for root in roots], dtype=np.complex128)
 
 
-class Element(Block):
+class ChainElement(ManifestBlock):
     """One element of a chain: gain and delay of its own, and poles and zeros in rad/s or a standard filter."""
 
     name: Text = "element"
@@ -136,11 +136,11 @@ class Element(Block):
         return ChainResponse(found.value, found.errors, tuple(f"{cause} of {self.name}" for cause in found.causes))
 
 
-class Chain(Block):
+class MeasuringChainFile(ManifestBlock):
     """A chain's file: elements one behind the other."""
 
     format: Version = 1
-    element: Annotated[tuple[Element, ...], BeforeValidator(array_of_tables), Field(min_length=1)]
+    element: Annotated[tuple[ChainElement, ...], BeforeValidator(array_of_tables), Field(min_length=1)]
 
 
 def read_response(
@@ -155,7 +155,7 @@ def read_response(
     """
     if path.suffix.lower() == ELEMENTS:
         with as_input_error(path, "element"):
-            return product([element.response(frequency_hz) for element in read_chain(path).element])
+            return cascade_responses([element.response(frequency_hz) for element in read_chain(path).element])
     if path.suffix.lower() == SUFFIX:
         certificate = read_dcc(path)
         table = certified_table(certificate, result or "")
@@ -223,9 +223,9 @@ def _refuse_unmeasured(
             )
 
 
-def read_chain(path: Path) -> Chain:
+def read_chain(path: Path) -> MeasuringChainFile:
     """Read the elements of a chain; raises `InputError`."""
-    return validate(Chain, read_toml(path), path)
+    return validate(MeasuringChainFile, read_toml(path), path)
 
 
 def read_table(path: Path, columns: ResponseColumns | None = None) -> ResponseTable:
@@ -321,7 +321,7 @@ def _named_columns(path: Path, columns: ResponseColumns) -> list[FloatArray]:
     if columns.u_magnitude_unit == "%" or units[3] == "%":
         u_magnitude = u_magnitude / 100 * magnitude
     try:
-        phase = leading(turn * phase, u_turn * u_phase, columns.phase.lower().replace("_", " "))
+        phase = leading_phase(turn * phase, u_turn * u_phase, columns.phase.lower().replace("_", " "))
     except ValueError as error:
         raise InputError(path, "response_columns.phase", str(error), PLAIN_SIGN) from error
     u = factor / columns.k * u_magnitude, u_turn / columns.k * u_phase

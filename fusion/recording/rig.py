@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, Self
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
-from fusion.estimation.measurement_model import UnseenMotion
+from fusion.estimation.measurement_model import UnobservedMotion
 from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.environment import Environment
 from fusion.recording.values import (
@@ -26,7 +26,6 @@ from fusion.recording.values import (
     ZERO3,
     ZERO6,
     ZERO33,
-    Block,
     BodyName,
     Celsius,
     Delay,
@@ -35,20 +34,21 @@ from fusion.recording.values import (
     Exposure,
     FreeVector,
     Inertia,
-    InertiaSpread,
+    InertiaUncertainty,
+    ManifestBlock,
     Mass,
     Matrix3,
     NotNegative,
     Number,
-    Place,
-    PoseSpread,
+    PoseUncertainty,
+    Position,
     Positive,
     Rotation,
     RowTime,
     Share,
-    Spread3,
-    Surface,
+    SurfacePlane,
     Text,
+    Uncertainty3,
     Vector3,
     Vector6,
     Version,
@@ -61,8 +61,8 @@ from fusion.recording.values import (
     refuse_missing,
     refuse_repeated,
     rows_of,
-    spread,
     texts,
+    uncertainty_vector,
     vector,
 )
 
@@ -111,7 +111,7 @@ def _refuse_impossible(mass: float, inertia: Matrix3, mass_key: str, inertia_key
         raise refusal("a mass in kg with moments of inertia in kg m^2", told, key=mass_key)
 
 
-class Sensor(Block):
+class Sensor(ManifestBlock):
     """The sensor under test: its outputs, their sense, and the mass that moves above its elastic element."""
 
     name: Text
@@ -130,10 +130,10 @@ class Sensor(Block):
     base_strain_sensitivity: NotNegative | None = None
     internal_mass: Annotated[NotNegative, WEIGHT]
     internal_mass_uncertainty: NotNegative = 0.0
-    internal_centre_of_mass: Place = ZERO3
-    internal_centre_of_mass_uncertainty: Spread3 = ZERO3
+    internal_centre_of_mass: Position = ZERO3
+    internal_centre_of_mass_uncertainty: Uncertainty3 = ZERO3
     internal_inertia: Inertia = ZERO33
-    internal_inertia_uncertainty: InertiaSpread = ZERO33
+    internal_inertia_uncertainty: InertiaUncertainty = ZERO33
 
     @model_validator(mode="after")
     def _one_row_per_channel(self) -> Self:
@@ -153,7 +153,7 @@ class Sensor(Block):
         return float(self.internal_inertia[axis][axis]), float(self.internal_inertia_uncertainty[axis][axis])
 
 
-class Mounted(Block):
+class MountedBody(ManifestBlock):
     """A rigid thing with mass: what the load and every further part have in common.
 
     `inertia` (3, 3): about the centre of mass, products −∫xy dm.
@@ -163,9 +163,9 @@ class Mounted(Block):
     mass_uncertainty: NotNegative = 0.0
     mass_kind: Literal["true", "conventional"] = "true"
     density: Annotated[Positive, DENSITY] | None = None
-    centre_of_mass: Place
-    centre_of_mass_uncertainty: Spread3 = ZERO3
-    inertia_uncertainty: InertiaSpread = ZERO33
+    centre_of_mass: Position
+    centre_of_mass_uncertainty: Uncertainty3 = ZERO3
+    inertia_uncertainty: InertiaUncertainty = ZERO33
 
     @model_validator(mode="after")
     def _conventional_mass_has_density(self) -> Self:
@@ -192,7 +192,7 @@ def _displacements(value: object) -> dict[str, tuple[float, ...]]:
     }
 
 
-def _refuse_as_large(block: Block, keys: Sequence[str]) -> None:
+def _refuse_as_large(block: ManifestBlock, keys: Sequence[str]) -> None:
     """Refuse a value whose standard uncertainty is as large as itself: a standard uncertainty less must be possible."""
     for key in keys:
         value, u = getattr(block, key), getattr(block, f"{key}_uncertainty")
@@ -200,7 +200,7 @@ def _refuse_as_large(block: Block, keys: Sequence[str]) -> None:
             raise refusal(f"less than the {key} of {value:g}", f"{u:g}", key=f"{key}_uncertainty")
 
 
-class ElasticMode(Block):
+class ElasticMode(ManifestBlock):
     """A natural mode of the load with its foot held, as a finite element program tells it.
 
     `participation` (6,): force and moment at the sensor origin for a unit acceleration of the mode; `displacement` of
@@ -237,7 +237,7 @@ POSITIVE = (
 """Numbers of a drawing that mean nothing at or below 0."""
 
 
-class Elastic(Block):
+class Elastic(ManifestBlock):
     """What bends or stretches of the load: a rod or a plate by drawing, or a table of modes.
 
     Without any uncertainty it is only named: nothing is corrected, and the whole effect is uncertain.
@@ -245,7 +245,7 @@ class Elastic(Block):
 
     name: Text
     shape: Literal["rod", "plate", "modes"]
-    foot: Place = ZERO3
+    foot: Position = ZERO3
     axis: Direction | None = None
     length: Annotated[Positive, NEAR] | None = None
     length_uncertainty: NotNegative = 0.0
@@ -321,7 +321,7 @@ class Elastic(Block):
         return self
 
 
-class Load(Mounted):
+class RigLoad(MountedBody):
     """Everything mounted above the sensor, without the sensor's own part.
 
     `elastic_frequency`: at which the load resonates on its joint with the lower side held, Hz, component by component;
@@ -333,15 +333,15 @@ class Load(Mounted):
     inertia: Inertia
     elastic: Annotated[tuple[Elastic, ...], BeforeValidator(array_of_tables)] = ()
     first_frequency: Annotated[
-        Vector6 | None, BeforeValidator(positive(spread(6), "a number or 6 numbers, all above 0"))
+        Vector6 | None, BeforeValidator(positive(uncertainty_vector(6), "a number or 6 numbers, all above 0"))
     ] = None
     elastic_frequency: Annotated[
-        Vector6 | None, BeforeValidator(positive(spread(6), "a number or 6 numbers, all above 0"))
+        Vector6 | None, BeforeValidator(positive(uncertainty_vector(6), "a number or 6 numbers, all above 0"))
     ] = None
-    elastic_frequency_uncertainty: Annotated[Vector6, BeforeValidator(spread(6))] = ZERO6
+    elastic_frequency_uncertainty: Annotated[Vector6, BeforeValidator(uncertainty_vector(6))] = ZERO6
     elastic_damping: Share = 0.0
-    cable_stiffness: Annotated[Vector3 | None, BeforeValidator(spread(3))] = None
-    cable_stiffness_uncertainty: Spread3 = ZERO3
+    cable_stiffness: Annotated[Vector3 | None, BeforeValidator(uncertainty_vector(3))] = None
+    cable_stiffness_uncertainty: Uncertainty3 = ZERO3
 
     @model_validator(mode="after")
     def _elastic_parts_have_different_names(self) -> Self:
@@ -356,7 +356,7 @@ class Load(Mounted):
         return self
 
 
-class Part(Mounted):
+class RigPart(MountedBody):
     """A further part of the load or of the base; without inertia it is a point mass."""
 
     name: Text
@@ -365,7 +365,7 @@ class Part(Mounted):
     below_joint: bool = False
 
 
-class Stereo(Block):
+class Stereo(ManifestBlock):
     """A stereo pair: x_sensor = rotation · x_left_camera + translation at rest, and when its frames are exposed.
 
     `row_time`: s from row to row of the left and the right camera, negative where the last row is read first; 0 where
@@ -378,10 +378,10 @@ class Stereo(Block):
     body: Literal["load", "base", "room"]
     support: Text | None = None
     calibration: ExistingFile | None = None
-    surface: Surface | None = None
+    surface: SurfacePlane | None = None
     rotation: Rotation
     translation: Annotated[FreeVector, FAR]
-    pose_uncertainty: PoseSpread = ZERO6
+    pose_uncertainty: PoseUncertainty = ZERO6
     pose_by_calibration: Annotated[tuple[tuple[float, ...], ...] | None, BeforeValidator(rows_of(6, 32, 24))] = None
     scale_uncertainty: Share | None = None
     bit_depth: Annotated[int, Field(ge=1, le=16)] | None = None
@@ -404,7 +404,7 @@ class Stereo(Block):
         return self
 
 
-class Head(Block):
+class InstrumentHead(ManifestBlock):
     """A laser head whose beams leave it together, or the body of a triaxial accelerometer: what all its channels share.
 
     `mirror`: from where the beams leave, sensor frame; `standoff`: its distance from the points where only that is
@@ -412,10 +412,10 @@ class Head(Block):
     """
 
     mirror: FreeVector | None = None
-    mirror_uncertainty: Spread3 = ZERO3
+    mirror_uncertainty: Uncertainty3 = ZERO3
     standoff: Positive | None = None
-    rotation_uncertainty: Spread3 = ZERO3
-    point_uncertainty: Spread3 = ZERO3
+    rotation_uncertainty: Uncertainty3 = ZERO3
+    point_uncertainty: Uncertainty3 = ZERO3
 
     @model_validator(mode="after")
     def _one_place_of_the_mirror(self) -> Self:
@@ -431,25 +431,25 @@ class NamedHead:
     """A head of the rig as a channel names it."""
 
     name: str
-    stated: Head
+    stated: InstrumentHead
 
 
-class Shaker(Block):
+class Shaker(ManifestBlock):
     """How far the shaker moves in components that nobody measures, at most: amplitudes over that of the driven motion.
 
     `rocking_motion`: rotations times 0.1 m.
     """
 
-    transverse_motion: Positive = UnseenMotion.transverse
-    rocking_motion: Positive = UnseenMotion.rocking
+    transverse_motion: Positive = UnobservedMotion.transverse
+    rocking_motion: Positive = UnobservedMotion.rocking
 
     @property
-    def unseen(self) -> UnseenMotion:
+    def unobserved_motion(self) -> UnobservedMotion:
         """Return the limits as the fusion takes them."""
-        return UnseenMotion(self.transverse_motion, self.rocking_motion)
+        return UnobservedMotion(self.transverse_motion, self.rocking_motion)
 
 
-class Change(Block):
+class ModelChange(ManifestBlock):
     """By how much a model may be otherwise: relative standard uncertainties of three unknowns.
 
     Of the frequencies of all modes together, of their damping ratios, of the static gain.
@@ -460,7 +460,7 @@ class Change(Block):
     gain_uncertainty: NotNegative = 0.0
 
 
-class Warming(Block):
+class TemperatureChange(ManifestBlock):
     """One unknown difference of temperature, K, and what 1 K of it changes, relative; `gain`: by default the sensor's
     `temperature_coefficient`."""
 
@@ -470,35 +470,35 @@ class Warming(Block):
     gain_coefficient: Number | None = None
 
 
-class ModelChanges(Block):
+class ModelChanges(ManifestBlock):
     """What the records behind a model of the sensor cannot show, as the user knows it from elsewhere."""
 
-    mounting: Change | None = None
-    load: Change | None = None
-    temperature: Warming | None = None
-    structure: Change | None = None
+    mounting: ModelChange | None = None
+    load: ModelChange | None = None
+    temperature: TemperatureChange | None = None
+    structure: ModelChange | None = None
 
 
-class Administration(Block):
+class RigAdministration(ManifestBlock):
     """What a calibration certificate needs beside the results."""
 
     laboratory: Text | None = None
 
 
-class Rig(Block):
+class Rig(ManifestBlock):
     """rig.toml: what does not change from run to run."""
 
     format: Version
     name: Text
     sensor: Sensor | None = None
-    load: Load | None = None
-    part: Annotated[tuple[Part, ...], BeforeValidator(array_of_tables)] = ()
+    load: RigLoad | None = None
+    part: Annotated[tuple[RigPart, ...], BeforeValidator(array_of_tables)] = ()
     environment: Environment | None = None
     stereo: dict[str, Stereo] = Field(default_factory=dict)
-    head: dict[str, Head] = Field(default_factory=dict)
+    head: dict[str, InstrumentHead] = Field(default_factory=dict)
     shaker: Shaker | None = None
     model: ModelChanges | None = None
-    administration: Administration | None = None
+    administration: RigAdministration | None = None
 
     @model_validator(mode="after")
     def _parts_have_different_names(self) -> Self:

@@ -22,10 +22,10 @@ import numpy as np
 from pydantic import BaseModel, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
-from fusion.base import InputError
+from fusion.errors import InputError
 from fusion.recording.values import (
-    Block,
     Context,
+    ManifestBlock,
     NotNegative,
     describe,
     is_number,
@@ -38,7 +38,7 @@ LARGEST_TOML = 4_000_000  # bytes; no manifest is anywhere near
 LONG_LINE = 5000  # characters, from which on nesting takes the reader of TOML time
 UTF16 = (b"\xff\xfe", b"\xfe\xff")  # how Windows begins such a file
 DEEPEST = 32  # tables and lists in one another; manifests have five
-AnyBlock = TypeVar("AnyBlock", bound=Block)
+AnyBlock = TypeVar("AnyBlock", bound=ManifestBlock)
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -136,18 +136,18 @@ def checked_table(
     model: type[AnyBlock],
     values: dict[str, Any],
     path: Path,
-    within: tuple[dict[str, Any], list[int | str]] | None = None,
+    location: tuple[dict[str, Any], list[int | str]] | None = None,
     context: Context | None = None,
 ) -> AnyBlock:
     """Check a table against a model; `within`: the whole file and the place of the table in it, where it is a part."""
     try:
         return model.model_validate(values, context=context)
     except ValidationError as error:
-        whole, start = within or (values, [])
+        whole, start = location or (values, [])
 
         def told(problem: ErrorDetails) -> InputError:
             place, own = [*start, *problem["loc"]], problem.get("ctx", {}).get("key")
-            expected, found = phrases(model, problem)
+            expected, found = describe_problem(model, problem)
             return InputError(path, key_path(whole, [*place, *own.split(".")] if own else place), found, expected)
 
         # An unknown key comes before the key that is missing in its stead.
@@ -184,7 +184,7 @@ def _is_relative(name: str, table: dict[str, Any]) -> bool:
     return name in RELATIVE or (name in RELATIVE_ALONE and name not in table)
 
 
-class Stated(Block):
+class UncertaintyStatement(ManifestBlock):
     """An input as a certificate states it: U, absolute or relative, with its k, or the half-width of a distribution."""
 
     value: Any = None
@@ -248,12 +248,12 @@ class UncertainInput:
     value: Any
     u: Any
     relative: bool
-    stated: Stated | None = None
+    stated: UncertaintyStatement | None = None
 
     @property
     def source(self) -> str:
         """Return certificate, laboratory and dates in words."""
-        own = self.stated or Stated(U=0.0, k=1.0)
+        own = self.stated or UncertaintyStatement(U=0.0, k=1.0)
         dates = (str(own.date or ""), "" if own.valid_until is None else f"valid until {own.valid_until}")
         return ", ".join(filter(None, (own.certificate, own.laboratory, *dates)))
 
@@ -303,7 +303,7 @@ def expand_statements(text: dict[str, Any], path: Path) -> tuple[dict[str, Any],
             if not isinstance(item, dict) or all(isinstance(item.get(u, {}), dict) for u in ("U", "U_relative")):
                 out[key] = expanded(item, here)
                 continue
-            own, name = checked_table(Stated, item, path, (text, here)), key.removesuffix("_uncertainty")
+            own, name = checked_table(UncertaintyStatement, item, path, (text, here)), key.removesuffix("_uncertainty")
             target, relative = UNCERTAINTY_OF.get(name, f"{name}_uncertainty"), _is_relative(name, value)
             if (own.value is None) == (name == key):
                 wanted = "the value that this U belongs to" if name == key else "no value: it stands at its own key"
@@ -328,7 +328,7 @@ UNFILLED = "?"
 """What stands in a drafted manifest in the place of a value that only the laboratory knows."""
 
 
-def unfilled(text: dict[str, Any], path: Path) -> list[InputError]:
+def find_unfilled(text: dict[str, Any], path: Path) -> list[InputError]:
     """Return a mistake for every value of a file that is still to be filled in, in the order of the file.
 
     What is expected there is what the comment behind the value says.
@@ -352,7 +352,7 @@ def unfilled(text: dict[str, Any], path: Path) -> list[InputError]:
     ]
 
 
-def quoted(name: str) -> str:
+def quote_key(name: str) -> str:
     """A name as part of a key path, in quotes unless TOML takes it bare."""
     return name if re.fullmatch(r"[A-Za-z0-9_-]{1,60}", name) else f'"{describe(name, plain=True)}"'
 
@@ -369,7 +369,7 @@ def key_path(text: dict[str, Any], place: list[int | str]) -> str:
         if isinstance(step, int) and not name:
             told += f"[{step + 1}]"
         else:
-            told += f".{quoted(name)}" if told else quoted(name)
+            told += f".{quote_key(name)}" if told else quote_key(name)
         value = child
     return told
 
@@ -383,7 +383,7 @@ def _block_name(siblings: Any, block: Any) -> str:
     return ""
 
 
-def phrases(model: type[Block], problem: ErrorDetails) -> tuple[str, str]:
+def describe_problem(model: type[ManifestBlock], problem: ErrorDetails) -> tuple[str, str]:
     """What was expected and what was found, for any error of pydantic's."""
     kind, context = problem["type"], problem.get("ctx", {})
     if kind == "refused":

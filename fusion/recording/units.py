@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fusion.base import InputError
+from fusion.errors import InputError
 from fusion.recording.dcc import SUFFIX, read_dcc
 from fusion.recording.dcc_curves import curve_named
 from fusion.recording.dsi import NONE, Dimension, parse_unit
 from fusion.recording.response import ELEMENTS, read_chain, read_table
-from fusion.recording.toml import quoted
-from shaker.arrays import Notice
+from fusion.recording.toml import quote_key
+from shakercal._common.notices import Notice
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -218,12 +218,12 @@ def _usual_magnitude(path: Path, columns: ResponseColumns | None) -> float:
     return 0.0
 
 
-def unit_doubts(manifest: Manifest, daq: Daq, raw: Mapping[str, RawChannel]) -> tuple[Notice, ...]:
+def unit_notices(manifest: Manifest, daq: Daq, raw: Mapping[str, RawChannel]) -> tuple[Notice, ...]:
     """Return a question for every channel whose file states another unit than its `scale` lets expect."""
     told = []
     certified = {item.key for item in manifest.inputs if item.stated is not None and item.stated.certificate}
     for entry in daq.channel:
-        where = f"daq.{quoted(daq.name)}.channel.{quoted(entry.name)}.scale"
+        where = f"daq.{quote_key(daq.name)}.channel.{quote_key(entry.name)}.scale"
         of_certificate = any(key.endswith(where) for key in certified)
         unit = raw[entry.name].unit
         doubt = None if entry.quantity == "trigger" else _doubt(entry, unit, manifest.rig, of_certificate)

@@ -24,7 +24,7 @@ from pydantic_core import PydanticCustomError
 from fusion.base import natural_key
 
 if TYPE_CHECKING:
-    from fusion.recording.rig import Head, Stereo
+    from fusion.recording.rig import InstrumentHead, Stereo
 
 
 # Paths that stand in a manifest: resolved against its folder, kept inside the campaign, globs ordered naturally.
@@ -144,10 +144,10 @@ class Context:
 
     scope: PathScope
     stereo: dict[str, Stereo]
-    head: dict[str, Head] = field(default_factory=dict)
+    head: dict[str, InstrumentHead] = field(default_factory=dict)
 
 
-class Block(BaseModel):
+class ManifestBlock(BaseModel):
     """A TOML table: its keys are the attributes, unknown ones are refused, nothing is converted, nothing changes.
 
     Its validator is built when it is first used: a table within another needs none of its own.
@@ -271,7 +271,7 @@ def unit_vector(value: Any) -> tuple[float, ...]:
     return tuple(element / length for element in elements)
 
 
-def spread(count: int, each: str = "") -> Callable[[Any], tuple[float, ...]]:
+def uncertainty_vector(count: int, each: str = "") -> Callable[[Any], tuple[float, ...]]:
     """Validator of `count` standard uncertainties; one number holds for all, unless `each` tells what they are."""
     expected = f"{count} numbers ({each}), none negative" if each else f"a number or {count} numbers, none negative"
 
@@ -411,14 +411,14 @@ def repeated_name(names: Sequence[str]) -> str | None:
     return next((name for name in names if name in seen or seen.add(name)), None)  # type: ignore[func-returns-value]
 
 
-def refuse_missing(block: Block, required: Sequence[str], why: str) -> None:
+def refuse_missing(block: ManifestBlock, required: Sequence[str], why: str) -> None:
     """Refuse a table that lacks a key its kind needs."""
     for key in required:
         if getattr(block, key) is None:
             raise refusal(f"this key, required for {why}", "nothing", key=key)
 
 
-def refuse_foreign(block: Block, known: Collection[str], why: str) -> None:
+def refuse_foreign(block: ManifestBlock, known: Collection[str], why: str) -> None:
     """Refuse a key that means nothing for the kind of a table."""
     for key in type(block).model_fields:
         if key in block.model_fields_set and key not in known:
@@ -451,7 +451,7 @@ def refuse_repeated(names: Sequence[str], what: str, key: str) -> None:
         raise refusal(f"{what} of different names", f'"{twice}" twice', key=key)
 
 
-def within(low: float, high: float, unit: str, **others: float) -> AfterValidator:
+def size_range(low: float, high: float, unit: str, **others: float) -> AfterValidator:
     """Validator of a number, or of the size of each number of a list, in `unit`: 0, or from `low` to `high`.
 
     `others`: units in which users state it by mistake, in `unit`; one in which the number were usual is named.
@@ -470,17 +470,17 @@ def within(low: float, high: float, unit: str, **others: float) -> AfterValidato
     return AfterValidator(check)
 
 
-NEAR = within(0.0, 5.0, "m", mm=1e-3)
-FAR = within(0.0, 100.0, "m", mm=1e-3)
-WEIGHT = within(1e-9, 1e5, "kg", g=1e-3)
-DENSITY = within(10.0, 1e12, "kg/m^3", **{"g/cm^3": 1e3})
-MODULUS = within(1e4, 2e12, "Pa", GPa=1e9, MPa=1e6)
-SHARE = within(0.0, 1.0, "", percent=1e-2, ppm=1e-6)
-RADIANS = within(0.0, 3.15, "rad", degrees=np.pi / 180)
-SECONDS = within(0.0, 10.0, "s", ms=1e-3, µs=1e-6)
-ROWS = within(1e-10, 1e-3, "s", µs=1e-6, ns=1e-9)
-ROWS = within(1e-10, 1e-3, "s", µs=1e-6, ns=1e-9)
-HERTZ = within(1e-4, 1e8, "Hz")
+NEAR = size_range(0.0, 5.0, "m", mm=1e-3)
+FAR = size_range(0.0, 100.0, "m", mm=1e-3)
+WEIGHT = size_range(1e-9, 1e5, "kg", g=1e-3)
+DENSITY = size_range(10.0, 1e12, "kg/m^3", **{"g/cm^3": 1e3})
+MODULUS = size_range(1e4, 2e12, "Pa", GPa=1e9, MPa=1e6)
+SHARE = size_range(0.0, 1.0, "", percent=1e-2, ppm=1e-6)
+RADIANS = size_range(0.0, 3.15, "rad", degrees=np.pi / 180)
+SECONDS = size_range(0.0, 10.0, "s", ms=1e-3, µs=1e-6)
+ROWS = size_range(1e-10, 1e-3, "s", µs=1e-6, ns=1e-9)
+ROWS = size_range(1e-10, 1e-3, "s", µs=1e-6, ns=1e-9)
+HERTZ = size_range(1e-4, 1e8, "Hz")
 """What keys can mean at all: sizes beyond are those of another unit."""
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Celsius = Annotated[float, Field(ge=-100, le=200, allow_inf_nan=False)]
@@ -491,20 +491,20 @@ Text = Annotated[str, Field(min_length=1)]
 Texts = Annotated[tuple[str, ...], BeforeValidator(texts)]
 Exposure = Annotated[float | Literal["pulse", "file"], BeforeValidator(exposure), SECONDS]
 FreeVector = Annotated[Vector3, BeforeValidator(vector(3))]
-Place = Annotated[FreeVector, NEAR]
+Position = Annotated[FreeVector, NEAR]
 Share = Annotated[NotNegative, SHARE]
 Angle = Annotated[NotNegative, RADIANS]
 Mass = Annotated[Positive, WEIGHT]
 Delay = Annotated[Number, SECONDS]
 RowTime = Annotated[tuple[float, float], BeforeValidator(each_of(2)), ROWS]
 Direction = Annotated[Vector3, BeforeValidator(unit_vector)]
-Spread3 = Annotated[Vector3, BeforeValidator(spread(3))]
-PoseSpread = Annotated[Vector6, BeforeValidator(spread(6, "3 in m, 3 in rad"))]
+Uncertainty3 = Annotated[Vector3, BeforeValidator(uncertainty_vector(3))]
+PoseUncertainty = Annotated[Vector6, BeforeValidator(uncertainty_vector(6, "3 in m, 3 in rad"))]
 Region = Annotated[Box, BeforeValidator(box)]
 Mask = Annotated[tuple[Box, ...], BeforeValidator(boxes)]
 Rotation = Annotated[Matrix3, BeforeValidator(rotation)]
 Inertia = Annotated[Matrix3, BeforeValidator(inertia)]
-InertiaSpread = Annotated[Matrix3, BeforeValidator(inertia_spread)]
+InertiaUncertainty = Annotated[Matrix3, BeforeValidator(inertia_spread)]
 ExistingFile = Annotated[Path, BeforeValidator(existing(PathScope.file, "a path"))]
 ExistingFiles = Annotated[
     tuple[Path, ...], BeforeValidator(existing(PathScope.files, "a path or a pattern such as folder/*.tif"))
@@ -515,14 +515,14 @@ ZERO6: Vector6 = (0.0,) * 6
 ZERO33: Matrix3 = (ZERO3, ZERO3, ZERO3)
 
 
-class Surface(Block):
+class SurfacePlane(ManifestBlock):
     """The plane in which the face before a camera alone lies at rest: a point of it, m, and its normal, sensor frame.
 
     `distance_uncertainty` m along the normal, `tilt_uncertainty` rad about each of two axes across it: of the drawing
     and the mounting, beside the uncertainty of the camera's pose.
     """
 
-    point: Place
+    point: Position
     normal: Direction
     distance_uncertainty: Annotated[NotNegative, NEAR]
     tilt_uncertainty: Angle

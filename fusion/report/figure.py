@@ -1,6 +1,6 @@
 """A figure as data: panels with axes and marks.
 
-`figures.js` draws it in the browser, `fusion.report.still` as SVG, `fusion.report.printed` as other files.
+`figures.js` draws it in the browser, `fusion.report.static_figure` as SVG, `fusion.report.figure_files` as other files.
 
 What a figure shows is said here once; nothing of how either of them draws it.
 """
@@ -180,7 +180,7 @@ class Image(Mark):
 
 
 @dataclass
-class Axis:
+class PanelAxis:
     """One axis of a panel.
 
     `limits`: of what is shown, the first at the left or below; without them all marks. `names`: of the places 0, 1, …;
@@ -203,8 +203,8 @@ class Panel:
     """One pair of axes and the marks in it, drawn in their order. `blank`: nothing but its texts."""
 
     title: str = ""
-    x: Axis = field(default_factory=Axis)
-    y: Axis = field(default_factory=Axis)
+    x: PanelAxis = field(default_factory=PanelAxis)
+    y: PanelAxis = field(default_factory=PanelAxis)
     marks: list[Mark] = field(default_factory=list)
     equal: bool = False
     blank: bool = False
@@ -300,7 +300,7 @@ class Figure:
     caption: str = ""
     main: bool = False
 
-    def entitled(self, title: str, caption: str, *, main: bool = False) -> Figure:
+    def with_title(self, title: str, caption: str, *, main: bool = False) -> Figure:
         """Return the figure, once its panels are drawn, with what stands beside it."""
         return replace(self, title=title, caption=caption, main=main)
 
@@ -329,7 +329,7 @@ class Figure:
         return _text(data)
 
 
-def sheet(
+def empty_figure(
     name: str,
     height_in: float,
     rows: int | Sequence[float] = 1,
@@ -358,7 +358,7 @@ def _plain(part: Any) -> dict[str, Any]:
     for entry in fields(part):
         value = getattr(part, entry.name)
         if isinstance(value, np.ndarray):
-            plain[entry.name] = encoded(value) if value.dtype == np.uint8 else value
+            plain[entry.name] = jpeg_uri(value) if value.dtype == np.uint8 else value
         elif isinstance(value, Scale):
             plain[entry.name] = _plain(value)
         elif value is not None and value != entry.default:
@@ -381,7 +381,7 @@ def _text(data: Any) -> str:
     return f"[{written % tuple(np.where(np.isfinite(data), data, np.nan).tolist())}]".replace("nan", "null")
 
 
-def encoded(grey: NDArray[np.uint8]) -> str:
+def jpeg_uri(grey: NDArray[np.uint8]) -> str:
     """Return a grey picture as the source of an image element."""
     import cv2
 
@@ -392,7 +392,7 @@ def encoded(grey: NDArray[np.uint8]) -> str:
 # What several figures draw alike.
 
 
-def padded(low: float, high: float, share: float = 0.15) -> tuple[float, float]:
+def padded_limits(low: float, high: float, share: float = 0.15) -> tuple[float, float]:
     """Axis limits with some room on both sides."""
     room = share * (high - low) if high > low else share * max(abs(high), 1e-300)
     return low - room, high + room
@@ -422,7 +422,7 @@ def extremes(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     return x[kept], y[kept]
 
 
-def thin_out(x: FloatArray, y: FloatArray, edges: FloatArray) -> tuple[FloatArray, FloatArray]:
+def decimate_edges(x: FloatArray, y: FloatArray, edges: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Largest `y` of each interval between `edges`, with its own `x`: peaks survive, the file stays small; x rises."""
     starts = np.unique([0, *np.searchsorted(x, edges)])
     starts = starts[starts < len(x)]
@@ -432,7 +432,7 @@ def thin_out(x: FloatArray, y: FloatArray, edges: FloatArray) -> tuple[FloatArra
     return x[best], y[best]
 
 
-def frequency_axis(axis: Axis, frequency_hz: FloatArray, wide_band: float = 8.0) -> None:
+def frequency_axis(axis: PanelAxis, frequency_hz: FloatArray, wide_band: float = 8.0) -> None:
     """Frequency over the whole of `frequency_hz`, logarithmic where its ends are further apart than `wide_band`."""
     axis.limits = (float(frequency_hz[0]), float(frequency_hz[-1]))
     axis.log = bool(frequency_hz[-1] > wide_band * frequency_hz[0])
@@ -491,7 +491,7 @@ def frame_bars(
         ends = np.concatenate([level - half, level + half, reference])
         known = ends[np.isfinite(ends)]
         if len(known):
-            panel.y.limits = padded(float(known.min()), float(known.max()))
+            panel.y.limits = padded_limits(float(known.min()), float(known.max()))
     upper.y.label, lower.y.label = f"magnitude / {magnitude}", "phase / rad"
     lower.rule(0.0, colour=GREY)
     if static is not None:

@@ -25,31 +25,22 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from fusion.base import (
-    PROGRAM,
-    AnyNotice,
-    CommandEvaluation,
-    ComputeError,
-    Identity,
-    InputError,
-    __version__,
-    check_names,
-    usable_cores,
-    warnings_first,
-)
+from fusion.base import PROGRAM, CommandEvaluation, FileIdentity, __version__, check_names, usable_cores
+from fusion.errors import ComputeError, InputError
+from fusion.report.atomic_files import file_lock, is_internal_name, write_files, write_together
 from fusion.report.figure import Figure
-from fusion.report.files import claimed, is_own, write_files, write_together
-from fusion.report.kept import CompiledTemplates, kept
-from fusion.report.still import still_svg
+from fusion.report.page_cache import CompiledTemplates, load_or_make
+from fusion.report.static_figure import static_svg
 from fusion.report.table import Headline, Table, csv_rows, plain_text
-from fusion.report.terminal import AS_JSON, say, tell, working
+from fusion.report.terminal import AS_JSON, log_notices, notice_fields, print_text, show_activity
+from shakercal._common.notices import Notice, warnings_first
 
 if TYPE_CHECKING:
     import h5py
 
     from fusion.recording.load import Manifest
     from fusion.recording.rig import Rig
-    from fusion.report.stored import Group
+    from fusion.report.h5_tree import Group
 
 # What was run on what: hashes of the input files, versions, and whether a folder still answers to them.
 
@@ -61,7 +52,7 @@ GZIP = 31  # of zlib's and its like's: with the head and the end of a file of gz
 Setting = str | float | int
 
 
-class Origin(Protocol):
+class ResultOrigin(Protocol):
     """Where a result comes from."""
 
     @property
@@ -96,25 +87,25 @@ class InputFiles:
     """
 
     hashes: dict[str, str] = field(default_factory=dict)
-    seen: dict[Path, tuple[Identity, str]] = field(default_factory=dict)
-    again: frozenset[Path] = frozenset()
+    identities: dict[Path, tuple[FileIdentity, str]] = field(default_factory=dict)
+    unsettled: frozenset[Path] = frozenset()
 
     def check(self) -> None:
         """Raise `InputError` for a file that has changed since it was hashed, or that is gone."""
-        for path, (before, digest) in self.seen.items():
-            now = Identity.of(path)
+        for path, (before, digest) in self.identities.items():
+            now = FileIdentity.of(path)
             if now is None or now[:2] != before[:2]:
                 raise _changed(path, now)
-            if (path in self.again or now != before) and (not digest or sha256(path) != digest):
+            if (path in self.unsettled or now != before) and (not digest or sha256(path) != digest):
                 raise _changed(path, now)
 
     @classmethod
-    def watched(cls, files: Iterable[Path]) -> InputFiles:
+    def without_hashes(cls, files: Iterable[Path]) -> InputFiles:
         """Return files that are only to stay what they are, such as results of this program, which it never changes."""
-        return cls(seen={path: (now, "") for path in files if (now := Identity.of(path)) is not None})
+        return cls(identities={path: (now, "") for path in files if (now := FileIdentity.of(path)) is not None})
 
 
-def _changed(path: Path, now: Identity | None) -> InputError:
+def _changed(path: Path, now: FileIdentity | None) -> InputError:
     what = "vanished" if now is None else "changed"
     return InputError(path, "", found=f"{what} while it was read; start again when nothing writes it", expected="")
 
@@ -128,7 +119,7 @@ def sha256(path: Path) -> str:
         raise InputError(path, "", found=error.strerror or str(error), expected="a file that can be read") from error
 
 
-def hash_files(files: Iterable[Path], root: Path, read: Mapping[Path, Identity] | None = None) -> InputFiles:
+def hash_files(files: Iterable[Path], root: Path, read: Mapping[Path, FileIdentity] | None = None) -> InputFiles:
     """SHA-256 of every file, keyed by its path relative to `root` (absolute where it lies elsewhere), sorted.
 
     `read`: what files were that have been read before. A file that is no longer what it was then, or that changes
@@ -141,27 +132,27 @@ def hash_files(files: Iterable[Path], root: Path, read: Mapping[Path, Identity] 
         begun.end()
 
 
-def hashing(files: Iterable[Path], root: Path, read: Mapping[Path, Identity] | None = None) -> Hashing:
+def hashing(files: Iterable[Path], root: Path, read: Mapping[Path, FileIdentity] | None = None) -> Hashing:
     """Begin what `hash_files` does, so that files may be read beside it: what they are at this moment counts.
 
     Where one was changed so shortly before that a further change may not show, all are hashed before this returns.
     """
     files = set(files)
     check_names(files)
-    known, before, base = read or {}, list[tuple[Path, Path, Identity | None]](), root.resolve()
+    known, before, base = read or {}, list[tuple[Path, Path, FileIdentity | None]](), root.resolve()
     for path in files:
         resolved = path.resolve()
-        before.append((path, resolved, known.get(resolved) or Identity.of(path)))
+        before.append((path, resolved, known.get(resolved) or FileIdentity.of(path)))
 
     ended = Event()
 
-    def hashed(entry: tuple[Path, Path, Identity | None]) -> tuple[str, Identity | None]:
+    def hashed(entry: tuple[Path, Path, FileIdentity | None]) -> tuple[str, FileIdentity | None]:
         path, _, first = entry
         if ended.is_set():
             raise ComputeError("the run has ended")
         if first is not None and not path.exists():
             raise _changed(path, None)
-        return sha256(path), Identity.of(path)
+        return sha256(path), FileIdentity.of(path)
 
     def collected(threads: int) -> InputFiles:
         hashes, seen, again = {}, {}, set()
@@ -171,14 +162,14 @@ def hashing(files: Iterable[Path], root: Path, read: Mapping[Path, Identity] | N
                 if first is None or now is None or now[:2] != first[:2]:
                     raise _changed(path, now)
                 hashes[key.as_posix()], seen[path] = digest, (now, digest)
-                if now != first or not now.settled:
+                if now != first or not now.is_settled:
                     again.add(path)
         return InputFiles(dict(sorted(hashes.items())), seen, frozenset(again))
 
     aside = ThreadPoolExecutor(1)
     found = Hashing(aside.submit(collected, usable_cores()), ended)
     aside.shutdown(wait=False)
-    if not all(first is not None and first.settled for _, _, first in before):
+    if not all(first is not None and first.is_settled for _, _, first in before):
         found.all()
     return found
 
@@ -229,7 +220,7 @@ def check_folder(folder: Path, hashes: Mapping[str, str], *, force: bool, marker
     if not above.is_dir() or not os.access(above, os.W_OK | os.X_OK):
         what = "a folder that may not be written to" if above.is_dir() else "a file"
         raise InputError(folder, "", found=f"{what} at {above}", expected="a place for a folder with the results")
-    if force or not folder.exists() or all(is_own(entry.name) for entry in folder.iterdir()):
+    if force or not folder.exists() or all(is_internal_name(entry.name) for entry in folder.iterdir()):
         return
     found = read_provenance(folder, marker)
     if found is None or not _of_same_data(found.input_hashes, hashes):
@@ -255,20 +246,20 @@ def _of_same_data(before: Mapping[str, str], now: Mapping[str, str]) -> bool:
     return then == named and bool(own) and all(before[name] == now[name] for name in own)
 
 
-def read_provenance(folder: Path, marker: str = RESULT_FILE, *, alone: bool = False) -> Provenance | None:
+def read_provenance(folder: Path, marker: str = RESULT_FILE, *, provenance_only: bool = False) -> Provenance | None:
     """Provenance of the results in a folder; None where there are none, or where their file cannot be read.
 
     `alone`: of results that nobody reads any more, so that nothing else in their file counts.
     """
     import h5py  # pages alone do without
 
-    from fusion.report.h5 import opened_results
+    from fusion.report.h5 import open_results
 
     path = folder / marker
     if not path.is_file() or not h5py.is_hdf5(path):
         return None
-    only = ("provenance",) if alone else ()
-    with suppress(InputError), opened_results(path, *only) as file:
+    only = ("provenance",) if provenance_only else ()
+    with suppress(InputError), open_results(path, *only) as file:
         return provenance_of(file)
     return None
 
@@ -286,9 +277,9 @@ def provenance_of(file: h5py.File) -> Provenance:
     return Provenance(dict(zip(names, digests, strict=True)), plain, versions, tuple(files))
 
 
-def write_provenance(file: Group, origin: Origin, files: Sequence[str]) -> None:
+def write_provenance(file: Group, origin: ResultOrigin, files: Sequence[str]) -> None:
     """Put the group `provenance` into an open result file; `files`: the names of all result files."""
-    from fusion.report.stored import TEXT
+    from fusion.report.h5_tree import TEXT
 
     group = file.create_group("provenance")
     hashes = origin.input_hashes
@@ -321,26 +312,26 @@ def render_page(template: str, context: Mapping[str, Any]) -> str:
         lstrip_blocks=True,
         bytecode_cache=CompiledTemplates(),
     )
-    environment.filters |= {"data_uri": data_uri, "sections": sections, "live": live, "still": still_svg}
+    environment.filters |= {"data_uri": data_uri, "sections": sections, "live": live, "still": static_svg}
     environment.globals |= {
         "shown": shown,
-        "figures_library": library,
-        "figures_data": lambda: packed(f"[{','.join(figure.json() for figure in shown)}]".encode()),
+        "figures_library": bokeh_library,
+        "figures_data": lambda: compress_for_page(f"[{','.join(figure.json() for figure in shown)}]".encode()),
         "figures_program": lambda: Markup((TEMPLATES / "figures.js").read_text(encoding="utf-8")),
     }
     return environment.get_template(template).render(context) + "\n"
 
 
-def packed(data: bytes, *, quickly: bool = True) -> Markup:
+def compress_for_page(data: bytes, *, fast: bool = True) -> Markup:
     """Compress what a page unpacks itself, in characters that HTML leaves alone; not `quickly`: to the last byte."""
     from photogram.images.tiff import deflate
 
-    content = deflate.compress(data, 3, wbits=GZIP) if quickly else gzip.compress(data, 9, mtime=0)
+    content = deflate.compress(data, 3, wbits=GZIP) if fast else gzip.compress(data, 9, mtime=0)
     return Markup(base64.b64encode(content).decode("ascii"))
 
 
 @cache
-def library() -> Markup:
+def bokeh_library() -> Markup:
     """Return BokehJS, packed: the files of the installed package, which is not imported for that."""
     spec = find_spec("bokeh")
     if spec is None or not spec.submodule_search_locations:
@@ -350,9 +341,9 @@ def library() -> Markup:
     key = json.dumps([(str(file), file.stat().st_size, file.stat().st_mtime_ns) for file in files])
 
     def make() -> bytes:
-        return packed(b"\n".join(file.read_bytes() for file in files), quickly=False).encode()
+        return compress_for_page(b"\n".join(file.read_bytes() for file in files), fast=False).encode()
 
-    return Markup(kept("bokeh", key, make).decode("ascii"))
+    return Markup(load_or_make("bokeh", key, make).decode("ascii"))
 
 
 def sections(page: str) -> list[tuple[Markup, Markup]]:
@@ -366,7 +357,7 @@ def subject_of(rig: Rig) -> list[tuple[str, str]]:
     return [("Rig", rig.name), *sensor]
 
 
-def origin_frame(origin: Origin, notices: Iterable[AnyNotice]) -> dict[str, Any]:
+def origin_frame(origin: ResultOrigin, notices: Iterable[Notice]) -> dict[str, Any]:
     """What every page shows beside its subject: notices, settings and versions, input files, the program."""
     settings = tuple((name, str(value)) for name, value in origin.settings.items())
     inputs = tuple((name, Markup("<code>{}</code>").format(digest)) for name, digest in origin.input_hashes.items())
@@ -404,14 +395,14 @@ def _no_headlines(_: object) -> Iterable[Headline]:
     return ()
 
 
-def as_answer(command: str, **parts: Any) -> str:
+def command_json(command: str, **parts: Any) -> str:
     """Return the answer of a command for programs: JSON that begins with what computed it."""
     content = {"program": PROGRAM, "version": __version__, "command": command, **parts}
     return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
 
 
 @dataclass(frozen=True)
-class Command(Generic[E]):
+class CommandReport(Generic[E]):
     """What a command leaves of an evaluation: a folder of files with a page, and lines on the terminal.
 
     `name`: of the command and of the folder. `stem`: of page and HDF5 file, which are STEM.html and STEM.h5; the page's
@@ -453,22 +444,22 @@ class Command(Generic[E]):
         before anything is written.
         """
         check_folder(folder, inputs.hashes, force=force, marker=self.h5_file)
-        with claimed(folder), working(self.name):
+        with file_lock(folder), show_activity(self.name):
             evaluation = evaluate(inputs.hashes)
             files = self.write(evaluation, folder, inputs, force=force)
         if AS_JSON.get():
             print(self.json(evaluation, files))
             return evaluation
         for line in (evaluation.name, *self.lines(evaluation)):
-            say(line)
+            print_text(line)
         print(f"report: {folder / self.page_file}")
-        tell((notice, "") for notice in warnings_first(evaluation.notices))
+        log_notices((notice, "") for notice in warnings_first(evaluation.notices))
         return evaluation
 
     def json(self, evaluation: E, files: Sequence[Path]) -> str:
         """Return what the terminal tells for programs: headlines as texts, short tables as numbers, notices, paths."""
         tables = {path.name: csv_rows(path.read_text(encoding="utf-8")) for path in files if path.suffix == ".csv"}
-        return as_answer(
+        return command_json(
             self.name,
             name=evaluation.name,
             headlines=[
@@ -476,7 +467,7 @@ class Command(Generic[E]):
                 for one in self.headlines(evaluation)
             ],
             tables={name: rows for name, rows in tables.items() if len(rows) <= MOST_ROWS},
-            notices=[dict(vars(notice)) for notice in warnings_first(evaluation.notices)],
+            notices=[notice_fields(notice) for notice in warnings_first(evaluation.notices)],
             files=[str(path) for path in files],
         )
 
@@ -496,7 +487,7 @@ class Command(Generic[E]):
         """
         first = manifests[0]
         own = first.root if len(paths) > 1 else first.folder if paths[0].is_file() else paths[0]
-        read = {path: seen for manifest in manifests for path, seen in manifest.read.items()}
+        read = {path: seen for manifest in manifests for path, seen in manifest.file_identities.items()}
         inputs = hash_files([file for manifest in manifests for file in manifest.files], first.root, read)
         return self.run(inputs, own / self.name if output is None else output, evaluate, force=force)
 
@@ -522,7 +513,7 @@ class Command(Generic[E]):
             return write_files(temporary, {**texts, self.h5_file: h5_content(fill)})
 
         inputs = InputFiles(evaluation.input_hashes) if inputs is None else inputs
-        return write_folder(folder, inputs, make, force=force, marker=self.h5_file, own=own)
+        return write_folder(folder, inputs, make, force=force, marker=self.h5_file, replaceable=own)
 
     def page(self, evaluation: E) -> str:
         """Return the HTML text of the page; style and figures are inside, nothing is fetched from elsewhere."""
@@ -541,7 +532,7 @@ def write_folder(
     *,
     force: bool,
     marker: str,
-    own: re.Pattern[str],
+    replaceable: re.Pattern[str],
 ) -> list[Path]:
     """Write a folder of results of some inputs and return the paths of its files.
 
@@ -555,9 +546,9 @@ def write_folder(
         return sorted(fill(temporary), key=lambda name: name == marker)
 
     def earlier() -> list[str]:
-        before = read_provenance(folder, marker, alone=True)
+        before = read_provenance(folder, marker, provenance_only=True)
         named = before.files if before is not None else ()
-        return [name for name in named if own.fullmatch(name) and ".." not in Path(name).parts]
+        return [name for name in named if replaceable.fullmatch(name) and ".." not in Path(name).parts]
 
     check_folder(folder, inputs.hashes, force=force, marker=marker)
     return write_together(folder, make, earlier, inputs.check)

@@ -13,15 +13,15 @@ import h5py
 import numpy as np
 from h5py import h5d, h5o
 
-from fusion.base import InputError
+from fusion.errors import InputError
 from fusion.estimation.uncertainty import Contribution, Distribution, Influence, Kind, Scope, Uncertainty
-from fusion.report.quantities import describe
-from fusion.report.stored import TEXT, Group, write_tree
-from shaker.arrays import Notice
-from shaker.io.channel import check_inside, check_links, full_name, opened_hdf5
+from fusion.report.dataset_descriptions import describe
+from fusion.report.h5_tree import TEXT, Group, write_tree
+from shaker.io.channel import check_inside, check_links, full_name, open_hdf5
+from shakercal._common.notices import Notice
 
 if TYPE_CHECKING:
-    from fusion.sensitivity.evidence import Evidence
+    from fusion.sensitivity.input_evidence import InputEvidence
 
 LEFT_OUT = {"manifest", "reference_image", "surface", "settings", "versions", "input_hashes"}
 """Fields that are in the inputs, or stand in the group `provenance`."""
@@ -50,14 +50,14 @@ def h5_content(fill: Callable[[Any], None], *, in_order: bool = True) -> bytes:
 
 
 @contextmanager
-def opened_results(path: Path, *only: str) -> Iterator[h5py.File]:
+def open_results(path: Path, *only: str) -> Iterator[h5py.File]:
     """Open the results of an earlier run; `InputError` where they are damaged or lead to other files.
 
     `only`: the groups of which something is read, and which alone are looked through then, with all below them: a
     campaign reads a tenth of what each of its recordings has.
     """
     try:
-        with opened_hdf5(path, links=bool(only)) as file:
+        with open_hdf5(path, links=bool(only)) as file:
             for name in only:
                 _check_group(path, file, name.split("/"))
             if not only:
@@ -133,7 +133,12 @@ def write_value(group: Group, name: str, value: Any) -> None:
 
 def _write_sequence(group: Group, name: str, items: Sequence[Any]) -> None:
     """Write data classes as groups or as a table, lists of texts numbered, the rest as one dataset."""
-    if items and all(_is_row(item) and type(item) is type(items[0]) for item in items):
+    if items and all(isinstance(item, Notice) for item in items):
+        inner = group.create_group(name, track_order=True)
+        rows = [item.as_row() for item in items]
+        for column in rows[0]:
+            _write_sequence(inner, column, [row[column] for row in rows])
+    elif items and all(_is_row(item) and type(item) is type(items[0]) for item in items):
         inner = group.create_group(name, track_order=True)
         for field in fields(items[0]):
             _write_sequence(inner, field.name, [getattr(item, field.name) for item in items])
@@ -224,14 +229,15 @@ def read_numbers(stored: h5py.Dataset, kinds: str = "fiu") -> Any:
 
 def read_notices(file: h5py.File) -> tuple[Notice, ...]:
     """Return the notices of open results; none where they hold none."""
-    told = file.get("notices", {})
-    columns = [told[name].asstr()[()].tolist() for name in ("severity", "text", "where")] if len(told) else []
-    return tuple(Notice(*row) for row in zip(*columns, strict=True))
+    group = file.get("notices", {})
+    names = [one.name for one in fields(Notice) if one.name in group] if len(group) else []
+    columns = [group[name].asstr()[()].tolist() for name in names]
+    return tuple(Notice.from_row(dict(zip(names, row, strict=True))) for row in zip(*columns, strict=True))
 
 
-def read_evidence(file: h5py.File) -> tuple[Evidence, ...]:
+def read_evidence(file: h5py.File) -> tuple[InputEvidence, ...]:
     """Return which unknowns of open results certificates and files state; none where results do not say."""
-    from fusion.sensitivity.evidence import Evidence
+    from fusion.sensitivity.input_evidence import InputEvidence
 
     if EVIDENCE not in file:
         return ()
@@ -239,9 +245,9 @@ def read_evidence(file: h5py.File) -> tuple[Evidence, ...]:
     numbers = ("value", "u")
     columns = (
         group[field.name][()].tolist() if field.name in numbers else group[field.name].asstr()[()].tolist()
-        for field in fields(Evidence)
+        for field in fields(InputEvidence)
     )
-    return tuple(Evidence(*row) for row in zip(*columns, strict=True))
+    return tuple(InputEvidence(*row) for row in zip(*columns, strict=True))
 
 
 def _known(what: str, text: object, choices: Any) -> Any:

@@ -11,7 +11,6 @@ import numpy as np
 from fusion.report.figure import (
     Along,
     Arrows,
-    Axis,
     Band,
     Bounds,
     Boxes,
@@ -21,11 +20,12 @@ from fusion.report.figure import (
     Line,
     Mark,
     Panel,
+    PanelAxis,
     Points,
     Rule,
     Scale,
     Span,
-    padded,
+    padded_limits,
     power_text,
 )
 from shaker.arrays import FloatArray
@@ -38,18 +38,18 @@ MOST_DECADES = 8
 
 
 @dataclass(frozen=True)
-class Frame:
+class PanelFrame:
     """Rectangle of a panel on the sheet in inches from its upper left corner, and room for names beside and below."""
 
     left: float
     top: float
     width: float
     height: float
-    beside: float
-    below: float
+    left_margin: float
+    bottom_margin: float
 
 
-def frames(figure: Figure, legend_in: float) -> list[Frame]:
+def frames(figure: Figure, legend_in: float) -> list[PanelFrame]:
     """Frame of every panel: margins and gaps follow from titles, numbers, names, second scales and bars of colours.
 
     `legend_in`: height of the legend above all of them.
@@ -60,7 +60,9 @@ def frames(figure: Figure, legend_in: float) -> list[Frame]:
     beside = [0.82 if not n else 0.3 + CHARACTER_IN * n for n in longest]
     right = [0.72 if any(row[c].y.second for row in grid) else 0.12 for c in range(columns)]
     above = [0.2 if any(panel.title for panel in row) else 0.08 for row in grid]
-    names = max(len(name) for panel in figure.panels for name in ("", *panel.x.names)) if crowded(figure) else 0
+    names = (
+        max(len(name) for panel in figure.panels for name in ("", *panel.x.names)) if has_upright_names(figure) else 0
+    )
     numbers = [
         max(0.45, 0.1 + CHARACTER_IN * names) if r == rows - 1 or not figure.shared_x else 0.06 for r in range(rows)
     ]
@@ -71,7 +73,7 @@ def frames(figure: Figure, legend_in: float) -> list[Frame]:
     lefts = np.cumsum([0.0, *(width * w / sum(figure.widths) for w in figure.widths)]).tolist()
     tops = np.cumsum([0.0, *(height * h / sum(figure.heights) for h in figure.heights)]).tolist()
     return [
-        Frame(
+        PanelFrame(
             lefts[c] + sum(beside[: c + 1]) + sum(right[:c]),
             legend_in + tops[r] + sum(above[: r + 1]) + sum(below[:r]),
             lefts[c + 1] - lefts[c],
@@ -83,7 +85,7 @@ def frames(figure: Figure, legend_in: float) -> list[Frame]:
     ]
 
 
-def crowded(figure: Figure) -> bool:
+def has_upright_names(figure: Figure) -> bool:
     """Whether names below a panel stand upright, for they have no room beside each other."""
     room = WIDTH_IN / len(figure.widths) / CHARACTER_IN
     return any(sum(len(name) + 1 for name in panel.x.names) > 0.8 * room for panel in figure.panels)
@@ -100,7 +102,7 @@ def scale_below(panel: Panel) -> Scale | None:
 
 def limits(panels: Sequence[Panel], way: Along) -> tuple[float, float]:
     """Ends of an axis that some panels share: those stated, of its names, or of all marks with room beside them."""
-    axes: list[Axis] = [getattr(panel, way) for panel in panels]
+    axes: list[PanelAxis] = [getattr(panel, way) for panel in panels]
     log = any(axis.log for axis in axes)
     names = max(len(axis.names) for axis in axes)
     stated = next((axis.limits for axis in reversed(axes) if axis.limits is not None), None)
@@ -114,11 +116,11 @@ def limits(panels: Sequence[Panel], way: Along) -> tuple[float, float]:
     ends = (float(values.min()), float(values.max())) if len(values) else (1.0, 10.0) if log else (0.0, 1.0)
     if log:
         low, high = (float(np.log10(end)) for end in ends)
-        low, high = padded(low, high, MARGIN) if low < high else (low - 0.5, high + 0.5)
+        low, high = padded_limits(low, high, MARGIN) if low < high else (low - 0.5, high + 0.5)
         return 10.0**low, 10.0**high
     if all(isinstance(mark, Image) for mark in marks) and len(values):
         return ends
-    return padded(*ends, MARGIN) if ends != (0.0, 0.0) else (-MARGIN, MARGIN)
+    return padded_limits(*ends, MARGIN) if ends != (0.0, 0.0) else (-MARGIN, MARGIN)
 
 
 def _reach(mark: Mark, way: Along) -> Iterator[Any]:

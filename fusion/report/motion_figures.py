@@ -24,7 +24,7 @@ from fusion.report.figure import (
     Figure,
     Panel,
     Scale,
-    sheet,
+    empty_figure,
 )
 from fusion.sensitivity.analyse import Evaluation
 from photogram.epipolar import COVERAGE, EpipolarCheck
@@ -40,7 +40,7 @@ OUT_QUANTILE, INSIDE_QUANTILE = 2.448, 3.080
 points: square roots of the 95 % quantiles of chi-square with 2 and 4 degrees of freedom."""
 LONGEST_ARROW = 1.6  # distances between neighbours
 PANEL_IN, TALLEST_IN, FLATTEST_IN = 2.2, 3.2, 0.8
-AROUND_IN = 1.45
+FIGURE_MARGIN_IN = 1.45
 MARGIN_SHARE = 0.03
 
 
@@ -87,7 +87,7 @@ def draw_deflection(shape: DeflectionShape, line: int, rigid: ComplexArray, name
     view = _view(shape.reference_m[known], shape.value[line][known], shape.u[line][known])
     leader = int(np.argmax(np.abs(rigid[:3])))
     above = np.abs(view.out) > view.out_level
-    drawn = sheet(f"deflection-{name}", view.height_in + AROUND_IN, 1, 3)
+    drawn = empty_figure(f"deflection-{name}", view.height_in + FIGURE_MARGIN_IN, 1, 3)
     panels = drawn.panels
     _draw_amplitude(panels[0], view)
     _draw_phase(panels[1], view, above, (float(np.angle(rigid[leader])), AXES[leader]))
@@ -106,7 +106,7 @@ def draw_deflection(shape: DeflectionShape, line: int, rigid: ComplexArray, name
         "is below that level. Right: deflection in the plane at the instant of its largest extent, grey below "
         "the noise level. Bending appears smaller by the rigid motion that fits it best."
     )
-    return drawn.entitled(f"Operating deflection shape seen by {name}", caption)
+    return drawn.with_title(f"Operating deflection shape seen by {name}", caption)
 
 
 def _view(reference_m: FloatArray, value: ComplexArray, u: FloatArray) -> _View:
@@ -175,7 +175,7 @@ MOST_PERCENT = 45.0
 """Right end of the histograms: a class of a normal distribution in eight holds up to 35 %."""
 
 
-def motion_pictures(stereo: StereoResult) -> list[Figure]:
+def pair_motion_figures(stereo: StereoResult) -> list[Figure]:
     """All figures of one stereo pair."""
     pictures = [draw_motion(stereo), draw_residuals(stereo)]
     if len(stereo.time_s) >= 8:
@@ -199,7 +199,7 @@ def draw_motion(stereo: StereoResult) -> Figure:
     # Folded: other lines, offset and drift taken off.
     folded = folded_curve(stereo, frequency, phase) + stereo.residual
     curve, folded_fit = beat_curve(stereo, fine), folded_curve(stereo, frequency, fine_phase)
-    drawn = sheet(f"motion-{stereo.name}", 8.4, 6, (1.9, 1.0))
+    drawn = empty_figure(f"motion-{stereo.name}", 8.4, 6, (1.9, 1.0))
     for component, (left, right) in enumerate(zip(drawn.panels[::2], drawn.panels[1::2], strict=True)):
         pose = stereo.motion_from_mean.pose[:, component]
         factor, letter = prefix(pose)
@@ -221,13 +221,13 @@ def draw_motion(stereo: StereoResult) -> Figure:
         f"curve is drawn at the beat frequency of {beat:.4f} Hz, to which this camera rate folds "
         f"{frequency:.4f} Hz; it passes through the fit at every frame. Right, the frames are ordered by phase."
     )
-    return drawn.entitled(f"Motion seen by {stereo.name}", caption)
+    return drawn.with_title(f"Motion seen by {stereo.name}", caption)
 
 
 def draw_residuals(stereo: StereoResult) -> Figure:
     """What the sine approximation leaves of each component, over time and as a histogram."""
     residual = stereo.residual
-    drawn = sheet(f"residuals-{stereo.name}", 6.4, 6, (3.4, 1.0), shared_y=True)
+    drawn = empty_figure(f"residuals-{stereo.name}", 6.4, 6, (3.4, 1.0), shared_y=True)
     for component, (over_time, histogram) in enumerate(zip(drawn.panels[::2], drawn.panels[1::2], strict=True)):
         factor, letter = prefix(residual[:, :3] if component < 3 else residual[:, 3:])
         scaled = residual[:, component] / factor
@@ -242,7 +242,7 @@ def draw_residuals(stereo: StereoResult) -> Figure:
         "Measured motion minus sine approximation, frame by frame, and its distribution beside the normal "
         "distribution of the same standard deviation s."
     )
-    return drawn.entitled(f"Residuals of {stereo.name}", caption)
+    return drawn.with_title(f"Residuals of {stereo.name}", caption)
 
 
 def draw_residual_spectrum(stereo: StereoResult) -> Figure:
@@ -250,7 +250,7 @@ def draw_residual_spectrum(stereo: StereoResult) -> Figure:
     rate = camera_rate_hz(stereo)
     spectrum_hz, amplitude = residual_spectrum(stereo)
     alias = alias_frequency(stereo.fit.phasors.frequency_hz, rate)
-    drawn = sheet(f"residual-spectrum-{stereo.name}", 3.1, 1, 2)
+    drawn = empty_figure(f"residual-spectrum-{stereo.name}", 3.1, 1, 2)
     for panel, components, unit in zip(drawn.panels, ((0, 1, 2), (3, 4, 5)), ("m", "rad"), strict=True):
         factor, letter = prefix(amplitude[1:, components], coarse=True)
         for component, colour in zip(components, COLOURS, strict=False):
@@ -266,10 +266,10 @@ def draw_residual_spectrum(stereo: StereoResult) -> Figure:
         "the fitted lines fold to. White noise alone gives a level spectrum; a peak elsewhere is a disturbance "
         "or a line that was not fitted."
     )
-    return drawn.entitled(f"Residual spectrum of {stereo.name}", caption)
+    return drawn.with_title(f"Residual spectrum of {stereo.name}", caption)
 
 
-def subset_pictures(evaluation: Evaluation) -> list[Figure]:
+def subset_figures(evaluation: Evaluation) -> list[Figure]:
     """First left image of every stereo pair with the subsets that were tracked in it, where there are images."""
     seen = [
         (item.name, item.reference_image, item.subsets_px)
@@ -280,7 +280,7 @@ def subset_pictures(evaluation: Evaluation) -> list[Figure]:
         return []
     columns = max(2, len(seen))
     tallest = max(image.shape[0] / image.shape[1] for _, image, _ in seen)
-    drawn = sheet("subsets", 0.75 + 7.2 / columns * tallest, 1, columns)
+    drawn = empty_figure("subsets", 0.75 + 7.2 / columns * tallest, 1, columns)
     for panel, (name, image, points) in zip(drawn.panels, seen, strict=False):
         _draw_image(panel, image)
         side = 0.92 * (21.0 if len(points) < 2 else neighbour_distance(points, 0.5))
@@ -289,7 +289,7 @@ def subset_pictures(evaluation: Evaluation) -> list[Figure]:
     for panel in drawn.panels[len(seen) :]:
         panel.blank = True
     drawn.panels[0].y.label = "y / px"
-    return [drawn.entitled("Subsets", "First left images, contrast stretched, with the subsets tracked in them.")]
+    return [drawn.with_title("Subsets", "First left images, contrast stretched, with the subsets tracked in them.")]
 
 
 def main_frequency(stereo: StereoResult) -> float:
@@ -384,7 +384,7 @@ SMALLEST_PX = 1e-3  # range of the colours where residuals are smaller
 
 def draw_epipolar(check: EpipolarCheck, time_s: FloatArray, name: str) -> Figure:
     """Mean epipolar residual over time with what the calibration explains, and its mean over time over the picture."""
-    drawn = sheet(f"epipolar-{name}", 3.0, 1, (1.5, 1.0))
+    drawn = empty_figure(f"epipolar-{name}", 3.0, 1, (1.5, 1.0))
     _draw_course(drawn.panels[0], check, time_s)
     drawn.panels[0].x.link = f"time of {name}"
     _draw_residuals(drawn.panels[1], check)
@@ -398,7 +398,7 @@ def draw_epipolar(check: EpipolarCheck, time_s: FloatArray, name: str) -> Figure
         f"the points, frame by frame, bars: image noise, k = 2. {explained}A camera that moves makes a step or a "
         "drift. Right: mean over the frames, over the left picture."
     )
-    return drawn.entitled(f"Epipolar residuals of {name}", caption)
+    return drawn.with_title(f"Epipolar residuals of {name}", caption)
 
 
 def _draw_course(panel: Panel, check: EpipolarCheck, time_s: FloatArray) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.phasors.stereo_phasors import StereoResult
-from fusion.report.files import write_file
+from fusion.report.atomic_files import write_file
 from photogram.geometry import displacement_jacobian, pose_rate, rotation_from_vector
 from photogram.motion import Deformation
 from shaker.arrays import BoolArray, FloatArray

@@ -20,10 +20,10 @@ from fusion.report.figure import (
     SOURCE_MARKER,
     Figure,
     Panel,
+    empty_figure,
     frame_bars,
     polar_bars,
     power_of_ten,
-    sheet,
 )
 from fusion.report.table import sensitivity_unit
 from fusion.report.tables import (
@@ -51,7 +51,7 @@ SHOWN_BELOW = 0.2
 # Figures of the acceleration: sources side by side, and weak components in the complex plane.
 
 
-def acceleration_pictures(evaluation: Evaluation) -> list[Figure]:
+def acceleration_figures(evaluation: Evaluation) -> list[Figure]:
     """All figures of the accelerations."""
     compared = [body for body in bodies(evaluation) if _has_reference(evaluation, body)]
     pictures = [draw_sources(evaluation, compared)] if compared else []
@@ -62,7 +62,7 @@ def draw_sources(evaluation: Evaluation, compared: list[str]) -> Figure:
     """Driven component at the strongest line: each source's deviation from the fused value, in % and mrad."""
     component, line = driven_component(evaluation), main_line(evaluation)
     counts = [len(by_source(evaluation, body)) for body in compared]
-    drawn = sheet("sources", 0.95 + 0.33 * sum(counts) + 0.25 * len(compared), counts, 2)
+    drawn = empty_figure("sources", 0.95 + 0.33 * sum(counts) + 0.25 * len(compared), counts, 2)
     for place, body in enumerate(compared):
         left, right = drawn.panels[2 * place : 2 * place + 2]
         _draw_deviations(left, right, by_source(evaluation, body), line, component)
@@ -74,14 +74,14 @@ def draw_sources(evaluation: Evaluation, compared: list[str]) -> Figure:
         f"Driven acceleration at {frequency:.4f} Hz from each kind of instrument alone, relative to the fused "
         f"value; bars: U (95 %) of each; band: U of the fused value, to which all of them contribute."
     )
-    return drawn.entitled("Acceleration by source", caption, main=True)
+    return drawn.with_title("Acceleration by source", caption, main=True)
 
 
 def draw_components(evaluation: Evaluation, body: str) -> Figure:
     """Six components at the strongest line in the complex plane, with 95 % ellipses of every source."""
     line, results = main_line(evaluation), by_source(evaluation, body)
     found = {result.source: result.polar[line] for result in results}
-    drawn = sheet(f"components-{body}", 5.9, 2, 3, shared_x=False)
+    drawn = empty_figure(f"components-{body}", 5.9, 2, 3, shared_x=False)
     for component, panel in enumerate(drawn.panels):
         panel.title = MOTION_COMPONENTS[component]
         known = {source: element for source, row in found.items() if (element := row[component]) is not None}
@@ -92,7 +92,7 @@ def draw_components(evaluation: Evaluation, body: str) -> Figure:
         f"component whose region holds the origin (cross) is not told apart from zero; its amplitude and phase "
         f"alone would mislead."
     )
-    return drawn.entitled(f"Components of the {body} in the complex plane", caption)
+    return drawn.with_title(f"Components of the {body} in the complex plane", caption)
 
 
 def _has_reference(evaluation: Evaluation, body: str) -> bool:
@@ -169,7 +169,7 @@ def _frame(known: list[Polar], factor: float) -> tuple[complex, complex]:
 # Figures of the result: sensitivity over frequency, cross outputs, uncertainty budget.
 
 
-def sensitivity_pictures(evaluation: Evaluation) -> list[Figure]:
+def sensitivity_figures(evaluation: Evaluation) -> list[Figure]:
     """All figures of the sensitivity of one recording."""
     sensitivity, main = evaluation.sensitivity, main_result(evaluation)
     if sensitivity is None or main is None:
@@ -198,7 +198,7 @@ def draw_curve(evaluation: Evaluation, sensitivity: Sensitivity) -> Figure:
     factor, power = power_of_ten(np.array(sizes))
     value, expanded = polar_bars(points, factor)
     frequency = sensitivity.frequency_hz[lines]
-    drawn = sheet("sensitivity", 4.4, (1.5, 1.0))
+    drawn = empty_figure("sensitivity", 4.4, (1.5, 1.0))
     upper, lower = drawn.panels
     unit = f"{power}{typeset(sensitivity_unit(sensitivity.unit, LOAD_COMPONENTS[component]))}"
     rest = None if static is None else (abs(static) / factor, "static sensitivity")
@@ -215,7 +215,7 @@ def draw_curve(evaluation: Evaluation, sensitivity: Sensitivity) -> Figure:
     lower.x.label = "frequency / Hz"
     hidden = len(points) - int(shown.sum())
     omitted = f" {hidden} line(s) with U above {SHOWN_BELOW:.0%} are in the table only." if hidden else ""
-    return drawn.entitled(
+    return drawn.with_title(
         f"{what} over frequency", f"{label}: magnitude and phase; bars: U (95 %).{omitted}", main=True
     )
 
@@ -229,7 +229,7 @@ def draw_outputs(evaluation: Evaluation, sensitivity: Sensitivity) -> Figure:
     size = 100.0 * np.array([element.magnitude for element in elements]) / scale
     # Where a value may be zero: how far its region reaches beyond it.
     reach = [e.region.half_axes[0] if e.region.holds_zero else e.expanded_magnitude for e in elements]
-    drawn = sheet("outputs", 0.9 + 0.3 * len(size))
+    drawn = empty_figure("outputs", 0.9 + 0.3 * len(size))
     (panel,) = drawn.panels
     _draw_levels(panel, size, 100.0 * np.array(reach) / scale, driven, bound)
     panel.y.names = tuple(f"output {name}" for name in sensitivity.channels)
@@ -241,7 +241,7 @@ def draw_outputs(evaluation: Evaluation, sensitivity: Sensitivity) -> Figure:
         "output of one recording holds both the sensor's cross-talk and its answer to loads that were not meant to "
         "act."
     )
-    return drawn.entitled(f"All outputs under {load}", caption)
+    return drawn.with_title(f"All outputs under {load}", caption)
 
 
 def draw_budget(evaluation: Evaluation) -> Figure | None:
@@ -256,7 +256,7 @@ def draw_budget(evaluation: Evaluation) -> Figure | None:
     order = np.argsort(u_relative)[::-1]
     order = order[u_relative[order] > 1e-3 * u_relative.max()][:BUDGET_ENTRIES]
     share = 100.0 * u_relative**2 / np.sum(u_relative**2)
-    drawn = sheet("budget", 0.85 + 0.24 * len(order))
+    drawn = empty_figure("budget", 0.85 + 0.24 * len(order))
     (panel,) = drawn.panels
     entries = [sensitivity.budget[entry] for entry in order]
     for kind, colour in (("A", BLUE), ("B", ORANGE)):
@@ -272,7 +272,7 @@ def draw_budget(evaluation: Evaluation) -> Figure | None:
     channel, load = sensitivity.channels[driven_channel(evaluation)], LOAD_COMPONENTS[driven_component(evaluation)]
     what = f"{result_name(sensitivity.kind[line], channel, load, main=True)}, {sensitivity.frequency_hz[line]:.4f} Hz"
     caption = f"Uncertainty budget of the magnitude of {what}; beside each bar its share of the variance."
-    return drawn.entitled("Uncertainty budget", caption, main=True)
+    return drawn.with_title("Uncertainty budget", caption, main=True)
 
 
 def _output_scale(

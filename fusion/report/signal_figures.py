@@ -9,9 +9,21 @@ import numpy as np
 from fusion.base import prefix
 from fusion.estimation.coverage import coverage_factor
 from fusion.instruments.vibrometer import PointSpread, axis_name
-from fusion.phasors.channels import ChannelResult
+from fusion.phasors.channel_phasors import ChannelResult
 from fusion.phasors.timing import ClockResult
-from fusion.report.figure import BLUE, GREY, ORANGE, RED, Figure, Panel, Scale, padded, power_text, sheet, thin_out
+from fusion.report.figure import (
+    BLUE,
+    GREY,
+    ORANGE,
+    RED,
+    Figure,
+    Panel,
+    Scale,
+    decimate_edges,
+    empty_figure,
+    padded_limits,
+    power_text,
+)
 from fusion.report.tables import PREFIXED, main_line
 from fusion.sensitivity.analyse import Evaluation
 from shaker.arrays import FloatArray
@@ -26,12 +38,12 @@ MOST_CHANNELS = 24
 """Channels and triggers that a figure has room for."""
 
 
-def channel_pictures(evaluation: Evaluation) -> list[Figure]:
+def channel_figures(evaluation: Evaluation) -> list[Figure]:
     """The figure of all channels, where there are any."""
     return [draw_channels(evaluation.channels[:MOST_CHANNELS], evaluation)] if evaluation.channels else []
 
 
-def trigger_pictures(evaluation: Evaluation) -> list[Figure]:
+def trigger_figures(evaluation: Evaluation) -> list[Figure]:
     """The figure of all camera triggers, where there are any."""
     clocks = [clock for clock in evaluation.clocks if clock.trigger is not None and len(clock.trigger.number) > 2]
     return [draw_trigger(clocks[:MOST_CHANNELS])] if clocks else []
@@ -41,7 +53,7 @@ def draw_channels(channels: Sequence[ChannelResult], evaluation: Evaluation) -> 
     """An excerpt of every channel with its fit and the exposures, and its amplitude spectrum with the lines found."""
     exposures = evaluation.stereo[0].time_s if evaluation.stereo and not evaluation.set_ups else np.empty(0)
     # Blocks have clocks of their own: no common axis.
-    drawn = sheet("channels", 0.3 + 1.7 * len(channels), len(channels), (1.15, 1.0), shared_x=False)
+    drawn = empty_figure("channels", 0.3 + 1.7 * len(channels), len(channels), (1.15, 1.0), shared_x=False)
     for place, channel in enumerate(channels):
         _draw_excerpt(drawn.panels[2 * place], channel, exposures)
         _draw_spectrum(drawn.panels[2 * place + 1], channel, evaluation.lines.frequency_hz)
@@ -50,12 +62,12 @@ def draw_channels(channels: Sequence[ChannelResult], evaluation: Evaluation) -> 
     more = len(evaluation.channels) - len(channels)
     caption = f"Left: samples (points) and fitted lines (curve).{marks} Right: triangles mark the lines fitted."
     caption += f" {more} more channels are not drawn." if more else ""
-    return drawn.entitled("Channels", caption)
+    return drawn.with_title("Channels", caption)
 
 
 def draw_trigger(clocks: Sequence[ClockResult]) -> Figure:
     """Deviation of every trigger edge from the periodic model, for each DAQ block."""
-    drawn = sheet("trigger", 0.55 + 1.35 * len(clocks), len(clocks))
+    drawn = empty_figure("trigger", 0.55 + 1.35 * len(clocks), len(clocks))
     for panel, clock in zip(drawn.panels, clocks, strict=True):
         trigger = clock.trigger
         if trigger is None:
@@ -68,10 +80,10 @@ def draw_trigger(clocks: Sequence[ClockResult]) -> Figure:
         panel.rule(0.0, width=0.6)
         panel.y.label, panel.title = f"deviation / {letter}s", clock.daq
         ends = np.append(deviation / factor, [-half, half])
-        panel.y.limits = padded(float(ends.min()), float(ends.max()))
+        panel.y.limits = padded_limits(float(ends.min()), float(ends.max()))
     drawn.panels[-1].x.label = "number of the edge"
     caption = "Camera trigger edges minus the fitted periodic model. Band: the interval that sampling leaves open."
-    return drawn.entitled("Trigger", caption)
+    return drawn.with_title("Trigger", caption)
 
 
 def _draw_excerpt(panel: Panel, channel: ChannelResult, exposures: FloatArray) -> None:
@@ -100,7 +112,7 @@ def _draw_spectrum(panel: Panel, channel: ChannelResult, lines: FloatArray) -> N
     if not len(frequency):
         return
     edges = np.geomspace(frequency[0], frequency[-1] * 1.0001, SPECTRUM_POINTS)
-    thin_frequency, thin_amplitude = thin_out(frequency, amplitude, edges)
+    thin_frequency, thin_amplitude = decimate_edges(frequency, amplitude, edges)
     panel.line(thin_frequency, thin_amplitude, "amplitude spectrum", colour=BLUE, width=0.8)
     marked = lines[(lines >= frequency[0]) & (lines <= frequency[-1])]
     width = 2.0 * (frequency[1] - frequency[0]) if len(frequency) > 1 else np.inf
@@ -123,7 +135,7 @@ NAMES_BELOW = 24
 """Number of points up to which each is named in the map."""
 
 
-def point_pictures(evaluation: Evaluation) -> list[Figure]:
+def point_figures(evaluation: Evaluation) -> list[Figure]:
     """Return one figure per group of parallel points."""
     line = main_line(evaluation)
     return [draw_points(spread, line, place) for place, spread in enumerate(evaluation.points)]
@@ -132,7 +144,7 @@ def point_pictures(evaluation: Evaluation) -> list[Figure]:
 def draw_points(spread: PointSpread, line: int, place: int) -> Figure:
     """Map of the points, and deviations of their amplitude and phase from the mean with the best plane's."""
     height = max(2.9, 0.8 + 0.24 * len(spread.channels))
-    drawn = sheet(f"points-{place}", height, 1, (1.15, 1.0, 1.0))
+    drawn = empty_figure(f"points-{place}", height, 1, (1.15, 1.0, 1.0))
     chart, amplitude, phase = drawn.panels
     _draw_map(chart, spread, line)
     along, across, u_along, u_across = _deviations(spread, line)
@@ -147,7 +159,7 @@ def draw_points(spread: PointSpread, line: int, place: int) -> Figure:
         f"{spread.frequency_hz[line]:.4f} Hz: where they are (red: amplitude above the mean, blue: below), and "
         f"deviation from the mean; bars: U of the deviation; open: the best rigid plane, mean and rocking, there."
     )
-    return drawn.entitled("Vibrometer points and rocking", caption)
+    return drawn.with_title("Vibrometer points and rocking", caption)
 
 
 def _deviations(spread: PointSpread, line: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

@@ -68,7 +68,7 @@ STROKES = {"x": ((-1, -1, 1, 1), (-1, 1, 1, -1)), "plus": ((-1, 0, 1, 0), (0, -1
 
 
 @dataclass(frozen=True)
-class Way:
+class AxisScale:
     """How values of one axis become places on the sheet in pt: its ends, and where they stand."""
 
     low: float
@@ -90,13 +90,13 @@ class Way:
 
 
 @dataclass(frozen=True)
-class Room:
+class PanelRect:
     """A panel's rectangle on the sheet in pt, both of its axes, what its frame leaves beside and below, for a title."""
 
-    x: Way
-    y: Way
-    beside: float = 0.0
-    below: float = 0.0
+    x: AxisScale
+    y: AxisScale
+    left_margin: float = 0.0
+    bottom_margin: float = 0.0
     title: float = 0.0
 
     @property
@@ -104,11 +104,11 @@ class Room:
         """Right end."""
         return self.x.end
 
-    def places(self, x: Any, y: Any) -> FloatArray:
+    def positions(self, x: Any, y: Any) -> FloatArray:
         """Places (N, 2) of values (N,)."""
         return np.column_stack([self.x(x), self.y(y)])
 
-    def holds(self, places: FloatArray, reach: float = 0.0) -> Any:
+    def contains(self, places: FloatArray, reach: float = 0.0) -> Any:
         """Whether places lie in the panel, or no further off than `reach`."""
         (x, y), (a, b, c, d) = places.T, (self.x.start, self.x.end, self.y.end, self.y.start)
         return (x >= a - reach) & (x <= b + reach) & (y >= c - reach) & (y <= d + reach)
@@ -120,7 +120,7 @@ FONT = "DejaVu Sans, Verdana, Arial, sans-serif"
 NARROW, WIDE = " .,:;'|!ijl()[]/−-ftrI⁻", "mwMW±%@∂∫"
 
 
-def words(x: float, y: float, text: str, size: float = NUMBER_PT, align: str = "center", **look: Any) -> str:
+def svg_text(x: float, y: float, text: str, size: float = NUMBER_PT, align: str = "center", **look: Any) -> str:
     """Text whose base line is at `y`, or at `x` where it is `turned` to be read upwards."""
     turn = f' transform="rotate(-90 {x:.2f} {y:.2f})"' if look.get("turned") else ""
     anchor = {"left": "start", "center": "middle", "right": "end"}[align]
@@ -223,7 +223,7 @@ def shade(scale: Scale, share: float) -> str:
 
 def _shaded(scale: Scale, values: FloatArray) -> Iterator[tuple[str, Any]]:
     """Yield every colour that values have, with which of them have it; unknown ones are grey."""
-    way = Way(scale.low, scale.high, 0.0, 1.0, scale.log)
+    way = AxisScale(scale.low, scale.high, 0.0, 1.0, scale.log)
     share = np.clip(way(values), 0.0, 1.0)
     level = np.where(np.isnan(share), -1.0, np.round(share * (LEVELS - 1)))
     for one in np.unique(level).tolist():
@@ -233,17 +233,17 @@ def _shaded(scale: Scale, values: FloatArray) -> Iterator[tuple[str, Any]]:
 # One function per kind of mark.
 
 
-def _line(room: Room, mark: Line) -> Iterator[str]:
-    places = room.places(mark.x, mark.y)
+def _line(room: PanelRect, mark: Line) -> Iterator[str]:
+    places = room.positions(mark.x, mark.y)
     if mark.step and len(places):
         places = np.repeat(places, 2, axis=0)
         places = np.column_stack([places[1:, 0], places[:-1, 1]])
     yield path(_chain(places), stroke(mark.colour, mark.width, dashed=mark.dashed))
 
 
-def _points(room: Room, mark: Points) -> Iterator[str]:
-    places = room.places(mark.x, mark.y)
-    seen = room.holds(places, mark.size)
+def _points(room: PanelRect, mark: Points) -> Iterator[str]:
+    places = room.positions(mark.x, mark.y)
+    seen = room.contains(places, mark.size)
     if mark.values is not None and mark.scale is not None:
         for colour, which in _shaded(mark.scale, mark.values):
             yield _signs(places[which & seen], mark.marker, mark.size, colour, edge=0.0)
@@ -252,7 +252,7 @@ def _points(room: Room, mark: Points) -> Iterator[str]:
     for half, cap, along in ((mark.half_x, (0.0, CAP_PT), "x"), (mark.half_y, (CAP_PT, 0.0), "y")):
         if half is not None:
             shift = (half, 0.0) if along == "x" else (0.0, half)
-            low, high = (room.places(mark.x + sign * shift[0], mark.y + sign * shift[1]) for sign in (-1.0, 1.0))
+            low, high = (room.positions(mark.x + sign * shift[0], mark.y + sign * shift[1]) for sign in (-1.0, 1.0))
             bars.append(np.hstack([low, high]))
             caps += [np.hstack([end - cap, end + cap]) for end in (low, high)]
     look = stroke(mark.colour, 1.0)
@@ -262,9 +262,9 @@ def _points(room: Room, mark: Points) -> Iterator[str]:
     yield _signs(places[seen], mark.marker, mark.size, mark.colour, edge=edge, empty=mark.open)
 
 
-def _bounds(room: Room, mark: Bounds) -> Iterator[str]:
+def _bounds(room: PanelRect, mark: Bounds) -> Iterator[str]:
     share = (0.5, 1.0) if mark.along == "x" else (1.0, 0.5)
-    start, end = room.places(mark.x, mark.y), room.places(share[0] * mark.x, share[1] * mark.y)
+    start, end = room.positions(mark.x, mark.y), room.positions(share[0] * mark.x, share[1] * mark.y)
     yield path(strokes(np.hstack([start, end])), stroke(mark.colour, 1.0))
     yield _heads(start, end, 5.0, mark.colour)
 
@@ -279,15 +279,15 @@ def _heads(start: FloatArray, end: FloatArray, size: float, colour: str) -> str:
     return path(polygons(np.stack([end, end - ahead + across, end - ahead - across], 1)), f'fill="{colour}"')
 
 
-def _band(room: Room, mark: Band) -> Iterator[str]:
-    low, high = room.places(mark.x, mark.low), room.places(mark.x, mark.high)
+def _band(room: PanelRect, mark: Band) -> Iterator[str]:
+    low, high = room.positions(mark.x, mark.low), room.positions(mark.x, mark.high)
     known = np.isfinite(low).all(axis=1) & np.isfinite(high[:, 1])
     ends = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int))).reshape(-1, 2)
     areas = [np.concatenate([low[a:b], high[a:b][::-1]]) for a, b in ends]
     yield path("".join(polygons(area[None]) for area in areas), f'fill="{mark.colour}" fill-opacity="0.25"')
 
 
-def strokes_across(room: Room, values: Any, along: str) -> FloatArray:
+def strokes_across(room: PanelRect, values: Any, along: str) -> FloatArray:
     """Strokes (N, 4) across the whole panel at values of x or y."""
     at = (room.x if along == "x" else room.y)(values)
     way = room.y if along == "x" else room.x
@@ -295,17 +295,17 @@ def strokes_across(room: Room, values: Any, along: str) -> FloatArray:
     return np.column_stack([at, start, at, end] if along == "x" else [start, at, end, at])
 
 
-def _span(room: Room, mark: Span) -> Iterator[str]:
+def _span(room: PanelRect, mark: Span) -> Iterator[str]:
     (a, b, c, d), (e, f, g, h) = strokes_across(room, [mark.low, mark.high], mark.along).tolist()
     opacity = f'fill="{mark.colour}" fill-opacity="{mark.opacity:.3g}"'
     yield path(polygons(np.array([[[a, b], [c, d], [g, h], [e, f]]])), opacity)
 
 
-def _rule(room: Room, mark: Rule) -> Iterator[str]:
+def _rule(room: PanelRect, mark: Rule) -> Iterator[str]:
     yield path(strokes(strokes_across(room, mark.at, mark.along)), stroke(mark.colour, mark.width, dashed=mark.dashed))
 
 
-def _ellipses(room: Room, mark: Ellipses) -> Iterator[str]:
+def _ellipses(room: PanelRect, mark: Ellipses) -> Iterator[str]:
     turn = np.linspace(0.0, 2.0 * np.pi, 73)[:-1]
     a, b = 0.5 * mark.width[:, None] * np.cos(turn), 0.5 * mark.height[:, None] * np.sin(turn)
     cos, sin = np.cos(mark.angle_rad)[:, None], np.sin(mark.angle_rad)[:, None]
@@ -313,7 +313,7 @@ def _ellipses(room: Room, mark: Ellipses) -> Iterator[str]:
     yield path(polygons(np.stack([room.x(x), room.y(y)], 2)), stroke(mark.colour, 1.1))
 
 
-def _boxes(room: Room, mark: Boxes) -> Iterator[str]:
+def _boxes(room: PanelRect, mark: Boxes) -> Iterator[str]:
     x, y = [mark.left, mark.left, mark.right, mark.right], [mark.low, mark.high, mark.high, mark.low]
     corners = np.stack([room.x(np.stack(x, 1)), room.y(np.stack(y, 1))], 2)
     if mark.values is not None and mark.scale is not None:
@@ -323,26 +323,26 @@ def _boxes(room: Room, mark: Boxes) -> Iterator[str]:
         yield path(polygons(corners), f'fill="{mark.colour}"' if mark.filled else stroke(mark.colour, 0.5))
 
 
-def _arrows(room: Room, mark: Arrows) -> Iterator[str]:
+def _arrows(room: PanelRect, mark: Arrows) -> Iterator[str]:
     width = 0.005 * (room.x.end - room.x.start)
-    start, end = room.places(mark.x, mark.y), room.places(mark.x + mark.dx, mark.y + mark.dy)
+    start, end = room.positions(mark.x, mark.y), room.positions(mark.x + mark.dx, mark.y + mark.dy)
     yield path(strokes(np.hstack([start, 0.4 * start + 0.6 * end])), stroke(mark.colour, width))
     yield _heads(start, end, 6.0 * width, mark.colour)
 
 
-def _texts(room: Room, mark: Texts) -> Iterator[str]:
-    places = room.places(mark.x, mark.y)
-    seen = room.holds(places, 0.5)
+def _texts(room: PanelRect, mark: Texts) -> Iterator[str]:
+    places = room.positions(mark.x, mark.y)
+    seen = room.contains(places, 0.5)
     places += np.array([mark.offset_px[0], -mark.offset_px[1]])
     for (x, y), shown, text in zip(places.tolist(), seen, mark.texts, strict=True):
         if shown and mark.upright:
             side = {"left": 0.73, "center": 0.365, "right": 0.0}[mark.align] * SMALL_PT
-            yield words(x + side, y, text, SMALL_PT, "left", turned=True, colour=mark.colour)
+            yield svg_text(x + side, y, text, SMALL_PT, "left", turned=True, colour=mark.colour)
         elif shown:
-            yield words(x, y + half_height(TEXT_PT), text, TEXT_PT, mark.align, colour=mark.colour)
+            yield svg_text(x, y + half_height(TEXT_PT), text, TEXT_PT, mark.align, colour=mark.colour)
 
 
-def _image(room: Room, mark: Image) -> Iterator[str]:
+def _image(room: PanelRect, mark: Image) -> Iterator[str]:
     import cv2
 
     _, data = cv2.imencode(".png", mark.grey)
@@ -353,7 +353,7 @@ def _image(room: Room, mark: Image) -> Iterator[str]:
     yield f'<image transform="{turn}" {look} xlink:href="{source}"/>'
 
 
-DRAWN: dict[type[Mark], Callable[[Room, Any], Iterator[str]]] = {
+DRAWN: dict[type[Mark], Callable[[PanelRect, Any], Iterator[str]]] = {
     Line: _line,
     Points: _points,
     Bounds: _bounds,

@@ -20,8 +20,9 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from markupsafe import Markup
 
-from fusion.base import DASH, InputError, rounded
-from fusion.estimation.coverage import Polar, Quantity, Region
+from fusion.base import DASH, round_to_uncertainty
+from fusion.errors import InputError
+from fusion.estimation.coverage import CoverageRegion, Polar, RealQuantity
 from shaker.arrays import ComplexArray
 from shaker.labels import typeset
 
@@ -29,7 +30,7 @@ R = TypeVar("R")
 
 
 @dataclass(frozen=True)
-class Column(Generic[R]):
+class TableColumn(Generic[R]):
     """One column of a table whose rows are objects R.
 
     `name`: in files, with the unit of a dimensional number; empty for pages only. `value`: of a row, text or number;
@@ -48,37 +49,37 @@ class Column(Generic[R]):
         return str(self.value(row)) if self.shown is None else self.shown(row)
 
 
-def word(name: str, value: Callable[[R], Any], head: str | None = None) -> Column[R]:
+def text_column(name: str, value: Callable[[R], Any], head: str | None = None) -> TableColumn[R]:
     """Return a column of words: in files under `name`, on pages under `head`."""
-    return Column(name, value, head, None, "l")
+    return TableColumn(name, value, head, None, "l")
 
 
-def on_page(head: str, shown: Callable[[R], str], align: str = "r") -> Column[R]:
+def page_column(head: str, shown: Callable[[R], str], align: str = "r") -> TableColumn[R]:
     """Return a column that pages alone have."""
-    return Column("", shown, head, shown, align)
+    return TableColumn("", shown, head, shown, align)
 
 
-def polar_columns(size: str, value: Callable[[R], Polar], *, freedom: bool = False) -> list[Column[R]]:
+def polar_columns(size: str, value: Callable[[R], Polar], *, freedom: bool = False) -> list[TableColumn[R]]:
     """Return the ten columns of a complex value, of which `size` is the magnitude's name.
 
     `freedom`: instead those of degrees of freedom, factors and of its region, which stand at the end of a table.
     """
 
-    def column(field: str) -> Column[R]:
-        return Column(field.replace("magnitude", size), lambda row: getattr(value(row), field))
+    def column(field: str) -> TableColumn[R]:
+        return TableColumn(field.replace("magnitude", size), lambda row: getattr(value(row), field))
 
     return [column(field.name) for field in (fields(Polar)[10:] if freedom else fields(Polar)[:10])]
 
 
-def quantity_columns(quantity: Callable[[R], Quantity]) -> list[Column[R]]:
+def quantity_columns(quantity: Callable[[R], RealQuantity]) -> list[TableColumn[R]]:
     """Return the six columns of a real quantity."""
     return [
-        Column("value", lambda row: quantity(row).value),
-        Column("u", lambda row: quantity(row).u),
-        Column("U", lambda row: quantity(row).expanded),
-        Column("k", lambda row: quantity(row).k),
-        word("unit", lambda row: quantity(row).unit),
-        Column("dof", lambda row: quantity(row).dof),
+        TableColumn("value", lambda row: quantity(row).value),
+        TableColumn("u", lambda row: quantity(row).u),
+        TableColumn("U", lambda row: quantity(row).expanded),
+        TableColumn("k", lambda row: quantity(row).k),
+        text_column("unit", lambda row: quantity(row).unit),
+        TableColumn("dof", lambda row: quantity(row).dof),
     ]
 
 
@@ -88,10 +89,10 @@ def sensitivity_unit(output_unit: str, component: str) -> str:
     return f"{numerator}/N" if component.startswith("F") else f"{numerator}/(N.m)"
 
 
-def columns_of(row: type[Any]) -> list[Column[Any]]:
+def columns_of(row: type[Any]) -> list[TableColumn[Any]]:
     """Return the columns of a table in a file whose rows are named tuples or data classes: one for each field."""
     names = getattr(row, "_fields", None) or [field.name for field in fields(row)]
-    return [Column(name, attrgetter(name)) for name in names]
+    return [TableColumn(name, attrgetter(name)) for name in names]
 
 
 @dataclass(frozen=True)
@@ -131,7 +132,7 @@ def csv_rows(text: str) -> list[dict[str, str | float | None]]:
     return [{name: cell(value) for name, value in row.items()} for row in csv.DictReader(io.StringIO(text))]
 
 
-def table(caption: str, columns: Sequence[Column[R]], rows: Iterable[R]) -> Table | None:
+def table(caption: str, columns: Sequence[TableColumn[R]], rows: Iterable[R]) -> Table | None:
     """Return rows as pages show them, under the columns that have a head; None where there are none."""
     shown = [column for column in columns if column.head is not None]
     cells = tuple(tuple(column.cell(row) for column in shown) for row in rows)
@@ -139,7 +140,7 @@ def table(caption: str, columns: Sequence[Column[R]], rows: Iterable[R]) -> Tabl
     return Table(caption, head, "".join(column.align for column in shown), cells) if cells else None
 
 
-def csv_text(columns: Sequence[Column[R]], rows: Iterable[R]) -> str:
+def csv_text(columns: Sequence[TableColumn[R]], rows: Iterable[R]) -> str:
     """Return header and rows as CSV text; floats in the shortest form that reads back to the same double."""
     written, stream = [column for column in columns if column.name], io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
@@ -168,7 +169,7 @@ def _escaped(text: str) -> str:
     return f"'{text}" if FORMULA.match(text) and not NUMBER.fullmatch(text) else text
 
 
-def known(value: float | None) -> float | None:
+def finite_or_none(value: float | None) -> float | None:
     """Return a number, None where it is not known (NaN), which leaves the cell of a file empty."""
     return None if value is None or not np.isfinite(value) else float(value)
 
@@ -201,9 +202,9 @@ LARGEST_DOF = 1000
 WEAK = "not distinguishable from 0"
 
 
-def measured(value: float, expanded: float, unit: str = "") -> Markup:
+def quantity_html(value: float, expanded: float, unit: str = "") -> Markup:
     """Value and expanded uncertainty as HTML: `(2.0012 ± 0.0013) × 10⁻⁷ V/N`."""
-    text = rounded(value, expanded)
+    text = round_to_uncertainty(value, expanded)
     body = text.value if text.expanded == DASH else f"{text.value} ± {text.expanded}"
     bracketed = f"({body})" if text.expanded != DASH and (unit or text.exponent) else body
     minus = "\N{MINUS SIGN}" if text.exponent < 0 else ""
@@ -211,9 +212,9 @@ def measured(value: float, expanded: float, unit: str = "") -> Markup:
     return Markup("{}{}{}").format(bracketed, power, f" {typeset(unit)}" if unit else "")
 
 
-def fixed(value: float, expanded: float, exponent: int) -> Markup:
+def scaled_html(value: float, expanded: float, exponent: int) -> Markup:
     """Value and expanded uncertainty in units of a power of ten that stands elsewhere."""
-    text = rounded(value, expanded, exponent)
+    text = round_to_uncertainty(value, expanded, exponent)
     return Markup(text.value if text.expanded == DASH else f"{text.value} ± {text.expanded}")
 
 
@@ -235,7 +236,7 @@ def has_phase(element: Polar) -> bool:
 
 def phase(element: Polar) -> Markup:
     """Phase with U, or a dash where it is not determined."""
-    return measured(element.phase_rad, element.expanded_phase_rad) if has_phase(element) else Markup(DASH)
+    return quantity_html(element.phase_rad, element.expanded_phase_rad) if has_phase(element) else Markup(DASH)
 
 
 def polar_cells(element: Polar, exponent: int | None = None) -> tuple[str, str, str]:
@@ -246,36 +247,36 @@ def polar_cells(element: Polar, exponent: int | None = None) -> tuple[str, str, 
     """
     region = element.region
     if region.holds_zero:
-        return half_axes(region, exponent), WEAK, factor(element.region_factor)
+        return half_axes(region, exponent), WEAK, factor_text(element.region_factor)
     size, expanded = element.magnitude, element.expanded_magnitude
-    cell = measured(size, expanded) if exponent is None else fixed(size, expanded, exponent)
-    return cell, phase(element), both(factor(element.k), factor(element.k_phase))
+    cell = quantity_html(size, expanded) if exponent is None else scaled_html(size, expanded, exponent)
+    return cell, phase(element), magnitude_phase_text(factor_text(element.k), factor_text(element.k_phase))
 
 
-def both(of_magnitude: str, of_phase: str) -> str:
+def magnitude_phase_text(of_magnitude: str, of_phase: str) -> str:
     """What holds for magnitude and phase: one text where it is the same for both."""
     return of_magnitude if of_magnitude == of_phase else f"{of_magnitude}; {of_phase}"
 
 
 def polar_freedom(element: Polar) -> str:
     """Degrees of freedom of magnitude and phase: of the parts along a value and across it."""
-    return both(degrees_of_freedom(element.dof_magnitude), degrees_of_freedom(element.dof_phase))
+    return magnitude_phase_text(degrees_of_freedom(element.dof_magnitude), degrees_of_freedom(element.dof_phase))
 
 
-def half_axes(region: Region, exponent: int | None = None) -> Markup:
+def half_axes(region: CoverageRegion, exponent: int | None = None) -> Markup:
     """Half-axes of a region, to two digits of the larger one."""
     if not np.isfinite(region.half_axes[0]):
         return Markup(DASH)
     large, small_axis = region.half_axes
-    first = rounded(large, large, exponent)
-    second = rounded(small_axis, large, first.exponent)
+    first = round_to_uncertainty(large, large, exponent)
+    second = round_to_uncertainty(small_axis, large, first.exponent)
     power = times_ten(first.exponent, "") if exponent is None and first.exponent else Markup("")
     return Markup("region ± {}, ± {}{}").format(
         first.value, second.value, Markup(" × {}").format(power) if power else ""
     )
 
 
-def factor(value: float) -> str:
+def factor_text(value: float) -> str:
     """A coverage factor."""
     return f"{value:.2f}" if np.isfinite(value) else DASH
 
@@ -283,7 +284,7 @@ def factor(value: float) -> str:
 def common_exponent(values: ComplexArray) -> int:
     """Power of ten of the largest finite value, none where it is readable as it is."""
     sizes = np.abs(values[np.isfinite(values)])
-    return rounded(float(sizes.max()), 0.0).exponent if sizes.size else 0
+    return round_to_uncertainty(float(sizes.max()), 0.0).exponent if sizes.size else 0
 
 
 def short(value: float) -> Markup:
@@ -291,7 +292,7 @@ def short(value: float) -> Markup:
     if not np.isfinite(value):
         return Markup(DASH)
     value = float(f"{value:.1e}")
-    exponent = rounded(value, 0.0).exponent
+    exponent = round_to_uncertainty(value, 0.0).exponent
     text = f"{value / 10.0**exponent:.2g}" if exponent else f"{value:.6g}"
     text = text.replace("-", "\N{MINUS SIGN}")
     return Markup("{} × {}").format(text, times_ten(exponent, "").strip()) if exponent else Markup(text)
@@ -314,23 +315,23 @@ def degrees_of_freedom(value: float) -> str:
 
 def microseconds(value_s: float | None, u_s: float | None) -> str:
     """A duration with U, a dash where it is not known."""
-    return DASH if value_s is None or u_s is None else measured(1e6 * value_s, 2e6 * u_s)
+    return DASH if value_s is None or u_s is None else quantity_html(1e6 * value_s, 2e6 * u_s)
 
 
-def plain(value: float, expanded: float, unit: str = "") -> str:
+def quantity_text(value: float, expanded: float, unit: str = "") -> str:
     """Value with U and unit for the terminal, without a power of ten: `(2.0012 ± 0.0013) V/N`."""
-    both = rounded(value, expanded, 0)
+    both = round_to_uncertainty(value, expanded, 0)
     if unit:
         return f"{both.text} {typeset(unit)}"
     return both.value if both.expanded == DASH else f"{both.value} ± {both.expanded}"
 
 
-def signed(value: float, form: str = ".2f") -> str:
+def signed_text(value: float, form: str = ".2f") -> str:
     """A number with a typographic minus sign, a dash for what is unknown; no sign before zero."""
     text = format(value + 0.0, form) if np.isfinite(value) else DASH
     return text.removeprefix("-") if not text.strip("-0.") else text.replace("-", "\N{MINUS SIGN}")
 
 
-def capital(text: str) -> str:
+def capitalise(text: str) -> str:
     """Text with a capital letter at its beginning."""
     return text[:1].upper() + text[1:]

@@ -18,21 +18,21 @@ from fusion.phasors.stereo_phasors import StereoResult
 from fusion.phasors.timing import ClockResult
 from fusion.report.table import (
     WEAK,
-    Column,
     Headline,
     R,
     Table,
-    capital,
+    TableColumn,
+    capitalise,
     common_exponent,
-    fixed,
     half_axes,
-    measured,
     microseconds,
     number,
-    on_page,
+    page_column,
     phase,
     polar_cells,
     polar_freedom,
+    quantity_html,
+    scaled_html,
     sensitivity_unit,
     short,
     table,
@@ -179,7 +179,7 @@ def headlines(evaluation: Evaluation) -> list[Headline]:
         size, remark = WEAK, f"95 % {half_axes(element.region)}"
         if not element.region.holds_zero:
             unit = result.phasors.unit[component]
-            size, remark = measured(element.magnitude, element.expanded_magnitude, unit), _relative(element)
+            size, remark = quantity_html(element.magnitude, element.expanded_magnitude, unit), _relative(element)
         found.append(Headline(f"{label}, amplitude", size, remark))
     return found
 
@@ -314,7 +314,7 @@ def shape_tables(evaluation: Evaluation) -> list[Table]:
         for k, place in enumerate(np.flatnonzero(pair.usable)):
             if place == line or found.deforms[k]:
                 sizes = zip(np.abs(found.phasors.value[k]), found.u_size[k], strict=True)
-                amplitudes = (measured(1e9 * float(size), 2e9 * float(u)) for size, u in sizes)
+                amplitudes = (quantity_html(1e9 * float(size), 2e9 * float(u)) for size, u in sizes)
                 cells = pair.name, f"{found.phasors.frequency_hz[k]:.4f}", *amplitudes, f"{found.chance[k]:.1g}"
                 rows.setdefault(found.phasors.channels, []).append(cells)
     caption = (
@@ -336,10 +336,10 @@ def _sensitivity_headlines(evaluation: Evaluation, found: Sensitivity, line: int
     relative = _over_static(evaluation, found, line, (channel, component))
     remark = _relative(element) + ("" if relative is None else f"; from static: {deviation(relative)}")
     name = result_name(found.kind[line], found.channels[channel], LOAD_COMPONENTS[component], main=True)
-    label = f"Sensitivity {name}" if found.kind[line] == "element" else capital(name)
-    size = measured(element.magnitude, element.expanded_magnitude, unit)
-    turn = measured(element.phase_rad, element.expanded_phase_rad, "rad")
-    degrees = measured(np.degrees(element.phase_rad), np.degrees(element.expanded_phase_rad), "°").striptags()
+    label = f"Sensitivity {name}" if found.kind[line] == "element" else capitalise(name)
+    size = quantity_html(element.magnitude, element.expanded_magnitude, unit)
+    turn = quantity_html(element.phase_rad, element.expanded_phase_rad, "rad")
+    degrees = quantity_html(np.degrees(element.phase_rad), np.degrees(element.expanded_phase_rad), "°").striptags()
     label = f"{label}, {found.frequency_hz[line]:.4f} Hz"
     return [Headline(label, size, remark), Headline("Phase of the output to the load", turn, degrees)]
 
@@ -359,7 +359,7 @@ def _over_static(evaluation: Evaluation, found: Sensitivity, line: int, element:
 
 def deviation(relative: Polar) -> str:
     """Deviation of a magnitude from static in per cent."""
-    return measured(100.0 * (relative.magnitude - 1.0), 100.0 * relative.expanded_magnitude, "%").striptags()
+    return quantity_html(100.0 * (relative.magnitude - 1.0), 100.0 * relative.expanded_magnitude, "%").striptags()
 
 
 def _relative(element: Polar) -> str:
@@ -375,7 +375,7 @@ def takes_table(evaluation: Evaluation) -> Table | None:
     rows = []
     for k in np.flatnonzero(evaluation.lines.multiple == 1):
         for take in takes:
-            drift = fixed(100.0 * take.drift[k], 200.0 * take.u_drift[k], 0) if take is not takes[0] else "0"
+            drift = scaled_html(100.0 * take.drift[k], 200.0 * take.u_drift[k], 0) if take is not takes[0] else "0"
             ppm = 1e6 * (take.frequency_hz[k] / takes[0].frequency_hz[k] - 1.0)
             phase = np.angle(take.factor[k])
             rows.append((take.name, f"{take.frequency_hz[k]:.5f}", f"{ppm:+.2f}", drift, f"{phase:+.4f}"))
@@ -397,7 +397,7 @@ def supports_table(evaluation: Evaluation) -> Table | None:
             one, unit = found[k][c], moved.phasors.unit[c]
             if one is not None:
                 share = (
-                    fixed(
+                    scaled_html(
                         100.0 * one.magnitude / moved.measured_mps2[k],
                         100.0 * one.expanded_magnitude / moved.measured_mps2[k],
                         0,
@@ -406,7 +406,7 @@ def supports_table(evaluation: Evaluation) -> Table | None:
                     else DASH
                 )
                 told = (moved.name, ", ".join(moved.references), f"{moved.phasors.frequency_hz[k]:.4f}")
-                size = measured(one.magnitude, one.expanded_magnitude, unit)
+                size = quantity_html(one.magnitude, one.expanded_magnitude, unit)
                 rows.append((*told, MOTION_COMPONENTS[c], size, share))
     head = (
         "what moves",
@@ -433,7 +433,7 @@ def lines_table(evaluation: Evaluation) -> Table:
     """The lines evaluated, the others that stand out most, and why."""
     lines, others = evaluation.lines, evaluation.lines.others
     rows = [
-        (float(f), (measured(f, 2.0 * u), f"{nominal:g}", str(int(multiple)), "result", why))
+        (float(f), (quantity_html(f, 2.0 * u), f"{nominal:g}", str(int(multiple)), "result", why))
         for f, u, nominal, multiple, why in zip(
             lines.frequency_hz, lines.u_frequency_hz, lines.nominal_hz, lines.multiple, lines.why, strict=True
         )
@@ -442,7 +442,7 @@ def lines_table(evaluation: Evaluation) -> Table:
         f, u = float(others.frequency_hz[i]), float(others.u_frequency_hz[i])
         beside = bool(np.any(np.abs(lines.nuisance_hz - f) <= 6.0 * u))
         use = "fitted beside" if beside else "not fitted"
-        rows.append((f, (measured(f, 2.0 * u), DASH, DASH, use, others.why[i])))
+        rows.append((f, (quantity_html(f, 2.0 * u), DASH, DASH, use, others.why[i])))
     rows.sort(key=lambda row: row[0])
     more = len(others.snr) - OTHER_LINES
     head = ("frequency / Hz", "nominal / Hz", "multiple", "use", "reason")
@@ -457,7 +457,9 @@ def channels_table(evaluation: Evaluation) -> Table | None:
         value = complex(channel.phasors.value[line, 0])
         element = polar(value, channel.phasors.covariance[line], float(channel.phasors.dof[line]))
         factor, letter = prefix(np.array([abs(value)])) if channel.unit in PREFIXED else (1.0, "")
-        amplitude = measured(element.magnitude / factor, element.expanded_magnitude / factor, letter + channel.unit)
+        amplitude = quantity_html(
+            element.magnitude / factor, element.expanded_magnitude / factor, letter + channel.unit
+        )
         rest = Markup("{} {}").format(short(channel.residual_rms / factor), typeset(letter + channel.unit))
         known = (channel.name, channel.daq, channel.quantity, f"{channel.sample_rate_hz:g}")
         rows.append((*known, amplitude, phase(element), rest))
@@ -469,14 +471,14 @@ def channels_table(evaluation: Evaluation) -> Table | None:
 def drift_table(evaluation: Evaluation) -> Table | None:
     """Return the changes of the driven lines over the record, one row per instrument; None without any."""
     drifts = line_stationarity(evaluation.channels, evaluation.stereo, evaluation.lines, evaluation.clocks)
-    columns: list[Column[LineStationarity]] = [
-        on_page("instrument", lambda drift: drift.name, "l"),
-        on_page("line / Hz", lambda drift: f"{drift.frequency_hz:.4f}"),
-        on_page("blocks", lambda drift: str(drift.blocks)),
-        on_page("periods in each", lambda d: f"{d.periods:.0f}" if d.whole else f"{d.periods:.2f}, not whole"),
-        on_page("amplitude / %", lambda drift: fixed(100.0 * drift.amplitude, 200.0 * drift.u_amplitude, 0)),
-        on_page("phase / mrad", lambda drift: fixed(1e3 * drift.phase_rad, 2e3 * drift.u_phase_rad, 0)),
-        on_page(
+    columns: list[TableColumn[LineStationarity]] = [
+        page_column("instrument", lambda drift: drift.name, "l"),
+        page_column("line / Hz", lambda drift: f"{drift.frequency_hz:.4f}"),
+        page_column("blocks", lambda drift: str(drift.blocks)),
+        page_column("periods in each", lambda d: f"{d.periods:.0f}" if d.whole else f"{d.periods:.2f}, not whole"),
+        page_column("amplitude / %", lambda drift: scaled_html(100.0 * drift.amplitude, 200.0 * drift.u_amplitude, 0)),
+        page_column("phase / mrad", lambda drift: scaled_html(1e3 * drift.phase_rad, 2e3 * drift.u_phase_rad, 0)),
+        page_column(
             "chance of noise", lambda d: f"below {LEAST_CHANCE:g}" if d.chance < LEAST_CHANCE else f"{d.chance:.2g}"
         ),
     ]
@@ -505,18 +507,20 @@ def clocks_table(evaluation: Evaluation) -> Table | None:
         if tie is None:
             return "time base" if clock is evaluation.clocks[0] else "time base of its take"
         middle = np.asarray(tie.middle_s)
-        return measured(float(tie.to_base_s(middle)) - tie.middle_s, 2.0 * float(tie.u_to_base_s(middle)))
+        return quantity_html(float(tie.to_base_s(middle)) - tie.middle_s, 2.0 * float(tie.u_to_base_s(middle)))
 
     facts: Facts[ClockResult] = {
         "file": lambda clock: clock.file.name,
         "edges found": of_trigger(lambda t: str(len(t.number)), "no trigger"),
         "missing, doubled, spurious": of_trigger(lambda t: f"{len(t.missing)}, {t.doubled}, {t.spurious}"),
-        "trigger rate / Hz": of_trigger(lambda t: measured(1.0 / t.period_s, u_of(t, 1) / t.period_s**2)),
+        "trigger rate / Hz": of_trigger(lambda t: quantity_html(1.0 / t.period_s, u_of(t, 1) / t.period_s**2)),
         "jitter beyond sampling / µs": of_trigger(lambda t: number(1e6 * t.jitter_s)),
-        "first edge / s": of_trigger(lambda t: measured(t.start_s, u_of(t, 0))),
+        "first edge / s": of_trigger(lambda t: quantity_html(t.start_s, u_of(t, 0))),
         "pulse width / µs": lambda clock: microseconds(clock.pulse_width_s, clock.u_pulse_width_s),
         "offset in the middle / s": offset,
-        "rate − 1 / 10⁻⁶": of_tie(lambda t: measured(1e6 * (t.rate - 1.0), 2e6 * float(np.sqrt(t.covariance[1, 1])))),
+        "rate − 1 / 10⁻⁶": of_tie(
+            lambda t: quantity_html(1e6 * (t.rate - 1.0), 2e6 * float(np.sqrt(t.covariance[1, 1])))
+        ),
         "edges paired by": of_tie(lambda t: f"{t.decided_by} ({t.pairs})"),
     }
     heads = [clock.daq for clock in evaluation.clocks]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 import errno
+import json
 import logging
 import os
 import re
@@ -17,7 +18,8 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any
 
-from fusion.base import PROGRAM, AnyNotice, ProgressCallback, no_progress, undone
+from fusion.base import PROGRAM, ProgressCallback, cleanup_on_signal, no_progress
+from shakercal._common.notices import GatheredNotice, Notice
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions
@@ -112,7 +114,7 @@ def wrapped(text: str, stream: Any) -> str:
     return "\n".join(lines)
 
 
-def say(text: str) -> None:
+def print_text(text: str) -> None:
     """Print sentences on stdout, wrapped between words on a terminal."""
     print(wrapped(text, sys.stdout))
 
@@ -120,23 +122,32 @@ def say(text: str) -> None:
 # Notices.
 
 
-def tell(notices: Iterable[tuple[AnyNotice, str]]) -> None:
+def log_notices(notices: Iterable[tuple[Notice | GatheredNotice, str]]) -> None:
     """Log notices with a remark each, every warning whole; more notes than a few are only counted, but for -v."""
-    told = list(notices)
+    shown = [(notice, remark) for notice, remark in notices if not notice.possible_size]
     verbose = log.isEnabledFor(logging.DEBUG)
-    notes = sum(notice.severity != "warning" for notice, _ in told)
-    for notice, remark in told:
+    notes = sum(notice.severity != "warning" for notice, _ in shown)
+    codes: dict[str, None] = {}
+    for notice, remark in shown:
         level = logging.WARNING if notice.severity == "warning" else logging.INFO
         if level == logging.WARNING or verbose or notes <= MOST_NOTES:
             log.log(level, "%s", f"{_named(notice)}{remark}")
+            codes[notice.code] = None
     if notes > MOST_NOTES and not verbose:
         log.info("%d notes on the page, or here with -v", notes)
+    if named := " ".join(filter(None, codes)):
+        log.info("effect and remedy: shakercal explain %s", named)
 
 
-def _named(notice: AnyNotice) -> str:
-    """Return the text of a notice behind the place it speaks of, unless it begins with that."""
-    where, text = notice.where, notice.text
-    return text if not where or text.startswith(f"{where}:") else f"{where}: {text}"
+def _named(notice: Notice | GatheredNotice) -> str:
+    """Return code, place and sentence of a notice."""
+    where = "" if not notice.where or notice.text.startswith(f"{notice.where}:") else f"{notice.where}: "
+    return f"{notice.code} {where}{notice.text}".strip()
+
+
+def notice_fields(notice: Notice) -> dict[str, object]:
+    """Return a notice for programs: its fields, the values as numbers."""
+    return {**vars(notice), "values": json.loads(notice.as_row()["values"])}
 
 
 # A progress bar on a terminal, nothing in a pipe.
@@ -163,7 +174,7 @@ def progress_bar(enabled: bool) -> Iterator[ProgressCallback]:
     tasks: dict[str, TaskID] = {}
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     console = Console(file=_behind(sys.stderr))
-    with Progress(*columns, console=console, transient=True) as bars, undone(bars.stop), _drawn():
+    with Progress(*columns, console=console, transient=True) as bars, cleanup_on_signal(bars.stop), _drawn():
 
         def update(stage: str, done: int, total: int) -> None:
             if stage not in tasks:
@@ -198,7 +209,7 @@ def _timed(update: ProgressCallback) -> ProgressCallback:
 
 
 @contextmanager
-def working(what: str) -> Iterator[None]:
+def show_activity(what: str) -> Iterator[None]:
     """Say on stderr, where it is a terminal and the program may be heard, that something goes on and for how long.
 
     With -v the log has how long it took.
@@ -221,6 +232,9 @@ def _spinner(what: str) -> Iterator[None]:
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    with Progress(*columns, console=Console(file=_behind(sys.stderr)), transient=True) as bar, undone(bar.stop):
+    with (
+        Progress(*columns, console=Console(file=_behind(sys.stderr)), transient=True) as bar,
+        cleanup_on_signal(bar.stop),
+    ):
         bar.add_task(printable(what), total=None)
         yield

@@ -8,29 +8,29 @@ from dataclasses import replace
 import numpy as np
 from markupsafe import Markup
 
-from fusion.base import DASH, rounded
-from fusion.estimation.consistency import CommonEstimate, Consistency
+from fusion.base import DASH, round_to_uncertainty
 from fusion.estimation.coverage import Polar, polar
 from fusion.estimation.fuse import REMAINING, Acceleration, Untested, untested
+from fusion.estimation.instrument_consistency import CommonEstimate, Consistency
 from fusion.estimation.uncertainty import Uncertainty, element_covariance, polar_elements
 from fusion.instruments.vibrometer import FEWEST_POINTS, PointRatios, PointSpread, axis_name
 from fusion.recording.toml import UncertainInput
 from fusion.report.table import (
-    Column,
     Table,
-    both,
-    capital,
+    TableColumn,
+    capitalise,
     common_exponent,
     degrees_of_freedom,
-    factor,
-    fixed,
-    measured,
+    factor_text,
+    magnitude_phase_text,
     number,
-    on_page,
+    page_column,
     phase,
+    quantity_html,
+    scaled_html,
     sensitivity_unit,
     short,
-    signed,
+    signed_text,
     small,
     table,
     times_ten,
@@ -46,7 +46,7 @@ from fusion.report.tables import (
 )
 from fusion.sensitivity.analyse import NOT_SHOWN, Evaluation
 from fusion.sensitivity.distributions import Propagated, RealSpread
-from fusion.sensitivity.load import BudgetEntry, budget
+from fusion.sensitivity.load_phasors import BudgetEntry, budget
 from fusion.sensitivity.ratio import StatedMatrix, parasitic_loads, static_unknowns
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, typeset
@@ -91,15 +91,15 @@ def consistency_table(evaluation: Evaluation) -> Table | None:
             return "left out, gross error" if entry.left_out else "compared only"
         return "fused, suspect" if entry.suspect else "fused"
 
-    columns: list[Column[tuple[Acceleration, Consistency]]] = [
-        on_page("body", lambda row: row[0].body, "l"),
-        on_page("result", lambda row: row[0].source, "l"),
-        on_page("instrument", lambda row: row[1].instrument, "l"),
-        on_page("channels", lambda row: str(row[1].channels)),
-        on_page("normalised deviation", lambda row: signed(row[1].normalised_deviation)),
-        on_page("amplitude / %", lambda row: signed(100.0 * (abs(row[1].ratio) - 1.0), "+.3f")),
-        on_page("phase / mrad", lambda row: signed(1e3 * float(np.angle(row[1].ratio)), "+.2f")),
-        on_page("use", lambda row: use(row[1]), "l"),
+    columns: list[TableColumn[tuple[Acceleration, Consistency]]] = [
+        page_column("body", lambda row: row[0].body, "l"),
+        page_column("result", lambda row: row[0].source, "l"),
+        page_column("instrument", lambda row: row[1].instrument, "l"),
+        page_column("channels", lambda row: str(row[1].channels)),
+        page_column("normalised deviation", lambda row: signed_text(row[1].normalised_deviation)),
+        page_column("amplitude / %", lambda row: signed_text(100.0 * (abs(row[1].ratio) - 1.0), "+.3f")),
+        page_column("phase / mrad", lambda row: signed_text(1e3 * float(np.angle(row[1].ratio)), "+.2f")),
+        page_column("use", lambda row: use(row[1]), "l"),
     ]
     caption = "Each instrument against the prediction of all others (normalised deviation: 1 is expected)"
     found = [(result, entry) for result in evaluation.accelerations for entry in result.consistency]
@@ -116,8 +116,8 @@ def _explanations_table(results: list[Acceleration]) -> Table | None:
             for one in result.explanations:
                 if np.isfinite(one.value[k, c]):
                     value = polar(complex(one.value[k, c]), element_covariance(one.covariance[k], c))
-                    told = rounded(value.magnitude, value.expanded_magnitude, 0)
-                    turn = rounded(value.phase_rad, value.expanded_phase_rad, 0)
+                    told = round_to_uncertainty(value.magnitude, value.expanded_magnitude, 0)
+                    turn = round_to_uncertainty(value.phase_rad, value.expanded_phase_rad, 0)
                     numbers = (told.value, told.expanded, units[c], turn.value, turn.expanded)
                 else:
                     numbers = (DASH,) * 5
@@ -150,15 +150,15 @@ def _estimates_table(results: list[Acceleration]) -> Table | None:
     for result in results:
         tested = [u for u in result.unknowns if u.remaining < REMAINING and np.isfinite(u.deviation)]
         rows += [(result.body, u) for u in sorted(tested, key=lambda u: -abs(u.deviation))[:LONGEST]]
-    columns: list[Column[tuple[str, CommonEstimate]]] = [
-        on_page("body", lambda row: row[0], "l"),
-        on_page("unknown", lambda row: row[1].name, "l"),
-        on_page("stated u", lambda row: f"{row[1].u:.2g}"),
-        on_page("unit", lambda row: "" if row[1].unit == "1" else row[1].unit, "l"),
-        on_page("asked for", lambda row: signed(row[1].wanted, ".2g")),
-        on_page("estimate / u", lambda row: signed(row[1].estimate, "+.2f")),
-        on_page("deviation", lambda row: signed(row[1].deviation, "+.2f")),
-        on_page("u left / u", lambda row: f"{row[1].remaining:.2f}"),
+    columns: list[TableColumn[tuple[str, CommonEstimate]]] = [
+        page_column("body", lambda row: row[0], "l"),
+        page_column("unknown", lambda row: row[1].name, "l"),
+        page_column("stated u", lambda row: f"{row[1].u:.2g}"),
+        page_column("unit", lambda row: "" if row[1].unit == "1" else row[1].unit, "l"),
+        page_column("asked for", lambda row: signed_text(row[1].unconstrained_value, ".2g")),
+        page_column("estimate / u", lambda row: signed_text(row[1].estimate, "+.2f")),
+        page_column("deviation", lambda row: signed_text(row[1].deviation, "+.2f")),
+        page_column("u left / u", lambda row: f"{row[1].remaining:.2f}"),
     ]
     caption = (
         "What the readings say of the stated unknowns: the value they ask for, the estimate with what is stated, its "
@@ -169,14 +169,16 @@ def _estimates_table(results: list[Acceleration]) -> Table | None:
 
 def _untested_table(results: list[Acceleration]) -> Table | None:
     """Unknowns that matter and that nothing in these data tests."""
-    columns: list[Column[tuple[str, Untested]]] = [
-        on_page("body", lambda row: row[0], "l"),
-        on_page("unknown", lambda row: row[1].name, "l"),
-        on_page("stated u", lambda row: f"{row[1].u:.2g}"),
-        on_page("unit", lambda row: "" if row[1].unit == "1" else row[1].unit, "l"),
-        on_page("touches most", lambda row: row[1].component, "l"),
-        on_page("by / % of it", lambda row: f"{100.0 * row[1].relative:.2g}" if np.isfinite(row[1].relative) else DASH),
-        on_page("share of its variance / %", lambda row: f"{100.0 * row[1].share:.0f}"),
+    columns: list[TableColumn[tuple[str, Untested]]] = [
+        page_column("body", lambda row: row[0], "l"),
+        page_column("unknown", lambda row: row[1].name, "l"),
+        page_column("stated u", lambda row: f"{row[1].u:.2g}"),
+        page_column("unit", lambda row: "" if row[1].unit == "1" else row[1].unit, "l"),
+        page_column("touches most", lambda row: row[1].component, "l"),
+        page_column(
+            "by / % of it", lambda row: f"{100.0 * row[1].relative:.2g}" if np.isfinite(row[1].relative) else DASH
+        ),
+        page_column("share of its variance / %", lambda row: f"{100.0 * row[1].share:.0f}"),
     ]
     caption = "Not tested by these data: taken as stated, an error beyond that would not be noticed"
     return table(caption, columns, [(result.body, unknown) for result in results for unknown in untested(result)])
@@ -280,10 +282,12 @@ def other_loads_table(evaluation: Evaluation) -> Table | None:
         share = shares.element(line, c)
         k_re, k_im = shares.factors(line, c)
         parts = [
-            fixed(100.0 * part, 100.0 * u, 0)
+            scaled_html(100.0 * part, 100.0 * u, 0)
             for part, u in ((share.re, k_re * share.u_re), (share.im, k_im * share.u_im))
         ]
-        rows.append((name, *parts, both(factor(k_re), factor(k_im)), degrees_of_freedom(share.dof)))
+        rows.append(
+            (name, *parts, magnitude_phase_text(factor_text(k_re), factor_text(k_im)), degrees_of_freedom(share.dof))
+        )
     frequency = f"{sensitivity.frequency_hz[line]:.4f}"
     head = ("output", "in phase / %", "across / %", "k", "dof")
     caption = f"Share of each output that loads beside {LOAD_COMPONENTS[component]} explain at {frequency} Hz, with U"
@@ -303,7 +307,7 @@ def point_tables(evaluation: Evaluation) -> list[Table]:
     return [shown for shown in tables if shown is not None]
 
 
-def known_elements(value: ComplexArray, uncertainty: Uncertainty) -> list[list[Polar]]:
+def available_elements(value: ComplexArray, uncertainty: Uncertainty) -> list[list[Polar]]:
     """Return values (K, C), all of them known, as magnitude and phase with their uncertainty."""
     lines = polar_elements(value, uncertainty)
     return [[element for element in row if element is not None] for row in lines]
@@ -312,17 +316,17 @@ def known_elements(value: ComplexArray, uncertainty: Uncertainty) -> list[list[P
 def _points_table(spread: PointSpread, line: int) -> Table | None:
     """Every point at one line: where it is, what it measures, how far it is from the mean and from the plane."""
     first, second = (axis_name(axis) for axis in spread.axes)
-    points = known_elements(spread.value, spread.uncertainty)[line]
+    points = available_elements(spread.value, spread.uncertainty)[line]
     ratio, left = (values[line] / spread.mean[line] for values in (spread.value, spread.residual))
-    columns: list[Column[int]] = [
-        on_page("point", lambda i: spread.channels[i], "l"),
-        on_page(f"{first} / mm", lambda i: signed(1e3 * spread.place_m[i, 0], ".1f")),
-        on_page(f"{second} / mm", lambda i: signed(1e3 * spread.place_m[i, 1], ".1f")),
-        on_page("amplitude / (m/s²)", lambda i: measured(points[i].magnitude, points[i].expanded_magnitude)),
-        on_page("phase / rad", lambda i: phase(points[i])),
-        on_page("from the mean / %", lambda i: signed(100.0 * (abs(ratio[i]) - 1.0), "+.3f")),
-        on_page("from the mean / mrad", lambda i: signed(1e3 * float(np.angle(ratio[i])), "+.2f")),
-        on_page("from the plane / %", lambda i: _left(spread, abs(left[i]))),
+    columns: list[TableColumn[int]] = [
+        page_column("point", lambda i: spread.channels[i], "l"),
+        page_column(f"{first} / mm", lambda i: signed_text(1e3 * spread.place_m[i, 0], ".1f")),
+        page_column(f"{second} / mm", lambda i: signed_text(1e3 * spread.place_m[i, 1], ".1f")),
+        page_column("amplitude / (m/s²)", lambda i: quantity_html(points[i].magnitude, points[i].expanded_magnitude)),
+        page_column("phase / rad", lambda i: phase(points[i])),
+        page_column("from the mean / %", lambda i: signed_text(100.0 * (abs(ratio[i]) - 1.0), "+.3f")),
+        page_column("from the mean / mrad", lambda i: signed_text(1e3 * float(np.angle(ratio[i])), "+.2f")),
+        page_column("from the plane / %", lambda i: _left(spread, abs(left[i]))),
     ]
     caption = f"{_title(spread)} at {spread.frequency_hz[line]:.4f} Hz: acceleration of every point with U"
     return table(caption, columns, range(len(points)))
@@ -330,23 +334,23 @@ def _points_table(spread: PointSpread, line: int) -> Table | None:
 
 def _spread_table(spread: PointSpread) -> Table | None:
     """Mean, spread, rocking and what the plane leaves at every line."""
-    planes = known_elements(spread.plane, spread.plane_uncertainty)
+    planes = available_elements(spread.plane, spread.plane_uncertainty)
 
     def turn(line: int, axis: int) -> str:
         element, micro = planes[line][axis + 1], 1e6 / (2.0 * np.pi * spread.frequency_hz[line]) ** 2
-        return measured(micro * element.magnitude, micro * element.expanded_magnitude)
+        return quantity_html(micro * element.magnitude, micro * element.expanded_magnitude)
 
     first, second = (axis_name(axis) for axis in spread.axes)
-    columns: list[Column[int]] = [
-        on_page("frequency / Hz", lambda k: f"{spread.frequency_hz[k]:.4f}"),
-        on_page("mean / (m/s²)", lambda k: measured(planes[k][0].magnitude, planes[k][0].expanded_magnitude)),
-        on_page("phase / rad", lambda k: phase(planes[k][0])),
-        on_page("spread / %", lambda k: number(100.0 * float(spread.amplitude_spread[k]))),
-        on_page("spread / mrad", lambda k: number(1e3 * float(spread.phase_spread_rad[k]))),
-        on_page(f"rocking about {first} / µrad", lambda k: turn(k, 0)),
-        on_page(f"rocking about {second} / µrad", lambda k: turn(k, 1)),
-        on_page("left / %", lambda k: _left(spread, float(spread.left_relative[k]))),
-        on_page("expected / %", lambda k: _left(spread, float(spread.left_expected[k]))),
+    columns: list[TableColumn[int]] = [
+        page_column("frequency / Hz", lambda k: f"{spread.frequency_hz[k]:.4f}"),
+        page_column("mean / (m/s²)", lambda k: quantity_html(planes[k][0].magnitude, planes[k][0].expanded_magnitude)),
+        page_column("phase / rad", lambda k: phase(planes[k][0])),
+        page_column("spread / %", lambda k: number(100.0 * float(spread.amplitude_spread[k]))),
+        page_column("spread / mrad", lambda k: number(1e3 * float(spread.phase_spread_rad[k]))),
+        page_column(f"rocking about {first} / µrad", lambda k: turn(k, 0)),
+        page_column(f"rocking about {second} / µrad", lambda k: turn(k, 1)),
+        page_column("left / %", lambda k: _left(spread, float(spread.left_relative[k]))),
+        page_column("expected / %", lambda k: _left(spread, float(spread.left_expected[k]))),
     ]
     caption = (
         f"{_title(spread)}: mean with U, standard deviation over the points, best rigid plane with U, "
@@ -362,16 +366,18 @@ def _ratios_table(spread: PointSpread, ratios: PointRatios) -> Table | None:
     count = ratios.value.shape[1]
     average = np.kron(np.eye(2), np.full((1, count), 1.0 / count))
     uncertainty = ratios.uncertainty.transformed(np.broadcast_to(average, (len(mean), *average.shape)))
-    means = [element for (element,) in known_elements(mean, uncertainty)]
+    means = [element for (element,) in available_elements(mean, uncertainty)]
     size, turn = ratios.mean_magnitude / np.abs(ratios.fused), np.angle(mean[:, 0] / ratios.fused)
-    columns: list[Column[int]] = [
-        on_page("frequency / Hz", lambda k: f"{spread.frequency_hz[k]:.4f}"),
-        on_page("mean", lambda k: fixed(means[k].magnitude, means[k].expanded_magnitude, exponent)),
-        on_page("spread / %", lambda k: number(100.0 * float(ratios.magnitude_spread[k] / ratios.mean_magnitude[k]))),
-        on_page("phase / rad", lambda k: phase(means[k])),
-        on_page("spread / mrad", lambda k: number(1e3 * float(ratios.phase_spread_rad[k]))),
-        on_page("to the fused ratio / %", lambda k: signed(100.0 * (size[k] - 1.0), "+.3f")),
-        on_page("to the fused ratio / mrad", lambda k: signed(1e3 * float(turn[k]), "+.2f")),
+    columns: list[TableColumn[int]] = [
+        page_column("frequency / Hz", lambda k: f"{spread.frequency_hz[k]:.4f}"),
+        page_column("mean", lambda k: scaled_html(means[k].magnitude, means[k].expanded_magnitude, exponent)),
+        page_column(
+            "spread / %", lambda k: number(100.0 * float(ratios.magnitude_spread[k] / ratios.mean_magnitude[k]))
+        ),
+        page_column("phase / rad", lambda k: phase(means[k])),
+        page_column("spread / mrad", lambda k: number(1e3 * float(ratios.phase_spread_rad[k]))),
+        page_column("to the fused ratio / %", lambda k: signed_text(100.0 * (size[k] - 1.0), "+.3f")),
+        page_column("to the fused ratio / mrad", lambda k: signed_text(1e3 * float(turn[k]), "+.2f")),
     ]
     unit = times_ten(exponent, typeset(sensitivity_unit(ratios.unit, ratios.component)))
     caption = Markup("Output {} over load mass times acceleration, point by point, in {}").format(ratios.channel, unit)
@@ -413,16 +419,16 @@ def _table(result: Propagated, draws: int) -> Table:
     strong = [np.where(result.weak, 0.0, what.u_end / what.first_u) for what in (result.magnitude, result.phase)]
     good = float(np.nanmax(strong, initial=0.0))
     intervals = f"shortest 95 % intervals of {draws} draws"
-    caption = f"{capital(result.name)}: {intervals}, whose number determines their ends to {good:.2g} u"
+    caption = f"{capitalise(result.name)}: {intervals}, whose number determines their ends to {good:.2g} u"
     return Table(caption, (*head, "in the region", ""), "ll" + "r" * 7 + "l", tuple(rows))
 
 
 def _verdict(result: Propagated, draws: int, line: int, element: int) -> str:
     """Whether first-order propagation holds: in how many digits both ways agree, or that only the region is judged."""
-    too_small = result.refuted(draws, line, element, too_small=True)
+    too_small = result.rejected_parts(draws, line, element, too_small=True)
     if too_small:
         return f"first-order U too small: {', '.join(too_small)}"
-    large = result.refuted(draws, line, element)
+    large = result.rejected_parts(draws, line, element)
     if large:
         return f"first-order U larger than need be: {', '.join(large)}"
     if result.weak[line, element]:
@@ -442,8 +448,8 @@ def _real_cells(spread: RealSpread, line: int, element: int) -> list[str]:
 
 def _interval(low: float, high: float, u: float) -> str:
     """Two ends with the digits that u deserves, and their power of ten."""
-    exponent = rounded(max(abs(low), abs(high)), u).exponent
-    texts = [rounded(end, u, exponent).value for end in (low, high)]
+    exponent = round_to_uncertainty(max(abs(low), abs(high)), u).exponent
+    texts = [round_to_uncertainty(end, u, exponent).value for end in (low, high)]
     if exponent:
         return Markup("({} … {}) × {}").format(*texts, times_ten(exponent, ""))
     return f"{texts[0]} … {texts[1]}"
@@ -475,12 +481,12 @@ def inputs_table(inputs: Sequence[UncertainInput]) -> Table | None:
         numbers = np.ravel(item.value) if item.value is not None else np.array([])
         return ", ".join(f"{number:.9g}" for number in numbers) if 0 < len(numbers) <= 3 else DASH
 
-    columns: tuple[Column[UncertainInput], ...] = (
-        on_page("file", lambda item: item.file.name, "l"),
-        on_page("key", lambda item: item.key, "l"),
-        on_page("value", value),
-        on_page("u", lambda item: told(item, 1.0)),
-        on_page("2·u", lambda item: told(item, 2.0)),
-        on_page("stated as", _as_stated, "l"),
+    columns: tuple[TableColumn[UncertainInput], ...] = (
+        page_column("file", lambda item: item.file.name, "l"),
+        page_column("key", lambda item: item.key, "l"),
+        page_column("value", value),
+        page_column("u", lambda item: told(item, 1.0)),
+        page_column("2·u", lambda item: told(item, 2.0)),
+        page_column("stated as", _as_stated, "l"),
     )
     return table("Inputs with their standard uncertainties, in the units of the manifest", columns, inputs)

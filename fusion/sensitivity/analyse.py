@@ -8,41 +8,42 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fusion.base import AnyNotice, ComputeError
-from fusion.estimation.consistency import OUTPUT_MISTAKES, UNTESTED, likely_mistake
+from fusion.errors import ComputeError
 from fusion.estimation.fuse import Acceleration, fuse_sources
+from fusion.estimation.instrument_consistency import OUTPUT_MISTAKES, UNTESTED, likely_mistake
 from fusion.estimation.least_squares import Unbounded, observed_components, row_space
-from fusion.estimation.measurement_model import SCALE, CommonError, Deviates, Geometry, Observation, UnseenMotion
+from fusion.estimation.measurement_model import SCALE, CommonError, Deviates, Geometry, Observation, UnobservedMotion
 from fusion.estimation.uncertainty import Influence, Uncertainty, added_up, as_complex
 from fusion.instruments.channel import ChannelGeometry, Outputs
 from fusion.instruments.stereo import StereoReading
-from fusion.instruments.transducer import placed_at, placement_name
+from fusion.instruments.transducer import measuring_point, placement_name
 from fusion.instruments.vibrometer import PointSpread
-from fusion.sensitivity.body import Body
 from fusion.sensitivity.distributions import MonteCarlo
-from fusion.sensitivity.elastic import ElasticPart, Modes, Place
-from fusion.sensitivity.load import LoadResult, load_phasors
+from fusion.sensitivity.elastic import ElasticPart, InstrumentPosition, NaturalModes
+from fusion.sensitivity.load_phasors import LoadResult, load_phasors
+from fusion.sensitivity.moving_body import Body
 from fusion.sensitivity.ratio import (
     CHANGED,
-    KnownMatrix,
+    PriorMatrix,
     Sensitivity,
     StatedMatrix,
     contradicting_outputs,
     driven_component,
-    known_matrix,
-    mass_doubted,
+    mass_notices,
     parasitic_loads,
+    prior_matrix,
     quotient,
     sensitivity_ratio,
     sensor_element,
 )
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, brief
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, brief
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
-from shaker.lines.frequencies import Lines
+from shaker.lines.frequencies import LineFrequencies
+from shakercal._common.notices import Notice
 
 if TYPE_CHECKING:
-    from fusion.phasors.channels import ChannelResult
-    from fusion.phasors.setups import SetUpResult
+    from fusion.phasors.channel_phasors import ChannelResult
+    from fusion.phasors.set_up_merging import SetUpResult
     from fusion.phasors.stereo_phasors import StereoResult
     from fusion.phasors.timing import ClockResult
     from fusion.recording.load import Manifest
@@ -137,14 +138,16 @@ def _rows(design: ComplexArray, stretch: ComplexArray) -> ComplexArray:
     return np.asarray(np.einsum("kmj,kmji->kmi", design, stretch))
 
 
-def _stretched_places(modes: Modes, frequency_hz: FloatArray, places: Sequence[Place], rows: int) -> ComplexArray:
+def _stretched_places(
+    modes: NaturalModes, frequency_hz: FloatArray, places: Sequence[InstrumentPosition], rows: int
+) -> ComplexArray:
     """Return what M rows are stretched (K, M, 6, 6), all at one place or each at its own."""
     each = np.stack([modes.stretch(frequency_hz, place) for place in places], axis=1)
     return np.repeat(each, rows // len(places), axis=1)
 
 
 def _stretch(
-    parts: Sequence[ElasticPart], frequency_hz: FloatArray, places: Sequence[Place], rows: int
+    parts: Sequence[ElasticPart], frequency_hz: FloatArray, places: Sequence[InstrumentPosition], rows: int
 ) -> ComplexArray:
     """Return what M rows are stretched (K, M, 6, 6) by all parts, as far as that is corrected."""
     return np.asarray(
@@ -153,10 +156,10 @@ def _stretch(
 
 
 def _moved_places(
-    parts: Sequence[ElasticPart], frequency_hz: FloatArray, inner: Geometry, places: Sequence[Place]
+    parts: Sequence[ElasticPart], frequency_hz: FloatArray, inner: Geometry, places: Sequence[InstrumentPosition]
 ) -> Iterator[tuple[tuple[str, ...], ComplexArray]]:
     """Yield the names of the unknowns of M uncertain places, axis by axis, and what they change of the stretch."""
-    if not isinstance(inner, ChannelGeometry) or inner.transducer.turning:
+    if not isinstance(inner, ChannelGeometry) or inner.transducer.rotational:
         return
     for unit, letter in zip(np.eye(3), "xyz", strict=True):
         shifts = [unit * np.broadcast_to(entry.point_uncertainty, 3) for entry in inner.entries]
@@ -173,16 +176,16 @@ def _moved_places(
             yield tuple(placement_name(entry, "point", letter) for entry in inner.entries), np.asarray(change)
 
 
-def _places(observation: Observation) -> list[Place]:
+def _places(observation: Observation) -> list[InstrumentPosition]:
     """Return where an instrument sees the load: each of its channels, or a stereo pair the middle of its points."""
     seen, elastic = observation.geometry, "the load is elastic"
     if isinstance(seen, ChannelGeometry):
         missing = [entry.name for entry in seen.entries if entry.point is None]
         if missing:
             raise ComputeError(f"{elastic}, but channel {missing[0]} has no point; state where it sits on the load")
-        return [Place(entry.name, placed_at(entry)) for entry in seen.entries]
+        return [InstrumentPosition(entry.name, measuring_point(entry)) for entry in seen.entries]
     if isinstance(seen, StereoReading) and seen.face_m is not None:
-        return [Place(seen.name, seen.face_m)]
+        return [InstrumentPosition(seen.name, seen.face_m)]
     raise ComputeError(f"{elastic}, but where {observation.title} sees it is not known")
 
 
@@ -198,13 +201,13 @@ class Inputs:
     is assumed of motion that nobody observes.
     """
 
-    lines: Lines
+    lines: LineFrequencies
     observations: tuple[Observation, ...]
     outputs: Outputs | None = None
     body: Body | None = None
     sensor: Sensor | None = None
     direction: tuple[float, ...] | None = None
-    unseen: UnseenMotion = field(default_factory=UnseenMotion)
+    unobserved_motion: UnobservedMotion = field(default_factory=UnobservedMotion)
 
 
 @dataclass(frozen=True)
@@ -221,13 +224,13 @@ class Analysis:
     outputs: Outputs | None
     sensitivity: Sensitivity | None
     element: Sensitivity | None = None
-    known: KnownMatrix | None = None
+    prior_matrix: PriorMatrix | None = None
     doubts: tuple[Notice, ...] = ()
 
     __repr__ = brief
 
     @property
-    def notices(self) -> tuple[AnyNotice, ...]:
+    def notices(self) -> tuple[Notice, ...]:
         """Return what fusion, load and sensitivity want the user to know."""
         results = [*(a for a in self.accelerations if a.source == "fused"), self.load, self.sensitivity]
         results.append(self.element)
@@ -289,7 +292,9 @@ def analyse(inputs: Inputs) -> Analysis:
     motion that nothing bounds.
     """
     seen, direction = inputs.observations, inputs.direction
-    unseen = replace(inputs.unseen, drive=driven_motion(direction, inputs.body) if direction is not None else None)
+    unseen = replace(
+        inputs.unobserved_motion, drive=driven_motion(direction, inputs.body) if direction is not None else None
+    )
     accelerations, doubts = list[Acceleration](), list[Notice]()
     for body in (body for body in ("load", "base") if any(observation.body == body for observation in seen)):
         try:
@@ -320,9 +325,9 @@ def _sensor(inputs: Inputs, accelerations: tuple[Acceleration, ...], fused: Acce
     component = driven_component(direction, sensor.capacity)
     ratio = sensitivity_ratio(outputs, load, component, inputs.lines.multiple, sensor.capacity)
     if np.any(np.isfinite(ratio.value)):
-        ratio = replace(ratio, notices=(*ratio.notices, Notice("info", SINGLE, REPEATS)))
+        ratio = replace(ratio, notices=(*ratio.notices, Notice("note", SINGLE, REPEATS)))
     sizes = np.nanmax(np.nan_to_num(np.abs(ratio.value[:, :, component])), axis=0)
-    known = known_matrix(StatedMatrix.of(sensor), outputs.phasors.channels, component, sizes)
+    known = prior_matrix(StatedMatrix.of(sensor), outputs.phasors.channels, component, sizes)
     notices = _element_notices(known, outputs, load, sensor, component)
     if known is None:
         return Analysis(accelerations, load, outputs, replace(ratio, notices=(*ratio.notices, *notices)))
@@ -379,7 +384,7 @@ def with_estimates(outputs: Outputs, fused: Acceleration) -> Outputs:
 
 
 def _element_notices(
-    known: KnownMatrix | None, outputs: Outputs, load: LoadResult, sensor: Sensor, component: int
+    known: PriorMatrix | None, outputs: Outputs, load: LoadResult, sensor: Sensor, component: int
 ) -> tuple[Notice, ...]:
     """Say what the sensor's element is corrected for, what its U holds instead, or why there is none."""
     named = LOAD_COMPONENTS[component]
@@ -389,14 +394,14 @@ def _element_notices(
             "alone does not span the 6 x 6 matrix, and neither sensor.static_sensitivity (with cross-talk) nor "
             "sensor.cross_talk is stated; what other loads put into the outputs is neither corrected nor in U"
         )
-        return (Notice("info", text, "sensitivity"), *_far_from_static(outputs, load, sensor, component))
+        return (Notice("note", text, "sensitivity"), *_far_from_static(outputs, load, sensor, component))
     element = f"element {known.channels[known.main]} per {named}"
     if not known.static:
         text = (
             f"the {element} is not corrected for other loads: U holds a cross-talk within ± {sensor.cross_talk:.2%} of "
             "the rated output at every rated load"
         )
-        return (Notice("info", text, "sensitivity"), *_far_from_static(outputs, load, sensor, component))
+        return (Notice("note", text, "sensitivity"), *_far_from_static(outputs, load, sensor, component))
     # Of the output that the driven load moves most, at the strongest line.
     shares = parasitic_loads(outputs, load, known.value, component, known.unknowns)
     line = int(np.argmax(np.nan_to_num(np.abs(load.value[:, component]))))
@@ -406,7 +411,7 @@ def _element_notices(
     predicted = load.value[line] @ known.value[known.main]
     course = complex(quotient(outputs.phasors.value[line, known.main], np.asarray(predicted)))
     doubt = list(contradicting_outputs(outputs, load, known, StatedMatrix.of(sensor).rated, line))
-    doubt += mass_doubted(element, course, float(outputs.phasors.frequency_hz[line]))
+    doubt += mass_notices(element, course, float(outputs.phasors.frequency_hz[line]))
     if abs(course - 1.0) > CHANGED:
         text = (
             f"the {element} is {abs(course):.3g} times its static value at {hertz}, turned by "
@@ -548,7 +553,7 @@ class Evaluation:
     """
 
     manifest: Manifest
-    lines: Lines
+    lines: LineFrequencies
     clocks: tuple[ClockResult, ...]
     channels: tuple[ChannelResult, ...]
     stereo: tuple[StereoResult, ...]
@@ -556,7 +561,7 @@ class Evaluation:
     load: LoadResult | None
     outputs: Outputs | None
     sensitivity: Sensitivity | None
-    notices: tuple[AnyNotice, ...]
+    notices: tuple[Notice, ...]
     settings: dict[str, str | float | int]
     versions: dict[str, str]
     input_hashes: dict[str, str]

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion.base import AnyNotice
 from fusion.estimation.coverage import COVERAGE
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, check_shapes
+from shakercal._common.notices import Notice
 
 DIGITS = 2
 """Significant digits of the standard uncertainty in which both ways can agree at best (JCGM 101, 7.9.2)."""
@@ -59,7 +59,7 @@ class RealSpread:
         return np.asarray(np.sum([apart <= tolerance(self.first_u, n) for n in range(1, DIGITS + 1)], axis=0))
 
     @property
-    def refuted(self) -> BoolArray:
+    def rejected(self) -> BoolArray:
         """Return (L, Q) whether the ends differ in the first digit of u, by more than the number of draws explains."""
         return self._beyond(np.maximum(self.d_low, self.d_high))
 
@@ -139,7 +139,7 @@ class Propagated(FirstOrder):
         longest[known] = np.sqrt(np.linalg.eigvalsh(self.first_covariance[known])[:, -1])
         return np.asarray(np.abs(self.value) < WEAK * longest)
 
-    def refuted(self, draws: int, line: int, element: int, *, too_small: bool = False) -> tuple[str, ...]:
+    def rejected_parts(self, draws: int, line: int, element: int, *, too_small: bool = False) -> tuple[str, ...]:
         """Return what of one quantity first-order propagation gets wrong: "region", "magnitude", "phase".
 
         `too_small`: only that whose first-order U does not cover what it should.
@@ -149,7 +149,7 @@ class Propagated(FirstOrder):
         wrong = ["region"] if (missing if too_small else abs(missing)) > REGION_TOLERANCE + chance else []
         if not self.weak[line, element]:
             for what, spread in (("magnitude", self.magnitude), ("phase", self.phase)):
-                differs = spread.too_narrow if too_small else spread.refuted
+                differs = spread.too_narrow if too_small else spread.rejected
                 wrong += [what] if differs[line, element] else []
         return tuple(wrong)
 
@@ -164,7 +164,7 @@ class MonteCarlo:
     draws: int
     seed: int
     results: tuple[Propagated, ...]
-    notices: tuple[AnyNotice, ...]
+    notices: tuple[Notice, ...]
 
 
 def summarise(first: FirstOrder, draws: ComplexArray) -> Propagated:
@@ -246,7 +246,7 @@ def judged(results: Sequence[Propagated], draws: int) -> tuple[tuple[str, ...], 
     for result in results:
         for line, element in np.ndindex(result.value.shape):
             where = f"{result.elements[element]}, {result.frequency_hz[line]:.6g} Hz"
-            short = result.refuted(draws, line, element, too_small=True)
-            for what in result.refuted(draws, line, element):
+            short = result.rejected_parts(draws, line, element, too_small=True)
+            for what in result.rejected_parts(draws, line, element):
                 (small if what in short else large).append(f"{what} of the {result.name} ({where})")
     return tuple(small), tuple(large)

@@ -14,13 +14,14 @@ import numpy as np
 from fusion.estimation.measurement_model import CommonError, Observation
 from fusion.estimation.uncertainty import Uncertainty, Unknown, added_up, polar_elements, real_stack
 from fusion.instruments.channel import Outputs
-from shaker.arrays import ComplexArray, Notice
+from shaker.arrays import ComplexArray
+from shakercal._common.notices import Notice
 
 if TYPE_CHECKING:
     from fusion.recording.environment import Environment
     from fusion.recording.manifest import ChannelEntry
     from fusion.recording.rig import Rig, Sensor
-    from fusion.sensitivity.body import Body
+    from fusion.sensitivity.moving_body import Body
     from fusion.sensitivity.ratio import Sensitivity
 
 OPTICAL = ("photogrammetry", "vibrometer")
@@ -159,7 +160,7 @@ def not_assessed(
         told.append(f"{text}, and {others}")
     told += dict.fromkeys(further)
     if told:
-        yield Notice("info", "not assessed, not in U: " + "; ".join(told), "surroundings")
+        yield Notice("note", "not assessed, not in U: " + "; ".join(told), "surroundings")
 
 
 TURNED_RAD, TURNED_U = 5e-3, 3.0
@@ -208,4 +209,4 @@ def unstated_chain(
             f"{hertz:.6g} Hz, as much as {lag_us:.3g} us, and neither delay nor response of its measuring chain is "
             "stated: does its amplifier have one?"
         )
-        yield Notice("info" if -MOST_LAG_RAD < turn < 0.0 else "warning", text, "sensitivity")
+        yield Notice("note" if -MOST_LAG_RAD < turn < 0.0 else "warning", text, "sensitivity")

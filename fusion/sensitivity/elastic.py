@@ -14,7 +14,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from fusion.estimation.uncertainty import Scope, Unknown, as_complex, real_stack
-from fusion.instruments.transducer import across
+from fusion.instruments.transducer import perpendicular_axes
 from shaker.arrays import ComplexArray, FloatArray, IntArray
 
 ONLY_NAMED = 1.0 / np.sqrt(3.0)
@@ -31,7 +31,7 @@ def response(frequency_hz: FloatArray, natural_hz: FloatArray, damping: FloatArr
 
 
 @dataclass(frozen=True)
-class Place:
+class InstrumentPosition:
     """Where an instrument sits on the load: `name` of its channel or stereo pair, `point_m` (3,)."""
 
     name: str
@@ -62,7 +62,7 @@ class MeasuredModes:
 
 
 @dataclass(frozen=True)
-class Modes:
+class NaturalModes:
     """N natural modes of a load whose foot is held, for a modal mass of 1 kg.
 
     `frequency_hz`, `damping` (N,); `participation` (N, 6): what the foot feels of a unit acceleration of each mode, as
@@ -73,7 +73,7 @@ class Modes:
     frequency_hz: FloatArray
     damping: FloatArray
     participation: FloatArray
-    motion: Callable[[Place], FloatArray]
+    motion: Callable[[InstrumentPosition], FloatArray]
     measured: tuple[MeasuredModes, ...] = ()
 
     def moved(self, frequency_hz: FloatArray) -> ComplexArray:
@@ -88,24 +88,24 @@ class Modes:
         moved = self.moved(frequency_hz)
         return np.asarray(np.einsum("kn,ni,nj->kij", moved, self.participation, self.participation))
 
-    def stretch(self, frequency_hz: FloatArray, place: Place) -> ComplexArray:
+    def stretch(self, frequency_hz: FloatArray, position: InstrumentPosition) -> ComplexArray:
         """Return (K, 6, 6): what a place moves beside its foot = matrix · acceleration of the foot.
 
         As that motion of the sensor origin which a rigid body would have: an instrument's rows act on it as they do on
         the foot's.
         """
-        own = self.motion(place)
-        about = np.concatenate([own[:, :3] - np.cross(own[:, 3:], place.point_m), own[:, 3:]], axis=1)
+        own = self.motion(position)
+        about = np.concatenate([own[:, :3] - np.cross(own[:, 3:], position.point_m), own[:, 3:]], axis=1)
         for measured in self.measured:
-            if measured.pair == place.name:
+            if measured.pair == position.name:
                 about[measured.which] = measured.share
         moved = self.moved(frequency_hz)
         return np.asarray(np.einsum("kn,ni,nj->kij", moved, about, self.participation))
 
 
-def joined(families: Sequence[Modes]) -> Modes:
+def join_modes(families: Sequence[NaturalModes]) -> NaturalModes:
     """Return the modes of several families as one set."""
-    return Modes(
+    return NaturalModes(
         np.concatenate([family.frequency_hz for family in families]),
         np.concatenate([family.damping for family in families]),
         np.concatenate([family.participation for family in families]),
@@ -113,7 +113,7 @@ def joined(families: Sequence[Modes]) -> Modes:
     )
 
 
-Quantity = Callable[[Modes], ComplexArray]
+ModalQuantity = Callable[[NaturalModes], ComplexArray]
 
 
 @dataclass(frozen=True)
@@ -125,8 +125,8 @@ class Variant:
     u: float
     unit: str
     scope: Scope
-    above: Modes
-    below: Modes
+    above: NaturalModes
+    below: NaturalModes
 
 
 @dataclass(frozen=True)
@@ -138,16 +138,16 @@ class ElasticPart:
     """
 
     name: str
-    modes: Modes
+    modes: NaturalModes
     variants: tuple[Variant, ...]
     mass_kg: float | None = None
 
-    def act(self, quantity: Quantity) -> ComplexArray:
+    def act(self, quantity: ModalQuantity) -> ComplexArray:
         """Return what the modes do to some quantity, in so far as it is corrected for them."""
         whole = quantity(self.modes)
         return whole if self.variants else np.zeros_like(whole)
 
-    def changes(self, quantity: Quantity) -> tuple[Unknown[ComplexArray], ...]:
+    def changes(self, quantity: ModalQuantity) -> tuple[Unknown[ComplexArray], ...]:
         """Return what one standard uncertainty of each unknown changes of some quantity.
 
         Rows of instruments and load are such quantities: the same names act on both.
@@ -226,7 +226,7 @@ class Rod:
         """Mass of the rod with what stands on its end."""
         return self.density_kgpm3 * self._section[0] * self.length_m + self.tip_mass_kg
 
-    def families(self) -> dict[str, Modes]:
+    def families(self) -> dict[str, NaturalModes]:
         """Return modes along the axis (Love: lateral contraction has inertia), of bending (Timoshenko), of torsion."""
         (area, second), nu = self._section, self.poisson_ratio
         shear = self.young_modulus_pa / (2.0 * (1.0 + nu))
@@ -256,14 +256,16 @@ class Rod:
         )
         torsion_hz, torsion = ritz([(self.length_m * shear * twist, slope)], [(inertia * twist, value)])
         none = np.zeros((TERMS, TERMS))
-        sides = across(self.axis)
+        sides = perpendicular_axes(self.axis)
         return {
             "axial": self._modes(axial[0], np.hstack([axial[1], none]), self.axis, np.zeros(3)),
-            "bending": joined([self._modes(*bending, side, np.cross(self.axis, side)) for side in sides]),
+            "bending": join_modes([self._modes(*bending, side, np.cross(self.axis, side)) for side in sides]),
             "torsion": self._modes(torsion_hz, np.hstack([none, torsion]), np.zeros(3), self.axis),
         }
 
-    def _modes(self, frequency_hz: FloatArray, coefficients: FloatArray, shift: FloatArray, turn: FloatArray) -> Modes:
+    def _modes(
+        self, frequency_hz: FloatArray, coefficients: FloatArray, shift: FloatArray, turn: FloatArray
+    ) -> NaturalModes:
         """Return modes of which one field moves sections along `shift` (3,) and one turns them about `turn` (3,)."""
         area, second = self._section
         # About a diameter the section has its second moment once, about the axis twice.
@@ -273,7 +275,7 @@ class Rod:
             value = polynomials(at).T
             return coefficients[:, :TERMS] @ value, coefficients[:, TERMS:] @ value
 
-        def motion(place: Place) -> FloatArray:
+        def motion(place: InstrumentPosition) -> FloatArray:
             offset = place.point_m - self.foot_m
             at = float(np.clip(offset @ self.axis / self.length_m, 0.0, 1.0))
             displacement, rotation = fields(np.array([at]))
@@ -287,7 +289,7 @@ class Rod:
         moment = displacement @ (line[:, None] * arms) * area
         moment += tip * np.cross(self.foot_m + self.length_m * self.axis, shift)
         moment += (rotation @ line)[:, None] * second * turn
-        return Modes(frequency_hz, np.zeros(len(frequency_hz)), np.hstack([force * shift, moment]), motion)
+        return NaturalModes(frequency_hz, np.zeros(len(frequency_hz)), np.hstack([force * shift, moment]), motion)
 
 
 @dataclass(frozen=True)
@@ -316,7 +318,7 @@ class Plate:
         """Radius of the clamp, and the logarithm of that of the rim over it, by which s counts radii."""
         return self.clamped_diameter_m / 2.0, float(np.log(self.diameter_m / self.clamped_diameter_m))
 
-    def families(self) -> dict[str, Modes]:
+    def families(self) -> dict[str, NaturalModes]:
         """Return modes without a nodal diameter, which an axial motion drives, and with one, which tilts drive.
 
         Fields over the radius: deflection W, slopes P along and Q across it; deflection W cos nφ, slopes P cos nφ and
@@ -329,7 +331,7 @@ class Plate:
         value, slope = VALUE, SLOPE / (radius * width)[:, None]
         over = value / radius[:, None]
         none = np.zeros_like(value)
-        found: dict[int, Modes] = {}
+        found: dict[int, NaturalModes] = {}
         for n in (0, 1):
             ring = radius**2 * width * np.pi * (2 - n)
             along, around = np.hstack([none, slope, none]), np.hstack([none, over, n * over])
@@ -351,14 +353,16 @@ class Plate:
             )
             fields = np.zeros((len(natural), 3, TERMS))
             fields.reshape(len(natural), -1)[:, kept] = coefficients
-            found[n] = joined([self._modes(natural, fields, n, side) for side in across(self.axis)[: n + 1]])
+            found[n] = join_modes(
+                [self._modes(natural, fields, n, side) for side in perpendicular_axes(self.axis)[: n + 1]]
+            )
         return {"axial": found[0], "bending": found[1]}
 
-    def _modes(self, frequency_hz: FloatArray, fields: FloatArray, n: int, side: FloatArray) -> Modes:
+    def _modes(self, frequency_hz: FloatArray, fields: FloatArray, n: int, side: FloatArray) -> NaturalModes:
         """Return modes by their `fields` (N, 3, TERMS); those of one nodal diameter are largest at a `side`."""
         (clamp, width), h = self._rim, self.thickness_m
 
-        def motion(place: Place) -> FloatArray:
+        def motion(place: InstrumentPosition) -> FloatArray:
             offset = place.point_m - self.foot_m
             flat = offset - (offset @ self.axis) * self.axis
             distance = float(np.linalg.norm(flat))
@@ -381,4 +385,4 @@ class Plate:
         else:
             tilt = deflection @ (ring * radius) + h**2 / 12.0 * (along - across_it) @ ring
             participation = np.hstack([np.zeros((len(tilt), 3)), tilt[:, None] * np.cross(side, self.axis)])
-        return Modes(frequency_hz, np.zeros(len(frequency_hz)), participation, motion)
+        return NaturalModes(frequency_hz, np.zeros(len(frequency_hz)), participation, motion)

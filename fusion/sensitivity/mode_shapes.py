@@ -11,19 +11,28 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import chdtrc
 
-from fusion.base import as_input_error
+from fusion.errors import as_input_error
 from fusion.estimation.uncertainty import as_complex, real_stack
-from fusion.instruments.transducer import across
-from fusion.sensitivity.body import Body, drawn, stated_modes
-from fusion.sensitivity.elastic import ElasticPart, MeasuredModes, Modes, Place, Rod, Variant, response
+from fusion.instruments.transducer import perpendicular_axes
+from fusion.sensitivity.elastic import (
+    ElasticPart,
+    InstrumentPosition,
+    MeasuredModes,
+    NaturalModes,
+    Rod,
+    Variant,
+    response,
+)
+from fusion.sensitivity.moving_body import Body, elastic_body, stated_modes
 from photogram.camera import principal_components
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Notice
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from shaker.io.text import read_table_columns
 from shaker.sine.phasor import real_stacked_diagonal
+from shakercal._common.notices import Notice
 
 if TYPE_CHECKING:
     from fusion.phasors.stereo_phasors import StereoResult
-    from fusion.recording.rig import Elastic, Load
+    from fusion.recording.rig import Elastic, RigLoad
 
 CONTRADICTED = 0.01
 """Chance below which a response is not the stated one."""
@@ -47,7 +56,7 @@ class _Chosen:
             known = [number for number, mode in enumerate(table.mode) if mode.surface is not None]
             return cls(table, tuple(known), tuple(f"mode {number + 1}" for number in known))
         which, labels, start = list[int](), list[str](), 0
-        for kind, modes in drawn(table).families().items():
+        for kind, modes in elastic_body(table).families().items():
             sides = {"axial": 1, "bending": 2}.get(kind, 0)
             each = len(modes.frequency_hz) // max(sides, 1)
             which += [start + side * each for side in range(sides)]
@@ -74,10 +83,10 @@ class _Chosen:
                     moved.append(_between(surface, points_m))
             return np.stack(moved)
         motion = self._drawn_modes.motion
-        return np.stack([motion(Place("", point))[list(self.which), :3] for point in points_m], axis=1)
+        return np.stack([motion(InstrumentPosition("", point))[list(self.which), :3] for point in points_m], axis=1)
 
     @cached_property
-    def _drawn_modes(self) -> Modes:
+    def _drawn_modes(self) -> NaturalModes:
         return stated_modes(self.table, {})
 
     def __reduce__(self) -> tuple[type[_Chosen], tuple[Elastic, tuple[int, ...], tuple[str, ...]]]:
@@ -89,11 +98,11 @@ class _Chosen:
         """The displacement (M,) for a unit of each mode where it is largest, in the table or along a drawing."""
         if self.table.shape == "modes":
             return np.array([np.linalg.norm(rows[:, 3:], axis=1).max() for _, rows in self.surfaces])
-        shape = drawn(self.table)
+        shape = elastic_body(self.table)
         if isinstance(shape, Rod):
             places = shape.foot_m + np.linspace(0.0, shape.length_m, 9)[:, None] * shape.axis
         else:
-            angle, sides = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False), np.array(across(shape.axis))
+            angle, sides = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False), np.array(perpendicular_axes(shape.axis))
             around = np.column_stack([np.cos(angle), np.sin(angle)]) @ sides
             places = shape.foot_m + shape.diameter_m / 2.0 * around
         return np.asarray(np.linalg.norm(self.displacement(places), axis=2).max(axis=1))
@@ -134,7 +143,7 @@ class ModeShapes:
         return np.concatenate([part.displacement(points_m) / part.size[:, None, None] for part in self.parts])
 
 
-def mode_shapes(load: Load | None, pair: str) -> ModeShapes | None:
+def mode_shapes(load: RigLoad | None, pair: str) -> ModeShapes | None:
     """Return the modes of a load that a stereo pair is to measure (`measured_by`); None for none."""
     tables = () if load is None else load.elastic
     parts = tuple(_Chosen.of(table) for table in tables if pair.rpartition(": ")[2] in table.measured_by)
@@ -171,14 +180,16 @@ class _Seen:
         for part, which in parts:
             participation = part.modes.participation.copy()
             participation[which] = 0.0
-            others += replace(part.modes, participation=participation).stretch(frequency, Place(pair.name, face_m))
+            others += replace(part.modes, participation=participation).stretch(
+                frequency, InstrumentPosition(pair.name, face_m)
+            )
         moved = rigid - modal @ shapes.share.T
         foot = np.linalg.solve(np.eye(6) + others, moved[..., None])[..., 0]
         return cls(pair, np.asarray(foot), np.asarray(modal), square[..., None] ** 2 * shapes.covariance, shapes.share)
 
 
 def with_measured_modes(
-    body: Body | None, load: Load | None, stereo: Sequence[StereoResult]
+    body: Body | None, load: RigLoad | None, stereo: Sequence[StereoResult]
 ) -> tuple[Body | None, tuple[Notice, ...]]:
     """Return a load with the responses of modes that stereo pairs measured, in the mean with those stated.
 
@@ -225,7 +236,7 @@ def _measured(
     whole[pair.usable], weight[pair.usable] = moved, gain
     measured = MeasuredModes(pair.name, which, whole, weight, (seen.share[:, columns] * size).T)
 
-    def carrying(modes: Modes, change: ComplexArray | float = 0.0) -> Modes:
+    def carrying(modes: NaturalModes, change: ComplexArray | float = 0.0) -> NaturalModes:
         return replace(modes, measured=(*modes.measured, replace(measured, response=whole + change)))
 
     variants = [replace(v, above=carrying(v.above), below=carrying(v.below)) for v in part.variants]
@@ -248,7 +259,7 @@ def _gain(
     P·(P + C)⁻¹ with P what is stated and C what is measured of the covariance; 1 where they contradict each other.
     """
 
-    def stated(modes: Modes) -> FloatArray:
+    def stated(modes: NaturalModes) -> FloatArray:
         moved = response(frequency_hz, modes.frequency_hz, modes.damping)[:, which]
         return real_stack(moved)
 
@@ -271,7 +282,7 @@ def _told(part: ElasticPart, which: IntArray, seen: _Seen, columns: IntArray, co
     hertz, size = f"{found.phasors.frequency_hz[line]:.6g} Hz", found.u_size[line, columns]
     amplitudes = zip(np.array(found.phasors.channels)[columns], found.phasors.value[line, columns], size, strict=True)
     seen_of = ", ".join(f"{mode} {1e9 * abs(a):.3g} nm (u {1e9 * u:.2g} nm)" for mode, a, u in amplitudes)
-    told = [Notice("info", f"stereo pair {name} measures at {hertz}: {seen_of}", name)]
+    told = [Notice("note", f"stereo pair {name} measures at {hertz}: {seen_of}", name)]
     for k in np.flatnonzero(contradicted):
         text = (
             f"the elastic {part.name} of the load moves at {found.phasors.frequency_hz[k]:.6g} Hz otherwise than its "

@@ -7,19 +7,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion.base import ComputeError, ProgressCallback, no_progress
-from fusion.estimation.fuse import Acceleration, solve_consistently, without_gross
-from fusion.estimation.least_squares import UNOBSERVED, UNOBSERVED_ITSELF, Places, Solution
-from fusion.estimation.measurement_model import Deviates, Drawn, Observation
+from fusion.base import ProgressCallback, no_progress
+from fusion.errors import ComputeError
+from fusion.estimation.fuse import Acceleration, reject_gross_errors, solve_consistently
+from fusion.estimation.least_squares import UNOBSERVED, UNOBSERVED_ITSELF, FusionSolution, RowIndex
+from fusion.estimation.measurement_model import Deviates, DrawnReadings, Observation
 from fusion.estimation.uncertainty import Uncertainty, as_complex, element_covariances, real_stack
-from fusion.estimation.variance_components import LEAST_DOF
+from fusion.estimation.variance_components import MIN_DOF
 from fusion.instruments.channel import Outputs
 from fusion.sensitivity.analyse import Analysis, Inputs
 from fusion.sensitivity.distributions import FirstOrder, MonteCarlo, Propagated, judged, summarise
-from fusion.sensitivity.load import LoadResult
-from fusion.sensitivity.ratio import KnownMatrix, quotient
-from shaker.arrays import ComplexArray, FloatArray, Notice
+from fusion.sensitivity.load_phasors import LoadResult
+from fusion.sensitivity.ratio import PriorMatrix, quotient
+from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS
+from shakercal._common.notices import Notice
 
 BLOCK = 2000
 """Draws that are made at once; each block has streams of its own, so that blocks may be computed in any order."""
@@ -73,17 +75,17 @@ class Estimator:
     expand: FloatArray
 
     @classmethod
-    def of(cls, observations: Sequence[Observation], expand: FloatArray, solution: Solution) -> Estimator:
+    def of(cls, observations: Sequence[Observation], expand: FloatArray, solution: FusionSolution) -> Estimator:
         """Return the estimator of a solved system."""
         return cls(tuple(observations), np.asarray(np.linalg.pinv(expand) @ solution.gain), expand)
 
-    def acceleration(self, drawn: Sequence[Drawn], start: ComplexArray, hidden: ComplexArray) -> ComplexArray:
+    def acceleration(self, drawn: Sequence[DrawnReadings], start: ComplexArray, hidden: ComplexArray) -> ComplexArray:
         """Return the estimates (N, K, 6) from N draws of every observation, found by steps with the fixed gain.
 
         `start` (K, 6): where to start; `hidden` (N, K, 6): motion that no reading tells, which the rows may see.
         """
         count, lines = hidden.shape[:2]
-        places = [Places.of(observation) for observation in self.observations]
+        places = [RowIndex.of(observation) for observation in self.observations]
         unknowns = np.repeat((np.linalg.pinv(self.expand) @ real_stack(start).ravel())[None], count, axis=0)
         # What a step may leave: in each unknown's own unit, the largest of its kind in the estimate.
         limit = CONVERGED * np.max(np.abs(unknowns), initial=1e-300)
@@ -121,7 +123,7 @@ class _Motion:
         """
         fused, estimate = self.fused, np.asarray(np.nan_to_num(self.fused.phasors.value))
         phase = deviates.angle(f"unobserved motion of the {fused.body}", *estimate.shape)
-        amplitude = fused.unseen_amplitude  # what is unbounded reaches no value that is given
+        amplitude = fused.unobserved_amplitude  # what is unbounded reaches no value that is given
         hidden = np.where(np.isinf(amplitude), 0.0, amplitude) * np.exp(1j * phase)
         readings = [o.draw(estimate, deviates, noise) for o, noise in zip(self.observations, self.noise, strict=True)]
         value = self.estimator.acceleration(readings, estimate, hidden)
@@ -130,7 +132,7 @@ class _Motion:
         further = np.zeros_like(value)
         for part in fused.uncertainty.random:
             if part.label not in own:
-                dof = np.full(len(part.covariance), np.inf) if part.dof is None else np.maximum(part.dof, LEAST_DOF)
+                dof = np.full(len(part.covariance), np.inf) if part.dof is None else np.maximum(part.dof, MIN_DOF)
                 further += as_complex(deviates.noise(f"{part.label} of the {fused.body}", part.covariance, dof))
         for influence in fused.uncertainty.influences:
             if influence.name not in known:
@@ -143,7 +145,7 @@ def _motion(inputs: Inputs, fused: Acceleration) -> _Motion:
     """Return a fused acceleration with the instruments that took part in it."""
     own = [(place, seen) for place, seen in enumerate(inputs.observations) if seen.body == fused.body]
     used = [(place, seen) for place, seen in own if seen.stated] or own
-    system, first, _ = without_gross([seen for _, seen in used], fused.unseen)
+    system, first, _ = reject_gross_errors([seen for _, seen in used], fused.unseen)
     observations, solution = system.observations, solve_consistently(system, first, fused.scatter).final
     noise = tuple(f"noise of instrument {place}" for place, _ in used)
     return _Motion(fused, observations, noise, Estimator.of(observations, system.expand, solution))
@@ -163,13 +165,13 @@ def _draw(
     if outputs is not None and analysis.sensitivity is not None:
         channel, component = np.array(analysis.sensitivity.elements).T
         drawn["sensitivity"] = quotient(outputs.draw(deviates)[:, :, channel], drawn["load"][:, :, component])
-        if analysis.known is not None and analysis.load is not None:
-            drawn["element"] = _draw_elements(analysis.known, outputs, analysis.load, drawn["load"], deviates)
+        if analysis.prior_matrix is not None and analysis.load is not None:
+            drawn["element"] = _draw_elements(analysis.prior_matrix, outputs, analysis.load, drawn["load"], deviates)
     return drawn
 
 
 def _draw_elements(
-    known: KnownMatrix, outputs: Outputs, load: LoadResult, loads: ComplexArray, deviates: Deviates
+    known: PriorMatrix, outputs: Outputs, load: LoadResult, loads: ComplexArray, deviates: Deviates
 ) -> ComplexArray:
     """Return the sensor's elements (N, K, E) from drawn loads and outputs, and a matrix drawn unknown by unknown."""
     matrix = np.zeros((deviates.count, loads.shape[1], *known.value.shape), np.complex128) + known.value
@@ -220,5 +222,5 @@ def _notices(results: Sequence[Propagated], draws: int) -> tuple[Notice, ...]:
         notices.append(Notice("warning", text, "monte carlo"))
     if large:
         text = f"first-order U is larger than {draws} Monte Carlo draws need it to be: {'; '.join(large)}"
-        notices.append(Notice("info", text, "monte carlo"))
+        notices.append(Notice("note", text, "monte carlo"))
     return tuple(notices)

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fusion.base import AnyNotice, rounded
-from fusion.estimation.consistency import OUTPUT_MISTAKES, likely_mistake
+from fusion.base import round_to_uncertainty
 from fusion.estimation.coverage import Polar, coverage_factor, polar
+from fusion.estimation.instrument_consistency import OUTPUT_MISTAKES, likely_mistake
 from fusion.estimation.measurement_model import BODY_SIZE_M
 from fusion.estimation.uncertainty import (
     Contribution,
@@ -29,10 +29,11 @@ from fusion.estimation.uncertainty import (
 )
 from fusion.instruments.channel import Outputs
 from fusion.instruments.vibrometer import PARALLEL, PointRatios, PointSpread
-from fusion.sensitivity.body import Body
-from fusion.sensitivity.load import BudgetEntry, LoadResult, budget
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, brief, check_shape
+from fusion.sensitivity.load_phasors import BudgetEntry, LoadResult, budget
+from fusion.sensitivity.moving_body import Body
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, brief, check_shape
 from shaker.labels import LOAD_COMPONENTS
+from shakercal._common.notices import Notice
 
 if TYPE_CHECKING:
     from fusion.recording.rig import Sensor
@@ -60,7 +61,7 @@ class Sensitivity:
     components: tuple[str, ...]
     unit: str
     kind: tuple[Kind, ...]
-    notices: tuple[AnyNotice, ...]
+    notices: tuple[Notice, ...]
     budget: tuple[BudgetEntry, ...] = field(init=False)
 
     __repr__ = brief
@@ -148,7 +149,7 @@ def sensitivity_ratio(
         if others:
             basis = "" if capacity is None else " (in shares of the rated loads)"
             text = f"beside {name} = 100 % the sensor carried {', '.join(others)}{basis}; the ratio contains their part"
-            notices.append(Notice("info", text, "sensitivity"))
+            notices.append(Notice("note", text, "sensitivity"))
     return Sensitivity(
         frequency_hz=outputs.phasors.frequency_hz,
         value=value,
@@ -201,13 +202,13 @@ class ParasiticLoads:
             return ()
         share = self.element(line, channel)
         k_re, k_im = self.factors(line, channel)
-        more = rounded(100.0 * share.re, 100.0 * k_re * share.u_re, 0)
-        turn = rounded(1e3 * share.im, 1e3 * k_im * share.u_im, 0)
+        more = round_to_uncertainty(100.0 * share.re, 100.0 * k_re * share.u_re, 0)
+        turn = round_to_uncertainty(1e3 * share.im, 1e3 * k_im * share.u_im, 0)
         text = (
             f"by the static sensitivity the other load components make ({more.value} ± {more.expanded}) % of {where} "
             f"and turn it by ({turn.value} ± {turn.expanded}) mrad: the ratio contains that, the element does not"
         )
-        return (Notice("info", text, "sensitivity"),)
+        return (Notice("note", text, "sensitivity"),)
 
 
 def parasitic_loads(
@@ -296,7 +297,7 @@ class StatedMatrix:
 
 
 @dataclass(frozen=True)
-class KnownMatrix:
+class PriorMatrix:
     """What is known of the matrix of C outputs where the load `component` d is driven.
 
     `main` m: the output that belongs to it; `rows`: the E outputs whose element a recording gives; `value` (C, 6): up
@@ -373,11 +374,11 @@ class KnownMatrix:
         by_outputs[:, :, m] -= quotient(parasitic, whole[:, None])
         by_load = back[:, :, None] * self.value[m] - course[:, :, None] * others
         by_load[:, :, d] -= self.elements(outputs, load)
-        total = of_outputs.where_known().transformed(
+        total = of_outputs.nan_as_zero().transformed(
             real_design(np.nan_to_num(quotient(by_outputs, driven[:, :, None])))
         )
         total = total.plus(
-            of_load.where_known().transformed(real_design(np.nan_to_num(quotient(by_load, driven[:, :, None]))))
+            of_load.nan_as_zero().transformed(real_design(np.nan_to_num(quotient(by_load, driven[:, :, None]))))
         )
         own, products = list[Influence](), list[Contribution]()
         hidden = ~np.tile(given, (1, 2))
@@ -402,7 +403,7 @@ class KnownMatrix:
         return Uncertainty(merge_contributions(random), (*total.influences, *own))
 
 
-def known_matrix(stated: StatedMatrix, channels: Sequence[str], component: int, sizes: ArrayLike) -> KnownMatrix | None:
+def prior_matrix(stated: StatedMatrix, channels: Sequence[str], component: int, sizes: ArrayLike) -> PriorMatrix | None:
     """Return what is known of the matrix of some outputs under a driven load, None where nothing is.
 
     A static matrix: every other element S_cj is taken as S⁰_cj·h with the course h of the driven main element, which
@@ -426,7 +427,7 @@ def known_matrix(stated: StatedMatrix, channels: Sequence[str], component: int, 
         told = np.count_nonzero(static, axis=1) > (stated.u_cross_talk is None)
         if main is not None and told[main] and static[main, component] != 0.0:
             rows = tuple(np.flatnonzero(told).tolist())
-            return KnownMatrix(
+            return PriorMatrix(
                 names, component, main, rows, static, static_unknowns(stated, names, static), static=True
             )
     if stated.cross_talk is None or stated.capacity is None:
@@ -441,7 +442,7 @@ def known_matrix(stated: StatedMatrix, channels: Sequence[str], component: int, 
         name = f"{RATED} {names[main]}/{LOAD_COMPONENTS[j]}"
         u = stated.cross_talk / float(np.sqrt(3.0))
         unknowns.append(Unknown(name, RATED, u, "1", effect, "rig", distribution="uniform"))
-    return KnownMatrix(names, component, main, (main,), value, tuple(unknowns), static=False)
+    return PriorMatrix(names, component, main, (main,), value, tuple(unknowns), static=False)
 
 
 def static_unknowns(
@@ -458,19 +459,19 @@ def static_unknowns(
 
 
 def sensor_element(
-    outputs: Outputs, load: LoadResult, known: KnownMatrix, multiple: ArrayLike, notices: Sequence[AnyNotice] = ()
+    outputs: Outputs, load: LoadResult, prior: PriorMatrix, multiple: ArrayLike, notices: Sequence[Notice] = ()
 ) -> Sensitivity:
     """Return the sensor's elements of the driven load at the fundamentals of one recording (`KnownMatrix`)."""
-    usable = (np.asarray(multiple) == 1) & load.observed[:, known.component]
+    usable = (np.asarray(multiple) == 1) & load.observed[:, prior.component]
     force = np.where(usable[:, None], load.value, complex(np.nan, np.nan))
     signal = outputs.phasors.value
     value = np.full((*signal.shape, 6), complex(np.nan, np.nan))
-    value[:, list(known.rows), known.component] = known.elements(signal, force)
+    value[:, list(prior.rows), prior.component] = prior.elements(signal, force)
     return Sensitivity(
         frequency_hz=outputs.phasors.frequency_hz,
         value=value,
-        elements=tuple((channel, known.component) for channel in known.rows),
-        uncertainty=known.uncertainty(signal, force, outputs.uncertainty, load.uncertainty, load.observed),
+        elements=tuple((channel, prior.component) for channel in prior.rows),
+        uncertainty=prior.uncertainty(signal, force, outputs.uncertainty, load.uncertainty, load.observed),
         channels=outputs.phasors.channels,
         components=LOAD_COMPONENTS,
         unit=outputs.phasors.unit[0],
@@ -488,20 +489,20 @@ CROSS_TALK = 0.05
 
 
 def contradicting_outputs(
-    outputs: Outputs, load: LoadResult, known: KnownMatrix, rated: FloatArray, line: int
+    outputs: Outputs, load: LoadResult, prior: PriorMatrix, rated: FloatArray, line: int
 ) -> Iterator[Notice]:
     """Yield which outputs are at one line not what the static matrix makes of the load, and what that looks like.
 
     An output may deviate by `CHANGED` of its prediction, by a cross-talk of `CROSS_TALK` of the load that is largest
     over its rated one, and by three standard uncertainties.
     """
-    signal, force, names = outputs.phasors.value[line], np.nan_to_num(load.value[line]), known.channels
-    predicted = force @ known.value.T
-    full = np.max(np.abs(known.value) * rated, axis=1)
+    signal, force, names = outputs.phasors.value[line], np.nan_to_num(load.value[line]), prior.channels
+    predicted = force @ prior.value.T
+    full = np.max(np.abs(prior.value) * rated, axis=1)
     of_load = (
         load.uncertainty.at_lines([line])
-        .where_known()
-        .transformed(real_design(known.value[None].astype(np.complex128)))
+        .nan_as_zero()
+        .transformed(real_design(prior.value[None].astype(np.complex128)))
     )
     pair = np.diagonal(of_load.covariance[0]).reshape(2, -1).sum(axis=0)
     cross = CROSS_TALK * np.max(np.abs(force) / rated) * full
@@ -540,14 +541,14 @@ UNLIKE_REST, SOFTEST_HZ = 0.03, 500.0
 """Relative change of the driven element since rest that a resonance has to explain, and where it is to be expected."""
 
 
-def mass_doubted(element: str, course: complex, frequency_hz: float) -> Iterator[Notice]:
+def mass_notices(element: str, ratio: complex, frequency_hz: float) -> Iterator[Notice]:
     """Yield the question whether a mass is wrong or missing: an element is neither as at rest nor as in a resonance.
 
     `course`: the element over its static value at one frequency. Below its resonance f₀ an oscillator's is
     1/(1 - (f/f₀)²), never below one, in phase.
     """
-    size, told = abs(course), "which no resonance above that does"
-    if not UNLIKE_REST < abs(size - 1.0) <= CHANGED or abs(np.angle(course)) > CHANGED:
+    size, told = abs(ratio), "which no resonance above that does"
+    if not UNLIKE_REST < abs(size - 1.0) <= CHANGED or abs(np.angle(ratio)) > CHANGED:
         return
     if size > 1.0:
         natural_hz = frequency_hz / np.sqrt(1.0 - 1.0 / size)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.linalg import block_diag
 
-from fusion.base import rounded
+from fusion.base import round_to_uncertainty
 from fusion.estimation.coverage import polar
 from fusion.estimation.least_squares import RANK_TOLERANCE, RESOLUTION_TOLERANCE
 from fusion.estimation.measurement_model import BODY_SIZE_M, SCALE, CommonError, Observation
@@ -23,13 +23,14 @@ from fusion.estimation.uncertainty import Kind, as_complex, element_covariance, 
 from fusion.estimation.variance_components import EstimatedNoise
 from fusion.instruments.channel import ChannelGeometry
 from fusion.instruments.stereo import StereoReading, carrier_of
-from fusion.instruments.transducer import HEAD, ROOM, carrier, placed_at
+from fusion.instruments.transducer import HEAD, STATIONARY, carrier, measuring_point
 from fusion.sensitivity.disturbances import with_support_motion
 from photogram.camera import principal_components
 from photogram.geometry import skew
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Notice, brief
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, brief
 from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.sine.phasor import Phasors
+from shakercal._common.notices import Notice
 
 if TYPE_CHECKING:
     from fusion.recording.manifest import ChannelEntry
@@ -89,9 +90,9 @@ def without_supports(
     `limit`: largest amplitude of that motion over the motion measured (`environment.support_motion`), None where it is
     not stated, for supports without a reference too. What is left open of H are unknowns of all instruments on it.
     """
-    bodies = [o for o in observations if o.body not in (ROOM, HEAD)]
+    bodies = [o for o in observations if o.body not in (STATIONARY, HEAD)]
     found, told = list[SupportMotion](), list[Notice]()
-    for name, references in _by_support(o for o in observations if o.body in (ROOM, HEAD)).items():
+    for name, references in _by_support(o for o in observations if o.body in (STATIONARY, HEAD)).items():
         carried = _by_support(bodies).get(name, [])
         if not carried:
             continue
@@ -121,7 +122,9 @@ def _by_support(observations: Sequence[Observation] | Iterator[Observation]) -> 
                 if name is not None:
                     own.setdefault(name, []).append(column)
         for name, columns in own.items():
-            groups.setdefault(name, []).append(_Seen(observation, columns, -1.0 if observation.body == ROOM else 1.0))
+            groups.setdefault(name, []).append(
+                _Seen(observation, columns, -1.0 if observation.body == STATIONARY else 1.0)
+            )
     return groups
 
 
@@ -177,7 +180,7 @@ def _shape(seen: Sequence[_Seen]) -> FloatArray:
         elif isinstance(geometry, ChannelGeometry):
             entries = [geometry.entries[column] for column in columns]
             pivots += [place for entry in entries if (place := _stands(entry)) is not None]
-            points += [placed_at(entry) for entry in entries if entry.body != HEAD]
+            points += [measuring_point(entry) for entry in entries if entry.body != HEAD]
     middle = np.mean(points, axis=0) if points else np.zeros(3)
     pivot = np.mean(pivots, axis=0) if pivots else middle
     length = max(float(np.linalg.norm(pivot - middle)), BODY_SIZE_M)
@@ -190,7 +193,7 @@ def _stands(entry: ChannelEntry) -> FloatArray | None:
     """Return where a head is, as far as a channel tells: its mirror, else what sits on it."""
     if entry.head is not None and entry.head.stated.mirror is not None:
         return np.array(entry.head.stated.mirror)
-    return placed_at(entry) if entry.body == HEAD else None
+    return measuring_point(entry) if entry.body == HEAD else None
 
 
 def _sizes(carried: Sequence[_Seen], line: int) -> FloatArray:
@@ -380,18 +383,18 @@ def _notices(moved: SupportMotion) -> Iterator[Notice]:
     if shaken:
         c = max(shaken, key=lambda c: float(abs(value[c])))
         found = polar(complex(value[c]), element_covariance(moved.phasors.covariance[line], c))
-        share = rounded(100.0 * found.magnitude / size, 200.0 * found.u_magnitude / size, 0)
+        share = round_to_uncertainty(100.0 * found.magnitude / size, 200.0 * found.u_magnitude / size, 0)
         text = (
             f"what carries the instruments shakes with the excitation, along {'xyz'[c]} by ({share.value} ± "
             f"{share.expanded}) % of the motion measured at {where} (U, k = 2, by {by}); it is taken off"
         )
-        yield Notice("info", f"{moved.name}: {text}", moved.name)
+        yield Notice("note", f"{moved.name}: {text}", moved.name)
     if len(seen) and float(u[seen].max()) > WEAK * size:
         text = (
             f"its motion remains uncertain by {float(u[seen].max()) / size:.2g} of the motion measured at {where} "
             f"(standard uncertainty, by {by}): a larger or nearer reference, or more frames, tell it better"
         )
-        yield Notice("info", f"{moved.name}: {text}", moved.name)
+        yield Notice("note", f"{moved.name}: {text}", moved.name)
 
 
 def carried_by(supports: Sequence[SupportMotion]) -> frozenset[str]:

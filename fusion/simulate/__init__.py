@@ -7,8 +7,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from fusion.base import InputError, ProgressCallback, no_progress
-from fusion.report.files import write_together
+from fusion.base import ProgressCallback, no_progress
+from fusion.errors import InputError
+from fusion.report.atomic_files import write_together
 
 RECORDINGS = ("demo", "nitsche2018", "bending", "room", "single", "laboratory", "sweep", "matrix")
 """Presets of sines, which take the switches of `SimulationOptions`."""

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fusion.simulate.preset import PlateSpec, Preset
-from photogram.synthetic.scene import Face, View, bent
+from photogram.synthetic.scene import Face, View, bend_view
 from shaker.arrays import ComplexArray, FloatArray
 
 if TYPE_CHECKING:
-    from fusion.simulate.world import Draws, Motion, World
+    from fusion.simulate.world import Draws, SimulatedMotion, World
 
 SURFACE_FILE = "plate-mode-1.csv"
 RINGS, SPOKES = 12, 24  # of the surface's table
@@ -37,7 +37,7 @@ def _at(plate: PlateSpec, point: Sequence[float] | FloatArray) -> float:
     return float(shape(np.hypot(point[0], point[1]) / plate.radius))
 
 
-def rim(plate: PlateSpec, motion: Motion, draws: Draws) -> ComplexArray:
+def rim_acceleration(plate: PlateSpec, motion: SimulatedMotion, draws: Draws) -> ComplexArray:
     """Return the acceleration phasors (K,) of the rim against the middle, the natural frequency as it is drawn."""
     natural = (
         2.0 * np.pi * plate.frequency * (1.0 + float(draws.normal("plate.frequency", plate.frequency_uncertainty)))
@@ -47,17 +47,17 @@ def rim(plate: PlateSpec, motion: Motion, draws: Draws) -> ComplexArray:
     return np.asarray(omega**2 * MEAN / MEAN_SQUARE * motion.acceleration[:, 2] / answer)
 
 
-def seen(plate: PlateSpec, motion: Motion, draws: Draws, point: FloatArray) -> Motion:
+def plate_motion(plate: PlateSpec, motion: SimulatedMotion, draws: Draws, point: FloatArray) -> SimulatedMotion:
     """Return what an instrument at a point of the plate takes for the motion of the load."""
     moved = motion.acceleration.copy()
-    moved[:, 2] += _at(plate, point) * rim(plate, motion, draws)
+    moved[:, 2] += _at(plate, point) * rim_acceleration(plate, motion, draws)
     return replace(motion, acceleration=moved)
 
 
-def plate_wrench(plate: PlateSpec, motion: Motion, draws: Draws) -> ComplexArray:
+def plate_wrench(plate: PlateSpec, motion: SimulatedMotion, draws: Draws) -> ComplexArray:
     """Return what moves the plate (K, 6) beside the rigid load."""
     total = np.zeros((len(motion.frequency_hz), 6), np.complex128)
-    total[:, 2] = plate.mass * MEAN * rim(plate, motion, draws)
+    total[:, 2] = plate.mass * MEAN * rim_acceleration(plate, motion, draws)
     return total
 
 
@@ -72,7 +72,7 @@ def bent_view(world: World, draws: Draws, view: View, face: Face, instant: tuple
     omega = motion.omega
     lost = np.sinc(omega * exposure_s / (2.0 * np.pi))
     turn = np.exp(1j * np.multiply.outer(middle_s, omega))
-    rim_m = np.sum(-rim(plate, motion, draws) / omega**2 * lost * turn, axis=-1).real[..., None]
+    rim_m = np.sum(-rim_acceleration(plate, motion, draws) / omega**2 * lost * turn, axis=-1).real[..., None]
 
     def bending(u: FloatArray, v: FloatArray) -> FloatArray:
         place = face.origin_m + u[..., None] * face.axis_u + v[..., None] * face.axis_v
@@ -80,7 +80,7 @@ def bent_view(world: World, draws: Draws, view: View, face: Face, instant: tuple
         none = np.zeros_like(up)
         return np.stack([none, none, up * np.cross(face.axis_u, face.axis_v)[2]], axis=-1)
 
-    return bent(view, face, motion.pose(float(np.mean(middle_s))), bending)
+    return bend_view(view, face, motion.pose(float(np.mean(middle_s))), bending)
 
 
 def elastic_keys(preset: Preset) -> dict[str, Any]:

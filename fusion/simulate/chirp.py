@@ -88,7 +88,7 @@ class Oscillator:
 
 
 @dataclass(frozen=True, config=CHECKED)
-class Suspension:
+class SimulatedSuspension:
     """A sensor of which the `free` components of the load move on springs and dampers, and what is mounted on it.
 
     `stiffness` in N/m and N·m/rad, `damping` in N·s/m and N·m·s/rad, about the sensor origin. `sensor`: set-up whose
@@ -256,33 +256,33 @@ def chirp_tables(chirp: Chirp, name: str, rig: str, channels: list[dict[str, Any
     }
 
 
-def write_chirps(folder: Path, stand: Suspension, draws: Draws) -> None:
+def write_chirps(folder: Path, suspension: SimulatedSuspension, draws: Draws) -> None:
     """Write the rigs into a campaign folder, and a chirp recording of each load.
 
     The accelerometers, their amplifiers and the clock are the same in all recordings, and so are their errors.
     """
-    internal = true_part(stand.internal, draws)
-    lines = stand.chirp.lines_hz
-    for name, stated in stand.loads.items():
-        write_texts(folder, {rig_file(name): to_toml(suspension_rig(stand, stated, draws))})
+    internal = true_part(suspension.internal, draws)
+    lines = suspension.chirp.lines_hz
+    for name, stated in suspension.loads.items():
+        write_texts(folder, {rig_file(name): to_toml(suspension_rig(suspension, stated, draws))})
         load = true_part(stated, draws)
-        ratios = {top: partial(stand.transfer, load, internal, point) for top, point in stand.tops.items()}
-        samples = chirp_samples(stand.chirp, draws, ratios, f"{name}.")
-        channels = chirp_channels(stand.chirp, stand.base, stand.tops, stand.direction)
+        ratios = {top: partial(suspension.transfer, load, internal, point) for top, point in suspension.tops.items()}
+        samples = chirp_samples(suspension.chirp, draws, ratios, f"{name}.")
+        channels = chirp_channels(suspension.chirp, suspension.base, suspension.tops, suspension.direction)
         title = f"chirp, load mass {stated.mass:g} kg, simulated"
         truth = {
             "format": 1,
             "seed": draws.seed,
-            **stand.springs,
+            **suspension.springs,
             "mass_matrix": mass_matrix(load).tolist(),
             "internal_mass_kg": internal.mass_kg,
-            "resonances_hz": stand.resonances_hz(load, internal).tolist(),
+            "resonances_hz": suspension.resonances_hz(load, internal).tolist(),
             "frequency_hz": lines.tolist(),
             "transfer": {top: complex_table(ratio(lines)) for top, ratio in ratios.items()},
             "drawn": dict(draws.values),
         }
-        manifest = chirp_tables(stand.chirp, title, f"../{rig_file(name)}", channels)
-        write_chirp_files(folder / f"{RECORDING}-{name}", stand.chirp, samples, manifest, truth)
+        manifest = chirp_tables(suspension.chirp, title, f"../{rig_file(name)}", channels)
+        write_chirp_files(folder / f"{RECORDING}-{name}", suspension.chirp, samples, manifest, truth)
 
 
 def rig_file(name: str) -> str:
@@ -290,9 +290,9 @@ def rig_file(name: str) -> str:
     return f"rig-{name}.toml"
 
 
-def suspension_rig(stand: Suspension, load: PartSpec, draws: Draws) -> dict[str, Any]:
+def suspension_rig(suspension: SimulatedSuspension, load: PartSpec, draws: Draws) -> dict[str, Any]:
     """Return rig.toml with one of the loads as nested dictionaries; the sensor is the same in all."""
-    preset = replace(stand.sensor, internal=stand.internal)
+    preset = replace(suspension.sensor, internal=suspension.internal)
     return {
         "format": 1,
         "name": f"{preset.rig_name}, {load.name}",
@@ -303,19 +303,19 @@ def suspension_rig(stand: Suspension, load: PartSpec, draws: Draws) -> dict[str,
     }
 
 
-def write_pitching(folder: Path, seed: int, stand: Suspension | None = None) -> None:
+def write_pitching(folder: Path, seed: int, suspension: SimulatedSuspension | None = None) -> None:
     """Write both rigs, a chirp recording along x of each load, and the truth; everything uncertain is drawn once."""
-    stand = stand or read_preset(Suspension, "pitching")
+    suspension = suspension or read_preset(SimulatedSuspension, "pitching")
     draws = Draws(seed, True)
-    write_chirps(folder, stand, draws)
-    _write_truth(folder, stand, draws, {})
+    write_chirps(folder, suspension, draws)
+    _write_truth(folder, suspension, draws, {})
 
 
 def write_masses(
     folder: Path,
     seed: int,
     progress: ProgressCallback = no_progress,
-    stand: Suspension | None = None,
+    suspension: SimulatedSuspension | None = None,
     steps: Sequence[int] = STEPS,
 ) -> None:
     """Write both rigs, a chirp recording of each load, twelve sine recordings of one load, and the truth.
@@ -323,19 +323,19 @@ def write_masses(
     Everything stated as an uncertainty is drawn, once for the whole campaign. The period of the chirps gives the line
     spacing of the publication, 0.78125 Hz.
     """
-    stand = stand or read_preset(Suspension, "masses")
+    suspension = suspension or read_preset(SimulatedSuspension, "masses")
     draws = Draws(seed, True, mounting=MOUNTING, recording="")
-    write_chirps(folder, stand, draws)
+    write_chirps(folder, suspension, draws)
     for number, step in enumerate(steps, 1):
-        run = sine_run(stand, step, draws)
+        run = sine_run(suspension, step, draws)
         own = replace(draws, recording=run.preset.recording)
         write_run(folder, run, make_world(run.preset, own, TRIGGER_JITTER_S), own)
         progress("write", number, len(steps))
-    lags = {"spring_lag_s": _spring_lag_s(stand), "chain_lag_s": stand.sensor.lag_s}
-    _write_truth(folder, stand, draws, lags | {"sine_load": SINE_LOAD})
+    lags = {"spring_lag_s": _spring_lag_s(suspension), "chain_lag_s": suspension.sensor.lag_s}
+    _write_truth(folder, suspension, draws, lags | {"sine_load": SINE_LOAD})
 
 
-def sine_run(stand: Suspension, step: int, draws: Draws) -> Run:
+def sine_run(suspension: SimulatedSuspension, step: int, draws: Draws) -> Run:
     """Return one sine recording: the load moves along z alone, its base on the true spring below it.
 
     z at the driven line, and 0.4 % of it at twice its frequency. The resonance of the set-up is that of the true
@@ -345,16 +345,16 @@ def sine_run(stand: Suspension, step: int, draws: Draws) -> Run:
     motion = np.zeros((2, 6), dtype=np.complex128)
     phase = np.random.default_rng([7, step]).uniform(0.0, 2.0 * np.pi, 2)
     motion[:, 2] = DRIVE_MPS2 * np.array([1.0, 0.004]) * np.exp(1j * phase)
-    sensor, load = stand.sensor, stand.loads[SINE_LOAD]
-    axial_hz = float(stand.resonances_hz(true_part(load, draws), true_part(stand.internal, draws))[0])
+    sensor, load = suspension.sensor, suspension.loads[SINE_LOAD]
+    axial_hz = float(suspension.resonances_hz(true_part(load, draws), true_part(suspension.internal, draws))[0])
     rig = replace(
         sensor,
-        internal=stand.internal,
+        internal=suspension.internal,
         load=load,
         rig_name=f"{sensor.rig_name}, {load.name}",
         mount_hz=(*sensor.mount_hz[:2], axial_hz, *sensor.mount_hz[3:]),
-        mount_damping=np.pi * axial_hz * stand.damping[0] / stand.stiffness[0],
-        damping_s=(0.0, 0.0, _spring_lag_s(stand), 0.0, 0.0, 0.0),
+        mount_damping=np.pi * axial_hz * suspension.damping[0] / suspension.stiffness[0],
+        damping_s=(0.0, 0.0, _spring_lag_s(suspension), 0.0, 0.0, 0.0),
         camera_rate_hz=camera_rate(sensor, nominal),
     )
     return Run(
@@ -366,12 +366,12 @@ def sine_run(stand: Suspension, step: int, draws: Draws) -> Run:
     )
 
 
-def _spring_lag_s(stand: Suspension) -> float:
+def _spring_lag_s(stand: SimulatedSuspension) -> float:
     """Return b/k of the first spring."""
     return stand.damping[0] / stand.stiffness[0]
 
 
-def _write_truth(folder: Path, stand: Suspension, draws: Draws, others: dict[str, Any]) -> None:
+def _write_truth(folder: Path, stand: SimulatedSuspension, draws: Draws, others: dict[str, Any]) -> None:
     """Write what all recordings of the campaign share into its folder, and what each load does."""
     internal = true_part(stand.internal, draws)
     loads = {name: true_part(load, draws) for name, load in stand.loads.items()}

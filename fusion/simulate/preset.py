@@ -240,7 +240,7 @@ class Preset:
         """Acceleration of gravity (3,) in the sensor frame."""
         return self.gravity * np.array(self.down)
 
-    def shrunk(self, frames: int | None, image_scale: float) -> Preset:
+    def reduced(self, frames: int | None, image_scale: float) -> Preset:
         """Return the preset with fewer frames, and images `image_scale` as large over the same pixel on the face."""
         stereo = []
         for setup in self.stereo:

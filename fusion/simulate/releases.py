@@ -21,7 +21,7 @@ from fusion.simulate.write import RIG_FILE, TRUTH_FILE, Record, complex_table, w
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import LOAD_COMPONENTS
 from shaker.lti.system import ModalModel
-from shaker.release.response import pole_responses
+from shaker.release.load_response import pole_responses
 
 DAQ_FILE = "outputs.h5"
 CHANNEL, ROPE = "Fy", "fishing line"  # output and load component of the force sensor, and what releases it
@@ -30,7 +30,7 @@ Channels = list[dict[str, Any]]  # blocks of the channels in a manifest
 
 
 @dataclass(frozen=True, config=CHECKED)
-class Rope:
+class SimulatedRope:
     """What lets go: how long the load takes to vanish, in s, its relative scatter, along a line or half a cosine."""
 
     name: str
@@ -40,7 +40,7 @@ class Rope:
 
 
 @dataclass(frozen=True, config=CHECKED)
-class Recorder:
+class SimulatedRecorder:
     """What all recordings of a campaign share: `noise` over the output's change, a random offset, the start.
 
     `range_v` on `bits`; times in s: the load goes `before_s`, and a random time of up to `start_scatter_s`, after the
@@ -55,7 +55,9 @@ class Recorder:
     before_s: float
     start_scatter_s: float
 
-    def let_go(self, name: str, rope: Rope, duration_s: float, draws: Draws) -> tuple[FloatArray, float, float]:
+    def release_times(
+        self, name: str, rope: SimulatedRope, duration_s: float, draws: Draws
+    ) -> tuple[FloatArray, float, float]:
         """Return the times (N,) of a recording's samples, when the load begins to vanish, and how long that takes."""
         rng = draws.stream(f"{name}.release")
         onset_s = self.before_s + float(rng.uniform(0.0, self.start_scatter_s))
@@ -77,7 +79,7 @@ class Recorder:
 
 
 @dataclass(frozen=True, config=CHECKED)
-class StepRig(Recorder):
+class StepRig(SimulatedRecorder):
     """Truth and nominal values of sensor, amplifier and recorder.
 
     One mode per component (`frequency_hz`, `damping_ratio`) and the amplifier's real pole `chain_hz`; `capacity` and
@@ -97,15 +99,15 @@ class StepRig(Recorder):
     u_sensitivity: float
     gain: float
     after_s: float
-    ropes: tuple[Rope, ...]
+    ropes: tuple[SimulatedRope, ...]
 
 
 @plain_dataclass(frozen=True)
-class Release:
+class SimulatedRelease:
     """One recording: the component that is loaded, what lets go, and the number of the repeat."""
 
     component: str
-    rope: Rope
+    rope: SimulatedRope
     repeat: int
 
     @property
@@ -114,10 +116,10 @@ class Release:
         return f"{self.component}-{self.rope.name.replace(' ', '-')}-{self.repeat}"
 
 
-def releases(rig: StepRig) -> tuple[Release, ...]:
+def releases(rig: StepRig) -> tuple[SimulatedRelease, ...]:
     """Return three releases of each rope on Fz, and two releases of the first on every other component."""
-    axial = [Release("Fz", rope, repeat) for rope in rig.ropes for repeat in (1, 2, 3)]
-    other = [Release(c, rig.ropes[0], repeat) for c in LOAD_COMPONENTS if c != "Fz" for repeat in (1, 2)]
+    axial = [SimulatedRelease("Fz", rope, repeat) for rope in rig.ropes for repeat in (1, 2, 3)]
+    other = [SimulatedRelease(c, rig.ropes[0], repeat) for c in LOAD_COMPONENTS if c != "Fz" for repeat in (1, 2)]
     return (*axial, *other)
 
 
@@ -191,11 +193,11 @@ def sensor_model(rig: StepRig, draws: Draws) -> Model:
     return tuple(tuple(response(i, c) for c in range(modes)) for i in range(modes))
 
 
-def _write_release(folder: Path, rig: StepRig, model: Model, release: Release, draws: Draws) -> Path:
+def _write_release(folder: Path, rig: StepRig, model: Model, release: SimulatedRelease, draws: Draws) -> Path:
     """Write one recording: what hung on the rope vanishes, and every output goes from its loaded to its zero level."""
     name, place = release.name, LOAD_COMPONENTS.index(release.component)
     load, column = rig.load_share * rig.capacity[place], [row[place] for row in model]
-    time_s, onset_s, release_s = rig.let_go(name, release.rope, rig.before_s + rig.after_s, draws)
+    time_s, onset_s, release_s = rig.release_times(name, release.rope, rig.before_s + rig.after_s, draws)
     offset, static = rig.offsets(name, len(model), draws), [one.static_gain for one in column]
     # the poles of all outputs are the same
     response = pole_responses(column[0].poles, time_s, onset_s, release_s, release.rope.shape)
@@ -237,7 +239,7 @@ def _step_tables(name: str, rig: str, released: tuple[str, float, str], channels
 
 
 @dataclass(frozen=True, config=CHECKED)
-class SeriesRig(Recorder):
+class SeriesRig(SimulatedRecorder):
     """Truth and nominal values: masses in kg, N/m, N·s/m; output in V, recorded as it is; times in s.
 
     `loads_g`: masses on the pillar in g; the load of `force_n` vanishes along a straight line of `release_s`.
@@ -316,7 +318,7 @@ def true_modes(rig: SeriesRig, moving: float, load: float) -> tuple[ComplexArray
 def _write_series_release(folder: Path, rig: SeriesRig, grams: int, masses: tuple[float, float], draws: Draws) -> Path:
     """Write one recording: the force vanishes, the output falls from its loaded level to zero and rings."""
     name, (poles, residues) = f"step-{grams:03d}g", true_modes(rig, *masses)
-    time_s, onset_s, release_s = rig.let_go(name, Rope(ROPE, rig.release_s, 0.0), rig.duration_s, draws)
+    time_s, onset_s, release_s = rig.release_times(name, SimulatedRope(ROPE, rig.release_s, 0.0), rig.duration_s, draws)
     offset, steps = rig.offsets(name, 1, draws), np.array([rig.force_n * rig.sensitivity])
     change = (pole_responses(poles, time_s, onset_s, release_s) @ residues).real
     upper = sorted(poles[poles.imag > 0.0], key=abs)

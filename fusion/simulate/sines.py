@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from fusion.base import ProgressCallback, no_progress
 from fusion.recording.toml import to_toml
-from fusion.report.files import write_file
+from fusion.report.atomic_files import write_file
 from fusion.simulate import bending
 from fusion.simulate.preset import (
     ChannelSpec,
@@ -33,7 +33,7 @@ from fusion.simulate.preset import (
 from fusion.simulate.violations import violations
 from fusion.simulate.world import (
     Draws,
-    Motion,
+    SimulatedMotion,
     TruePart,
     TrueStereo,
     World,
@@ -58,9 +58,9 @@ from fusion.simulate.write import (
     write_recording,
     write_texts,
 )
-from photogram.calibration.file import write_calibration
+from photogram.calibration.calibration_file import write_calibration
 from photogram.geometry import RigidTransform
-from photogram.synthetic.scene import Face, View, beside, render_exposure
+from photogram.synthetic.scene import Face, View, add_face, render_exposure
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import LOAD_COMPONENTS
 
@@ -136,7 +136,7 @@ def _true_phasors(world: World, spec: ChannelSpec, draws: Draws) -> ComplexArray
     if spec.quantity == "output":
         return np.asarray(world.outputs[:, LOAD_COMPONENTS.index(spec.name)])
     # Written anew, not by `fusion.instruments`: what the program makes of these recordings is tested against them.
-    motion = world.seen(draws, spec.body, spec.quantity, np.array(spec.point))
+    motion = world.observed_motion(draws, spec.body, spec.quantity, np.array(spec.point))
     point = np.array(spec.point) + draws.normal(f"{spec.name}.point", spec.stated.get("point_uncertainty", 0.0), 3)
     nominal = np.array(spec.direction)
     tilt = draws.normal(f"{spec.name}.direction", spec.stated.get("direction_uncertainty", 0.0), 3)
@@ -145,7 +145,7 @@ def _true_phasors(world: World, spec: ChannelSpec, draws: Draws) -> ComplexArray
         tilt = tilt + draws.normal(f"head {head.name}.direction", head.rotation_uncertainty, 3)
     direction = nominal + np.cross(tilt, nominal)
     direction = direction / np.linalg.norm(direction)
-    direction = draws.broken("direction", direction, spec, world.preset)
+    direction = draws.violations("direction", direction, spec, world.preset)
     if spec.quantity == "velocity":
         return velocity_at(motion, point, direction)
     transverse = draws.normal(f"{spec.name}.transverse", spec.stated.get("transverse_sensitivity", 0.0) / np.sqrt(2), 3)
@@ -177,7 +177,7 @@ def response_table() -> str:
     return "\n".join(lines) + "\n"
 
 
-def rig_tables(world: World, own: tuple[PartSpec, ...] = ()) -> dict[str, Any]:
+def rig_tables(world: World, recording_parts: tuple[PartSpec, ...] = ()) -> dict[str, Any]:
     """Return rig.toml as nested dictionaries, without the parts that a recording's `own` manifest states."""
     preset = world.preset
     tables: dict[str, Any] = {
@@ -186,7 +186,7 @@ def rig_tables(world: World, own: tuple[PartSpec, ...] = ()) -> dict[str, Any]:
         "sensor": sensor_keys(preset, world.static_stated),
         "load": part_keys(preset.load) | bending.elastic_keys(preset),
     }
-    parts = [part_table(part) for part in preset.parts if part not in own]
+    parts = [part_table(part) for part in preset.parts if part not in recording_parts]
     if parts:
         tables["part"] = parts
     tables["environment"] = environment_keys(preset)
@@ -317,7 +317,7 @@ def truth_tables(run: Run, world: World, draws: Draws) -> dict[str, Any]:
         **images,
         "clock": tie,
         "drawn": draws.values,
-        **({"violated": dict(draws.broken.sizes)} if draws.broken.sizes else {}),
+        **({"violated": dict(draws.violations.sizes)} if draws.violations.sizes else {}),
     }
 
 
@@ -395,8 +395,8 @@ def write_runs(folder: Path, preset: str, seed: int, progress: ProgressCallback,
     broken = violations(options.violate, chosen[0].preset)
     jitter_s = TRIGGER_JITTER_S if options.trigger_jitter else 0.0
     for number, run in enumerate(chosen, 1):
-        smaller = replace(run, preset=run.preset.shrunk(options.frames, options.image_scale))
-        draws = Draws(seed, options.systematic_errors, broken=broken)
+        smaller = replace(run, preset=run.preset.reduced(options.frames, options.image_scale))
+        draws = Draws(seed, options.systematic_errors, violations=broken)
         if run.mounting:
             draws = replace(draws, mounting=run.mounting, recording=run.preset.recording)
         write_run(folder, smaller, make_world(smaller.preset, draws, jitter_s), draws, options, progress)
@@ -415,11 +415,11 @@ def write_run(
     options = options or SimulationOptions()
     preset = run.preset
     records = {daq.file: record(world, daq, draws, options.channel_noise) for daq in preset.daqs}
-    records = draws.broken("records", records, world)
+    records = draws.violations("records", records, world)
     texts = {daq.response: response_table() for daq in preset.daqs if daq.response}
     for setup in preset.stereo if preset.as_points else ():
         position = point_series(world, setup, draws, options.channel_noise)
-        texts[points_file(setup)] = points_text(position[draws.broken("frames", np.arange(len(position)), setup)])
+        texts[points_file(setup)] = points_text(position[draws.violations("frames", np.arange(len(position)), setup)])
     recording = folder / preset.recording
     write_recording(recording, recording_tables(run), truth_tables(run, world, draws), records, texts)
     for stereo in world.stereo:
@@ -429,7 +429,7 @@ def write_run(
     if world.stereo:
         _write_images(recording, world, draws, options, progress)
     if not (folder / run.rig_file).exists():
-        rig = to_toml(draws.broken("rig", rig_tables(world, run.parts)))
+        rig = to_toml(draws.violations("rig", rig_tables(world, run.parts)))
         write_texts(folder, {run.rig_file: rig, **bending.surface_files(preset)})
     return recording
 
@@ -447,16 +447,16 @@ def _write_images(
 
     def shoot(stereo: TrueStereo, faces: Sequence[Face], view: View, series: Path, number: int, frame: int) -> None:
         face, *patches = faces
-        middle = stereo.exposed(float(world.trigger_s[frame]), exposure)
-        pose_at = world.seen(draws, stereo.setup.body, "camera", np.array(stereo.setup.face_centre)).pose
+        middle = stereo.exposure_middle_s(float(world.trigger_s[frame]), exposure)
+        pose_at = world.observed_motion(draws, stereo.setup.body, "camera", np.array(stereo.setup.face_centre)).pose
         load = stereo.setup.body == "load"
         bent = bending.bent_view(world, draws, view, face, (middle, exposure)) if load else view
         nodes = 4 if options.aliased else 2
         image = render_exposure(bent, face, pose_at, middle, exposure, nodes, times)
-        still = world.seen(draws, "room", "camera", np.array(stereo.setup.face_centre)).pose
+        still = world.observed_motion(draws, "room", "camera", np.array(stereo.setup.face_centre)).pose
         for patch in patches:
-            image = beside(image, view, patch, still, (middle, exposure), nodes)
-        image = draws.broken("image", image, series.name, float(np.mean(middle)), frame / frames)
+            image = add_face(image, view, patch, still, (middle, exposure), nodes)
+        image = draws.violations("image", image, series.name, float(np.mean(middle)), frame / frames)
         rng = draws.stream(f"{series.name}.{frame}") if options.image_noise else None
         stream = io.BytesIO()
         tifffile.imwrite(stream, stereo.setup.sensor.digitise(image, rng), **whole)
@@ -467,12 +467,12 @@ def _write_images(
         for stereo in world.stereo:
             name = stereo.setup.name
             face = face_of(stereo.setup, options.aliased, draws.stream(f"{name}.speckle"))
-            face = draws.broken("face", face)
+            face = draws.violations("face", face)
             patches = [
                 face_of(patch, options.aliased, draws.stream(f"{patch.name}-{number}.speckle"))
                 for number, patch in enumerate(patches_of(stereo.setup))
             ]
-            stored = draws.broken("frames", np.arange(frames), stereo.setup).tolist()
+            stored = draws.violations("frames", np.arange(frames), stereo.setup).tolist()
             for side, view in zip(stereo.setup.sides, stereo.views, strict=True):
                 series = folder / f"{name}-{side}"
                 series.mkdir()
@@ -583,5 +583,5 @@ def wrench_direction(parts: tuple[PartSpec, ...], translation: tuple[float, floa
     """Return the six load components that a unit acceleration of rigid parts needs, as they are stated: N and N·m."""
     amplitude = np.array([[*translation, 0.0, 0.0, 0.0]], dtype=np.complex128)
     rigid = [TruePart(p.mass, np.array(p.centre_of_mass), np.diag(p.inertia)) for p in parts]
-    total = wrench(Motion(np.array([1.0]), amplitude), rigid, np.zeros(3))[0].real
+    total = wrench(SimulatedMotion(np.array([1.0]), amplitude), rigid, np.zeros(3))[0].real
     return tuple(round(float(component), 4) + 0.0 for component in total)

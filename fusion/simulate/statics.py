@@ -16,19 +16,19 @@ from pydantic.dataclasses import dataclass
 
 from fusion.base import ProgressCallback
 from fusion.recording.toml import to_toml
-from fusion.report.files import write_file
-from fusion.sensor.models_file import MODELS_FILE, ModelEntry, ModelsFile, models_text
+from fusion.report.atomic_files import write_file
+from fusion.sensor.model_files import MODELS_FILE, ModelEntry, ModelsFile, models_text
 from fusion.simulate.preset import CHECKED, Vector, read_preset
 from fusion.simulate.world import Draws
 from fusion.simulate.write import RIG_FILE, TRUTH_FILE, write_recording, write_texts
-from photogram.calibration.file import write_calibration
+from photogram.calibration.calibration_file import write_calibration
 from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.synthetic.board import Board, random_poses, random_rig, render_board
 from photogram.synthetic.scene import ImageSensor
-from photogram.targets.view import Target
+from photogram.targets.target_view import Target
 from shaker.arrays import FloatArray
-from shaker.elastomer.frame import NAMES, block, solve_frame
-from shaker.elastomer.geometry import CrossBeams, Material
+from shaker.elastomer.frame import MODE_NAMES, block, solve_frame
+from shaker.elastomer.geometry import CrossBeams, ElasticMaterial
 from shaker.labels import LOAD_COMPONENTS
 from shaker.lti.system import ModalModel
 from shaker.static_rotation.harmonics import air_density_at, gravity_at
@@ -246,11 +246,11 @@ def write_element(folder: Path, seed: int) -> Path:
         "compliant_height_m": beams["height"],
     }
     milled = {name: float(size[name] + draws.normal(f"element.{name}", u)) for name, u in preset.tolerance_m.items()}
-    stuff = Material(material["youngs_modulus"], material["poisson_ratio"], material["density"])
+    stuff = ElasticMaterial(material["youngs_modulus"], material["poisson_ratio"], material["density"])
     made = CrossBeams(stuff, **(size | milled))
     solid = block(made.material.density_kgm3, platform["half_size"], platform["thickness"])
     frequency = solve_frame(made, platform["half_size"], solid).modes.frequency_hz
-    named = dict(zip(NAMES, frequency.tolist(), strict=True))
+    named = dict(zip(MODE_NAMES, frequency.tolist(), strict=True))
     truth = {"seed": seed, "dimensions_m": milled, "frequency_hz": named}
     entries = tuple(_entry(preset, *pair, draws) for pair in zip(LOAD_COMPONENTS, frequency.tolist(), strict=True))
     models = ModelsFile("cross-beam element, simulated", "six-axis wrist sensor", "simulated", entries)

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from fusion.simulate.preset import ChannelSpec, Preset, StereoSetup
-from fusion.simulate.world import Motion, Violations, World
+from fusion.simulate.world import SimulatedMotion, Violations, World
 from fusion.simulate.write import Record
-from photogram.synthetic.scene import Face, tiled
+from photogram.synthetic.scene import Face, tile_texture
 from shaker.arrays import ComplexArray, FloatArray
 
 GRAVITY_UNIT = 9.80665  # m/s² in one g
@@ -120,10 +120,12 @@ def _transverse(acceleration: ComplexArray, size: float) -> ComplexArray:
     return changed
 
 
-def _shaken(*instruments: str) -> Callable[..., Motion]:
+def _shaken(*instruments: str) -> Callable[..., SimulatedMotion]:
     """Return the change of the motion that instruments see which move themselves, along the driven axis and across."""
 
-    def change(motion: Motion, size: float, world: World, _: str, instrument: str, __: FloatArray) -> Motion:
+    def change(
+        motion: SimulatedMotion, size: float, world: World, _: str, instrument: str, __: FloatArray
+    ) -> SimulatedMotion:
         if instrument not in instruments:
             return motion
         drive = world.motion["load"].acceleration
@@ -131,7 +133,7 @@ def _shaken(*instruments: str) -> Callable[..., Motion]:
         own = np.zeros_like(drive)
         own[:, main] = size * drive[:, main] * np.exp(0.7j)
         own[:, (main + 1) % 3] = 0.5 * own[:, main]
-        return Motion(motion.frequency_hz, motion.acceleration - own)
+        return SimulatedMotion(motion.frequency_hz, motion.acceleration - own)
 
     return change
 
@@ -158,14 +160,16 @@ def _axial_angle(frequency_hz: FloatArray, size: float) -> FloatArray:
     return np.asarray(0.5 * np.pi * frequency_hz / size)
 
 
-def _axial_seen(motion: Motion, size: float, world: World, body: str, _: str, point: FloatArray) -> Motion:
+def _axial_seen(
+    motion: SimulatedMotion, size: float, world: World, body: str, _: str, point: FloatArray
+) -> SimulatedMotion:
     """Show the rod's own motion at a height h: cos(k(L − h))/cos(kL) times that of its lower end."""
     if body != "load":
         return motion
     angle, share = _axial_angle(motion.frequency_hz, size), float(np.clip(point[2] / _height(world.preset), 0.0, 1.0))
     seen = motion.acceleration.copy()
     seen[:, 2] *= np.cos(angle * (1.0 - share)) / np.cos(angle)
-    return Motion(motion.frequency_hz, seen)
+    return SimulatedMotion(motion.frequency_hz, seen)
 
 
 def _axial_load(world: World, size: float) -> World:
@@ -176,7 +180,7 @@ def _axial_load(world: World, size: float) -> World:
     return _loaded(world, more)
 
 
-def _bending(motion: Motion, size: float, world: World) -> ComplexArray:
+def _bending(motion: SimulatedMotion, size: float, world: World) -> ComplexArray:
     """Return the motion (K, 2) of the tip along x and y in the first bending mode, undamped.
 
     Shape of a cantilever, φ(s) = s²(3 − s)/2 over s = h/L, participation ∫φ/∫φ² = (3/8)/(33/140); it is driven by the
@@ -189,7 +193,9 @@ def _bending(motion: Motion, size: float, world: World) -> ComplexArray:
     return np.asarray((3 / 8) / (33 / 140) * (ratio / (1.0 - ratio))[:, None] * driving)
 
 
-def _bending_seen(motion: Motion, size: float, world: World, body: str, _: str, point: FloatArray) -> Motion:
+def _bending_seen(
+    motion: SimulatedMotion, size: float, world: World, body: str, _: str, point: FloatArray
+) -> SimulatedMotion:
     """Show what the mode adds at a height: φ(s) of the tip's motion, and the turn φ'(s)/L."""
     if body != "load":
         return motion
@@ -200,7 +206,7 @@ def _bending_seen(motion: Motion, size: float, world: World, body: str, _: str, 
     seen[:, :2] += shift * tip - turn * point[2] * tip  # of the origin, which turns with the point
     seen[:, 3] -= turn * tip[:, 1]
     seen[:, 4] += turn * tip[:, 0]
-    return Motion(motion.frequency_hz, seen)
+    return SimulatedMotion(motion.frequency_hz, seen)
 
 
 def _bending_load(world: World, size: float) -> World:
@@ -354,7 +360,7 @@ def _flicker(image: FloatArray, size: float, _: str, middle_s: float, __: float)
 
 def _repeating(face: Face, size: float) -> Face:
     """Print the foil from one tile of so many metres, side by side."""
-    return replace(face, texture=tiled(face.texture, size))
+    return replace(face, texture=tile_texture(face.texture, size))
 
 
 def _bit_depth(tables: dict[str, Any], size: float) -> dict[str, Any]:

@@ -20,9 +20,9 @@ from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.synthetic.scene import View, motion_bound, view_of
 from shaker.arrays import ComplexArray, FloatArray
 
-MOUNTED = ("point", "direction", "transverse", "centre_of_mass")
+MOUNTING_ERRORS = ("point", "direction", "transverse", "centre_of_mass")
 """Last parts of the names of errors that are made anew whenever something is mounted."""
-RECORDED = ("noise", "trigger jitter", "points")  # last parts of the names of what no two recordings share
+RECORDING_ERRORS = ("noise", "trigger jitter", "points")  # last parts of the names of what no two recordings share
 STATIC_UNCERTAINTY = 1e-3  # relative change of a sensor since its static calibration, one standard deviation
 GRID = (8, 5)  # points on a face, as another correlation program writes them
 _INSIDE = 0.68  # of the half size: the grid's corners stay on a round face
@@ -63,13 +63,13 @@ class Draws:
     values: dict[str, list[float]] = field(default_factory=dict)
     mounting: str | None = None
     recording: str | None = None
-    broken: Violations = field(default_factory=Violations)
+    violations: Violations = field(default_factory=Violations)
 
     def stream(self, name: str) -> np.random.Generator:
         """Return the generator of a name, within its mounting or its recording."""
         last = name.rpartition(".")[2]
-        scope = self.recording if last in RECORDED else None
-        if last in MOUNTED and not name.startswith("internal."):
+        scope = self.recording if last in RECORDING_ERRORS else None
+        if last in MOUNTING_ERRORS and not name.startswith("internal."):
             scope = self.mounting
         whole = name if scope is None else f"{name} [{scope}]"
         return np.random.default_rng([self.seed, zlib.crc32(whole.encode())])
@@ -78,7 +78,7 @@ class Draws:
         """Return errors (count,) or scalar-shaped () of the given standard uncertainty, and remember them."""
         deviate = self.stream(name).standard_normal(count)
         value = np.asarray(deviate * uncertainty if self.systematic else 0.0 * deviate * uncertainty)
-        value = self.broken("error", value, name, uncertainty)
+        value = self.violations("error", value, name, uncertainty)
         if np.any(np.asarray(uncertainty) > 0):
             self.values[name] = [float(v) for v in np.atleast_1d(value)]
         return value
@@ -106,7 +106,7 @@ class TruePart:
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class SimulatedMotion:
     """Harmonic motion of a body: frequency_hz (K,), acceleration (K, 6) phasors of the origin point, m/s², rad/s²."""
 
     frequency_hz: FloatArray
@@ -137,7 +137,7 @@ def harmonic(time_s: FloatArray, frequency_hz: FloatArray, phasors: ComplexArray
     return total
 
 
-def wrench(motion: Motion, parts: Sequence[TruePart], gravity: FloatArray) -> ComplexArray:
+def wrench(motion: SimulatedMotion, parts: Sequence[TruePart], gravity: FloatArray) -> ComplexArray:
     """Return the phasors (K, 6) of force and moment at the origin that move the parts, in the body's own axes.
 
     Newton and Euler of each part: F = m·(a + α × c) + m·θ × g, M = c × F + I·α, θ = −α/ω². The last term of F is
@@ -154,14 +154,14 @@ def wrench(motion: Motion, parts: Sequence[TruePart], gravity: FloatArray) -> Co
     return total
 
 
-def base_motion(load: Motion, mount_hz: FloatArray, damping: float) -> Motion:
+def base_motion(load: SimulatedMotion, mount_hz: FloatArray, damping: float) -> SimulatedMotion:
     """Return the motion of the base below an oscillator per component.
 
     load/base = (1 + 2jζη)/(1 − η² + 2jζη), η = f/f_0 with the component's own f_0 (`mount_hz`, (6,)).
     """
     ratio = load.frequency_hz[:, None] / np.asarray(mount_hz)
     transfer = (1 + 2j * damping * ratio) / (1 - ratio**2 + 2j * damping * ratio)
-    return Motion(load.frequency_hz, load.acceleration / transfer)
+    return SimulatedMotion(load.frequency_hz, load.acceleration / transfer)
 
 
 def sensitivity(frequency_hz: FloatArray, static: FloatArray, damping_s: FloatArray, lag_s: float) -> ComplexArray:
@@ -175,13 +175,15 @@ def sensitivity(frequency_hz: FloatArray, static: FloatArray, damping_s: FloatAr
     return np.asarray(static[None] * per_component[:, None, :])
 
 
-def velocity_at(motion: Motion, point: FloatArray, direction: FloatArray) -> ComplexArray:
+def velocity_at(motion: SimulatedMotion, point: FloatArray, direction: FloatArray) -> ComplexArray:
     """Return the phasors (K,) of the velocity of a body point along a fixed direction: d·(v + ω × r)."""
     velocity = motion.acceleration / (1j * motion.omega[:, None])
     return np.asarray((velocity[:, :3] + np.cross(velocity[:, 3:], point)) @ direction)
 
 
-def acceleration_at(motion: Motion, point: FloatArray, direction: FloatArray, gravity: FloatArray) -> ComplexArray:
+def acceleration_at(
+    motion: SimulatedMotion, point: FloatArray, direction: FloatArray, gravity: FloatArray
+) -> ComplexArray:
     """Return the phasors (K,) that an accelerometer reads: d·(a + α × r) − (θ × d)·g, its axis tilting along."""
     a, alpha = motion.acceleration[:, :3], motion.acceleration[:, 3:]
     tilted = np.cross(motion.displacement[:, 3:], direction)
@@ -206,10 +208,10 @@ class TrueStereo:
     @property
     def views(self) -> tuple[View, ...]:
         """What its cameras see, by `StereoSetup.sides`."""
-        placed = zip(self.setup.sides, self.rig.placed, strict=False)
+        placed = zip(self.setup.sides, self.rig.camera_poses, strict=False)
         return tuple(view_of(camera, from_left @ self.left_from_sensor) for _, (camera, from_left) in placed)
 
-    def exposed(self, edge_s: float, exposure_s: float) -> float | FloatArray:
+    def exposure_middle_s(self, edge_s: float, exposure_s: float) -> float | FloatArray:
         """Return the middle of the exposure after a trigger's edge, of a rolling shutter that of every row (H,)."""
         first, rows = edge_s + self.delay_s + exposure_s / 2, np.arange(self.setup.size_px[1])
         if self.setup.row_time == 0.0:
@@ -227,7 +229,7 @@ class World:
 
     preset: Preset
     gravity: FloatArray
-    motion: dict[str, Motion]
+    motion: dict[str, SimulatedMotion]
     load_wrench: ComplexArray
     sensitivity: ComplexArray
     static_stated: FloatArray
@@ -235,26 +237,26 @@ class World:
     trigger_s: FloatArray
     stereo: tuple[TrueStereo, ...]
 
-    def seen(self, draws: Draws, body: str, instrument: str, point: FloatArray) -> Motion:
+    def observed_motion(self, draws: Draws, body: str, instrument: str, point: FloatArray) -> SimulatedMotion:
         """Return the motion of a body as a kind of instrument (`velocity`, `acceleration`, `camera`) sees it there.
 
         The room stands still; the head of the lasers moves as much as they see the room move, the other way.
         """
         if body == "head":
-            seen = self.seen(draws, "room", "velocity", point)
-            return Motion(seen.frequency_hz, -seen.acceleration)
+            seen = self.observed_motion(draws, "room", "velocity", point)
+            return SimulatedMotion(seen.frequency_hz, -seen.acceleration)
         load = self.motion["load"]
-        motion = self.motion.get(body, Motion(load.frequency_hz, np.zeros_like(load.acceleration)))
+        motion = self.motion.get(body, SimulatedMotion(load.frequency_hz, np.zeros_like(load.acceleration)))
         if self.preset.plate is not None and body == "load":
-            motion = bending.seen(self.preset.plate, motion, draws, point)
-        return draws.broken("seen", motion, self, body, instrument, point)
+            motion = bending.plate_motion(self.preset.plate, motion, draws, point)
+        return draws.violations("seen", motion, self, body, instrument, point)
 
 
 def make_world(preset: Preset, draws: Draws, jitter_s: float) -> World:
     """Return the truth of a preset with errors drawn."""
     gravity = preset.gravity_mps2
     frequency = preset.frequencies_hz
-    load = Motion(frequency, draws.broken("motion", np.array(preset.acceleration)))
+    load = SimulatedMotion(frequency, draws.violations("motion", np.array(preset.acceleration)))
     base = base_motion(load, np.array(preset.mount_hz), preset.mount_damping)
     parts = [true_part(spec, draws) for spec in (preset.load, preset.internal, *preset.parts)]
     sign = 1.0 if preset.sense == "on_load" else -1.0
@@ -268,7 +270,7 @@ def make_world(preset: Preset, draws: Draws, jitter_s: float) -> World:
     edges = edges + jitter_s * draws.stream("trigger jitter").standard_normal(preset.frames)
     stereo = () if preset.as_points else tuple(true_stereo(setup, draws) for setup in preset.stereo)
     motion = {"load": load, "base": base}
-    return draws.broken("world", World(preset, gravity, motion, force, matrix, stated, outputs, edges, stereo))
+    return draws.violations("world", World(preset, gravity, motion, force, matrix, stated, outputs, edges, stereo))
 
 
 def true_part(spec: PartSpec, draws: Draws) -> TruePart:
@@ -369,12 +371,12 @@ def point_series(world: World, setup: StereoSetup, draws: Draws, noise: bool) ->
     left_from_sensor = true_pose(setup, camera_pose(setup), scale, draws).inverse()
     delay = float(draws.normal(f"{setup.name}.delay", setup.delay_uncertainty))
     exposure = world.preset.exposure_s
-    motion = world.seen(draws, setup.body, "camera", np.array(setup.face_centre))
-    seen = Motion(motion.frequency_hz, motion.acceleration * np.sinc(motion.frequency_hz * exposure)[:, None])
+    motion = world.observed_motion(draws, setup.body, "camera", np.array(setup.face_centre))
+    seen = SimulatedMotion(motion.frequency_hz, motion.acceleration * np.sinc(motion.frequency_hz * exposure)[:, None])
     rest = face_points(setup)
     poses = (RigidTransform.from_pose(pose) for pose in seen.pose(world.trigger_s + delay + exposure / 2))
     position = np.stack([left_from_sensor.apply(pose.apply(rest)) for pose in poses]) / scale
     if noise:
         deviate = draws.stream(f"{setup.name}.points").standard_normal(position.shape)
         position = position + deviate * np.array(_NOISE_M)
-    return draws.broken("points", position, setup)
+    return draws.violations("points", position, setup)

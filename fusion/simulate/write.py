@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.recording.toml import to_toml
-from fusion.report.files import write_file, write_files
+from fusion.report.atomic_files import write_file, write_files
 from fusion.simulate.preset import Preset, StereoSetup, camera_pose, patches_of, region_of
 from shaker.arrays import FloatArray
 

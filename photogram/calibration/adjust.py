@@ -9,7 +9,14 @@ from itertools import pairwise
 import numpy as np
 
 from photogram.arrays import FloatArray, IntArray
-from photogram.calibration.bundle import DRIFT_SPREAD, Bundle, Picture, Seen, grown, see_views
+from photogram.calibration.bundle import (
+    DRIFT_SPREAD,
+    Bundle,
+    ImageObservations,
+    ModelledPixels,
+    model_view_pixels,
+    scale_focal_lengths,
+)
 from photogram.camera import LEFT, RIG_PARAMETERS, RIGHT
 from photogram.geometry import RigidTransform
 
@@ -20,7 +27,7 @@ _CONVERGED = 1e-3  # expected decrease of χ² that ends the iteration: paramete
 
 
 @dataclass(frozen=True, eq=False)
-class Prior:
+class RigPrior:
     """What is known of the rig before the pictures: expected parameters (32,) and standard deviations, inf for none.
 
     Those with the standard deviation zero are held where they are. The three of the rotation are no parameters with a
@@ -31,7 +38,7 @@ class Prior:
     sigma: FloatArray
     aspect_px: tuple[float, float]
 
-    def away(self, parameters: FloatArray) -> FloatArray:
+    def deviations(self, parameters: FloatArray) -> FloatArray:
         """Return how far (Q + 2,) parameters (32,) and fx − fy are from what is expected, in standard deviations."""
         return np.asarray(self.slope @ (parameters - self.value)[self.free])
 
@@ -50,7 +57,7 @@ class Prior:
 
 
 @dataclass(frozen=True, eq=False)
-class Adjusted:
+class AdjustedBundle:
     """The most likely bundle, the covariance of its rig (32, 32) and of each pose (V, 6, 6), the variances (S,) of its
     shape's values and (D,) of its drift, and the normal equations there.
     """
@@ -60,37 +67,37 @@ class Adjusted:
     shape_variance: FloatArray
     drift_variance: FloatArray
     pose_covariance: FloatArray
-    normal: Normal
+    normal: BundleNormalEquations
 
 
-def adjust(start: Bundle, pictures: Sequence[Picture], prior: Prior, near: bool = False) -> Adjusted:
+def adjust(start: Bundle, images: Sequence[ImageObservations], prior: RigPrior, near: bool = False) -> AdjustedBundle:
     """Return the bundle that minimises Σ rᵀ·C⁻¹·r over all points plus the priors' squares.
 
     Levenberg–Marquardt; from a start that is `near` the minimum, as one is that was adjusted with other weights, almost
     undamped: along what the pictures hardly tell, damping makes many steps of one. All pictures have one radius of
     dots. Raises `ValueError` when the sum of squares cannot be brought to a minimum.
     """
-    bundle, damping, sides = start, _DAMPING_NEAR if near else _DAMPING, _sides(pictures)
+    bundle, damping, sides = start, _DAMPING_NEAR if near else _DAMPING, _sides(images)
     cost, seen = _looked(start, sides, prior)
     normal = _normal(start, sides, seen, prior)
     for _ in range(_STEPS):
         step, pose_steps, decrease = normal.step(damping)
-        tried = bundle.moved(step, pose_steps)
+        tried = bundle.with_step(step, pose_steps)
         found, seen = _looked(tried, sides, prior)
         if found <= cost * (1 + 1e-12):
             bundle, cost, damping = tried, min(found, cost), max(damping / 10, 1e-12)
             normal = _normal(bundle, sides, seen, prior)
             if decrease < _CONVERGED:
-                return Adjusted(bundle, *normal.covariance(), normal)
+                return AdjustedBundle(bundle, *normal.covariance(), normal)
         else:
             damping = max(10 * damping, 1e-6)
     raise ValueError("the bundle adjustment did not converge; add views or leave out doubtful pictures")
 
 
-def residuals(bundle: Bundle, pictures: Sequence[Picture]) -> list[FloatArray]:
+def residuals(bundle: Bundle, images: Sequence[ImageObservations]) -> list[FloatArray]:
     """Return the residuals found − modelled (N, 2) of each picture."""
-    found: list[FloatArray] = [np.empty((0, 2))] * len(pictures)
-    for side in _sides(pictures):
+    found: list[FloatArray] = [np.empty((0, 2))] * len(images)
+    for side in _sides(images):
         away = side.position_px - side.see(bundle).pixel
         for number, rows in zip(side.number, side.rows, strict=True):
             found[number] = away[rows]
@@ -110,28 +117,28 @@ class _Side:
     precision: FloatArray
     radius_m: float
 
-    def see(self, bundle: Bundle) -> Seen:
+    def see(self, bundle: Bundle) -> ModelledPixels:
         """Return where all points are expected."""
         rig = bundle.rig
         camera, relative = (rig.right, rig.right_from_left) if self.side else (rig.left, RigidTransform.identity())
         points = bundle.shape.points_m[self.point]
-        seen = see_views(camera, relative, bundle.poses, self.view, points, self.radius_m)
+        seen = model_view_pixels(camera, relative, bundle.poses, self.view, points, self.radius_m)
         if bundle.drift is None:
             return seen
-        return grown(seen, camera, bundle.drift.growth(self.side, self.view))
+        return scale_focal_lengths(seen, camera, bundle.drift.growth(self.side, self.view))
 
-    def by_drift(self, bundle: Bundle, seen: Seen) -> FloatArray:
+    def by_drift(self, bundle: Bundle, seen: ModelledPixels) -> FloatArray:
         """Return the derivatives (N, 2, D) of what is seen by the drift of either camera's focal lengths."""
         if bundle.drift is None:
             return np.empty((*seen.pixel.shape, 0))
         camera = bundle.rig.right if self.side else bundle.rig.left
-        by_growth = bundle.drift.place[self.view, None] * (seen.pixel - camera.matrix[:2, 2])
+        by_growth = bundle.drift.relative_time[self.view, None] * (seen.pixel - camera.matrix[:2, 2])
         slope = np.zeros((*seen.pixel.shape, 2))
         slope[..., self.side] = by_growth / (1 + bundle.drift.growth(self.side, self.view))[:, None]
         return slope
 
 
-def _sides(pictures: Sequence[Picture]) -> list[_Side]:
+def _sides(pictures: Sequence[ImageObservations]) -> list[_Side]:
     """Return the pictures by camera."""
     sides = []
     for side in sorted({picture.side for picture in pictures}):
@@ -148,10 +155,10 @@ def _sides(pictures: Sequence[Picture]) -> list[_Side]:
     return sides
 
 
-def _looked(bundle: Bundle, sides: Sequence[_Side], prior: Prior) -> tuple[float, list[Seen]]:
+def _looked(bundle: Bundle, sides: Sequence[_Side], prior: RigPrior) -> tuple[float, list[ModelledPixels]]:
     """Return the sum of squares, infinite when a point falls behind a camera, and what the cameras see."""
     seen = [side.see(bundle) for side in sides]
-    away, shape = prior.away(bundle.rig.values), bundle.shape.value_m / bundle.shape.prior_m
+    away, shape = prior.deviations(bundle.rig.values), bundle.shape.value_m / bundle.shape.prior_m
     total = float(away @ away) + float(shape @ shape)
     if bundle.drift is not None:
         total += float(bundle.drift.value @ bundle.drift.value) / DRIFT_SPREAD**2
@@ -162,7 +169,7 @@ def _looked(bundle: Bundle, sides: Sequence[_Side], prior: Prior) -> tuple[float
 
 
 @dataclass(frozen=True, eq=False)
-class Normal:
+class BundleNormalEquations:
     """Normal equations, view by view: what each says of rig, modes of the shape and drift (K,), pose, and free points.
 
     `places` (Q,): the rig's parameters among those, first; `drifts`: how many are a drift's, last. `common` (V, K, K),
@@ -171,7 +178,7 @@ class Normal:
     `point_prior_side` (P, 3): what is known beforehand. Points that are not free are none (P = 0).
     """
 
-    places: IntArray
+    parameter_index: IntArray
     drifts: int
     common: FloatArray
     pose: FloatArray
@@ -192,29 +199,31 @@ class Normal:
         reduced = self.reduced(damping)
         side = np.concatenate([self.common_side.sum(axis=0) + self.prior_side, self.pose_side.ravel()])
         point_side = self.point_side.sum(axis=0) + self.point_prior_side
-        step, point_step = reduced.solved(side, point_side)
+        step, point_step = reduced.solve(side, point_side)
         decrease = float(side @ step + (point_side * point_step).sum())
         return *self.spread(step, point_step), decrease
 
     def spread(self, step: FloatArray, point_step: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return a step of rig, shape and drift (32 + S + D,), values in their places, and of the poses (V, 6)."""
         rig, common = np.zeros(_RIG), len(self.prior)
-        rig[self.places] = step[: len(self.places)]
-        return np.concatenate([rig, point_step.ravel(), step[len(self.places) : common]]), step[common:].reshape(-1, 6)
+        rig[self.parameter_index] = step[: len(self.parameter_index)]
+        return np.concatenate([rig, point_step.ravel(), step[len(self.parameter_index) : common]]), step[
+            common:
+        ].reshape(-1, 6)
 
     def covariance(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return the covariance of the rig (32, 32), variances of shape (S,) and drift (D,), the poses' covariances."""
-        reduced, common, free = self.reduced(), len(self.prior), len(self.places)
+        reduced, common, free = self.reduced(), len(self.prior), len(self.parameter_index)
         every = reduced.covariance()
         rig = np.zeros((_RIG, _RIG))
-        rig[np.ix_(self.places, self.places)] = every[:free, :free]
+        rig[np.ix_(self.parameter_index, self.parameter_index)] = every[:free, :free]
         answer = reduced.answer  # (P, R, 3)
         points = np.einsum("pii->pi", reduced.point) + np.einsum("pri,rs,psi->pi", answer, every, answer, optimize=True)
         pose = [every[n : n + 6, n : n + 6] for n in range(common, len(every), 6)]
         modes, drift = np.split(np.diagonal(every)[free:common], [common - free - self.drifts])
         return rig, np.concatenate([points.ravel(), modes]), drift, np.array(pose)
 
-    def reduced(self, damping: float = 0.0, without: int | None = None) -> Reduced:
+    def reduced(self, damping: float = 0.0, without: int | None = None) -> ReducedEquations:
         """Return the equations of rig, modes and poses after elimination of the points, of all views but one."""
         views, common, points = len(self.pose), len(self.prior), len(self.point_prior)
         kept = [view for view in range(views) if view != without]
@@ -234,11 +243,11 @@ class Normal:
         inverse = np.linalg.inv(point)
         answer = coupling @ inverse
         flat = (array.transpose(1, 0, 2).reshape(size, -1) for array in (answer, coupling))
-        return Reduced(matrix - next(flat) @ next(flat).T, np.diagonal(matrix).copy(), answer, inverse)
+        return ReducedEquations(matrix - next(flat) @ next(flat).T, np.diagonal(matrix).copy(), answer, inverse)
 
 
 @dataclass(frozen=True, eq=False)
-class Reduced:
+class ReducedEquations:
     """Equations (R, R) of rig, modes and poses, their diagonal (R,) before the points went, and the way back to these:
     `answer` (P, R, 3), minus the change of a point by them, and `point` (P, 3, 3), its covariance were they known.
     """
@@ -248,7 +257,7 @@ class Reduced:
     answer: FloatArray
     point: FloatArray
 
-    def solved(self, side: FloatArray, point_side: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def solve(self, side: FloatArray, point_side: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the solution (R,) and that of the points (P, 3) for right-hand sides."""
         scale = 1 / np.sqrt(self.diagonal)
         less = side - np.einsum("pri,pi->r", self.answer, point_side)
@@ -263,7 +272,9 @@ class Reduced:
         return np.asarray((inverse + inverse.T) / 2)
 
 
-def _normal(bundle: Bundle, sides: Sequence[_Side], seen: Sequence[Seen], prior: Prior) -> Normal:
+def _normal(
+    bundle: Bundle, sides: Sequence[_Side], seen: Sequence[ModelledPixels], prior: RigPrior
+) -> BundleNormalEquations:
     """Return the normal equations at the bundle."""
     shape, free, views = bundle.shape, prior.free, len(bundle.poses)
     drift = np.empty(0) if bundle.drift is None else bundle.drift.value
@@ -275,13 +286,13 @@ def _normal(bundle: Bundle, sides: Sequence[_Side], seen: Sequence[Seen], prior:
     known = np.zeros((common, common))
     known[: len(free), : len(free)] = prior.slope.T @ prior.slope
     known[range(len(free), common), range(len(free), common)] = precision[ranged]
-    known_side = np.concatenate([-prior.slope.T @ prior.away(bundle.rig.values), side[ranged]])
+    known_side = np.concatenate([-prior.slope.T @ prior.deviations(bundle.rig.values), side[ranged]])
 
     def zeros(*size: int) -> FloatArray:
         return np.zeros((views, *size))
 
-    normal = Normal(
-        places=free,
+    normal = BundleNormalEquations(
+        parameter_index=free,
         drifts=len(drift),
         common=zeros(common, common),
         pose=zeros(6, 6),
@@ -302,10 +313,10 @@ def _normal(bundle: Bundle, sides: Sequence[_Side], seen: Sequence[Seen], prior:
     return normal
 
 
-def _add_side(normal: Normal, bundle: Bundle, side: _Side, seen: Seen) -> None:
+def _add_side(normal: BundleNormalEquations, bundle: Bundle, side: _Side, seen: ModelledPixels) -> None:
     """Add what one camera's pictures say to the normal equations."""
     by_modes = np.einsum("nki,nim->nkm", seen.by_point, bundle.shape.modes[side.point])
-    by_common = [seen.by_rig(side.side)[..., normal.places], by_modes, side.by_drift(bundle, seen)]
+    by_common = [seen.by_rig(side.side)[..., normal.parameter_index], by_modes, side.by_drift(bundle, seen)]
     slope = np.concatenate(by_common, axis=-1)
     weighted, weighted_pose = side.precision @ slope, side.precision @ seen.by_pose
     residual = side.position_px - seen.pixel

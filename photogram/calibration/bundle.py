@@ -19,7 +19,7 @@ _RIM = np.column_stack([np.cos(_ANGLE), np.sin(_ANGLE)])  # where on a dot's rim
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class ModelledPixels:
     """Modelled pixels (N, 2) of one picture with derivatives by the camera's parameters (N, 2, 13), by its pose after
     the left camera (N, 2, 6), by the target's pose (N, 2, 6) and by the point in the target's frame (N, 2, 3).
 
@@ -41,29 +41,29 @@ class Seen:
         return slope
 
 
-def see(
+def model_pixels(
     camera: Camera,
     camera_from_left: RigidTransform,
     left_from_target: RigidTransform,
     point_m: FloatArray,
     radius_m: float,
-) -> Seen:
+) -> ModelledPixels:
     """Return where a camera sees points (N, 3) of the target; dots of `radius_m` > 0 by the centre of their ellipse.
 
     The derivatives leave out how the lens's bending of a dot's rim changes, some 10⁻⁵ of them.
     """
     one = np.zeros(len(point_m), np.int64)
-    return see_views(camera, camera_from_left, (left_from_target,), one, point_m, radius_m)
+    return model_view_pixels(camera, camera_from_left, (left_from_target,), one, point_m, radius_m)
 
 
-def see_views(
+def model_view_pixels(
     camera: Camera,
     camera_from_left: RigidTransform,
     left_from_target: Sequence[RigidTransform],
     view: IntArray,
     point_m: FloatArray,
     radius_m: float,
-) -> Seen:
+) -> ModelledPixels:
     """Return where a camera sees points (N, 3) of the target, each in the view (N,) of it; otherwise as `see`."""
     rotations = np.stack([pose.rotation for pose in left_from_target])
     rotation, translation = rotations[view], np.stack([pose.translation_m for pose in left_from_target])[view]
@@ -73,7 +73,7 @@ def see_views(
     in_camera_turned = (turned + translation) @ camera_from_left.rotation.T
     in_camera = in_camera_turned + camera_from_left.translation_m
     flat, flat_by_place, flat_by_normal = ellipse_centres(in_camera, normal, radius_m)
-    placed, by_flat = distorted(camera, flat)
+    placed, by_flat = distort_points(camera, flat)
     if radius_m > 0:
         disc = radius_m * (camera_from_left.rotation @ rotations[:, :, :2])[view]
         rim = in_camera[:, None] + _RIM @ disc.transpose(0, 2, 1)
@@ -86,7 +86,7 @@ def see_views(
         by_normal = by_flat @ flat_by_normal
         by_turn -= _crossed(by_normal, normal)
         by_left_turn -= _crossed(by_normal @ camera_from_left.rotation, normal_left)
-    return Seen(
+    return ModelledPixels(
         placed @ camera.matrix[:2, :2].T + camera.matrix[:2, 2],
         _by_camera(camera, flat, placed),
         np.concatenate([by_place, by_turn], axis=-1),
@@ -131,7 +131,7 @@ def _bent(camera: Camera, rim: FloatArray, centre: FloatArray, placed: FloatArra
     `by_centre` (N, 2, 2); the ellipse that fits the bent rim best along its normals n lies (Σ n·nᵀ)⁻¹·Σ n·nᵀ·q further.
     """
     offset = np.einsum("nij,nkj->nki", by_centre, rim - centre[:, None])
-    bent = distorted(camera, rim)[0] - placed[:, None] - offset
+    bent = distort_points(camera, rim)[0] - placed[:, None] - offset
     tangent = np.roll(offset, -1, axis=1) - np.roll(offset, 1, axis=1)
     normal = np.stack([-tangent[..., 1], tangent[..., 0]], axis=-1)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
@@ -140,7 +140,7 @@ def _bent(camera: Camera, rim: FloatArray, centre: FloatArray, placed: FloatArra
     return np.asarray(np.linalg.solve(matrix, np.einsum("nki,nk->ni", normal, along)[..., None])[..., 0])
 
 
-def distorted(camera: Camera, undistorted: FloatArray) -> tuple[FloatArray, FloatArray]:
+def distort_points(camera: Camera, undistorted: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return distorted normalised coordinates (..., 2) and their derivative (..., 2, 2) by the undistorted ones."""
     k1, k2, p1, p2, k3, k4, k5, k6 = camera.distortion
     x, y = undistorted[..., 0], undistorted[..., 1]
@@ -189,7 +189,7 @@ _STRETCH = 3.0  # rms displacement by stretch of one axis and by shear, over tha
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Shape(Arrays, shapes="index P 2; value_m S; flat_m P 3; modes P 3 M; prior_m S"):
+class TargetGeometry(Arrays, shapes="index P 2; value_m S; flat_m P 3; modes P 3 M; prior_m S"):
     """Points of a target, flat_m (P, 3) + modes (P, 3, M)·value_m, with what is known of the values beforehand.
 
     `index` (P, 2): lattice indices. Where the points are `free`, an offset of each, x y z point by point, comes first
@@ -213,11 +213,11 @@ class Shape(Arrays, shapes="index P 2; value_m S; flat_m P 3; modes P 3 M; prior
         offset = self.modes @ self.value_m[len(self.value_m) - modes :]
         return np.asarray(self.flat_m + offset + (self.value_m[:-modes].reshape(-1, 3) if self.free else 0.0))
 
-    def moved(self, step_m: FloatArray) -> Shape:
+    def with_step(self, step_m: FloatArray) -> TargetGeometry:
         """Return the shape with its values changed by a step (S,)."""
         return replace(self, value_m=self.value_m + step_m)
 
-    def with_prior_from(self, variance_m2: FloatArray) -> Shape:
+    def with_prior_from(self, variance_m2: FloatArray) -> TargetGeometry:
         """Return the shape with each group's prior set to the spread of its values, known to `variance_m2` (S,).
 
         A step towards the σ that is most likely with log σ added to the logarithm of the likelihood, which is never 0
@@ -237,7 +237,7 @@ class Shape(Arrays, shapes="index P 2; value_m S; flat_m P 3; modes P 3 M; prior
         return replace(self, prior_m=np.array([inside, across, _STRETCH * inside])[self.group])
 
 
-def make_shape(kind: ShapeKind, index: IntArray, spacing_m: float) -> Shape:
+def make_shape(kind: ShapeKind, index: IntArray, spacing_m: float) -> TargetGeometry:
     """Return the shape of the lattice points `index` (P, 2) before anything is known of it.
 
     `bowed`: height as a quadratic form of the place on the target. `free`: every point has an offset of its own, with
@@ -248,27 +248,31 @@ def make_shape(kind: ShapeKind, index: IntArray, spacing_m: float) -> Shape:
     flat = np.column_stack([index * spacing_m, np.zeros(len(index))])
     points = len(index)
     if kind == "flat":
-        return Shape(index, flat, np.zeros((points, 3, 0)), np.zeros(0), np.zeros(0), np.zeros(0, np.int64), False)
+        return TargetGeometry(
+            index, flat, np.zeros((points, 3, 0)), np.zeros(0), np.zeros(0), np.zeros(0, np.int64), False
+        )
     if kind == "bowed":
         middle = (flat.min(axis=0) + flat.max(axis=0)) / 2
         half = np.linalg.norm(flat - middle, axis=1).max()
         x, y = ((flat - middle)[:, :2] / half).T
         modes = np.zeros((points, 3, 3))
         modes[:, 2] = np.column_stack([x * x, x * y, y * y])
-        return Shape(index, flat, modes, np.zeros(3), np.full(3, _BOW * half), np.zeros(3, np.int64), False)
+        return TargetGeometry(index, flat, modes, np.zeros(3), np.full(3, _BOW * half), np.zeros(3, np.int64), False)
     place = (flat - flat.mean(axis=0))[:, :2]
     modes = np.zeros((points, 3, 2))
     modes[:, :2, 0], modes[:, :2, 1] = place * [1, -1], place[:, ::-1]  # stretch, shear
     group = np.array([*np.tile([0, 0, 1], points), 2, 2])
     prior = np.array([1.0, 1.0, _STRETCH])[group] * _FREE * spacing_m
-    return Shape(index, flat, modes / np.sqrt((place**2).sum(axis=1).mean()), np.zeros(len(group)), prior, group, True)
+    return TargetGeometry(
+        index, flat, modes / np.sqrt((place**2).sum(axis=1).mean()), np.zeros(len(group)), prior, group, True
+    )
 
 
 _RIG = len(RIG_PARAMETERS)
 
 
 @dataclass(frozen=True, eq=False)
-class Picture:
+class ImageObservations:
     """One picture in the adjustment: which view, which side (0 left, 1 right), and its points.
 
     `point` (N,): rows of the target's points. `position_px` (N, 2); `precision` (N, 2, 2): inverse covariance, zero
@@ -284,7 +288,7 @@ class Picture:
 
 
 @dataclass(frozen=True, eq=False)
-class Drift:
+class FocalDrift:
     """How focal lengths change over a session (a lens that warms up, or gives way): evenly from view to view.
 
     `value` (2,): relative change, left and right, from the first view to the last; the rig's are those of the middle.
@@ -292,28 +296,28 @@ class Drift:
     """
 
     value: FloatArray
-    place: FloatArray
+    relative_time: FloatArray
 
     @staticmethod
-    def over(views: int) -> Drift:
+    def initial(views: int) -> FocalDrift:
         """Return that of so many views before anything is known of it."""
-        return Drift(np.zeros(2), np.linspace(-0.5, 0.5, views))
+        return FocalDrift(np.zeros(2), np.linspace(-0.5, 0.5, views))
 
     def growth(self, side: int, view: IntArray) -> FloatArray:
         """Return how much larger (N,), relative, the focal lengths of a side are in views (N,)."""
-        return np.asarray(self.value[side] * self.place[view])
+        return np.asarray(self.value[side] * self.relative_time[view])
 
 
 DRIFT_SPREAD = 5e-3  # standard deviation of what is known of a drift beforehand
 
 
-def grown(seen: Seen, camera: Camera, growth: FloatArray) -> Seen:
+def scale_focal_lengths(seen: ModelledPixels, camera: Camera, growth: FloatArray) -> ModelledPixels:
     """Return what a camera sees whose focal lengths are larger than its own, relative, by `growth` (N,)."""
     factor, centre = 1 + growth[:, None], camera.matrix[:2, 2]
     others = (seen.by_camera, seen.by_relative, seen.by_pose, seen.by_point)
     by_camera, *rest = (slope * factor[..., None] for slope in others)
     by_camera[:, 0, 2] = by_camera[:, 1, 3] = 1.0
-    return Seen(centre + (seen.pixel - centre) * factor, by_camera, *rest)
+    return ModelledPixels(centre + (seen.pixel - centre) * factor, by_camera, *rest)
 
 
 @dataclass(frozen=True, eq=False)
@@ -322,15 +326,15 @@ class Bundle:
 
     rig: StereoRig
     poses: tuple[RigidTransform, ...]
-    shape: Shape
-    drift: Drift | None = None
+    shape: TargetGeometry
+    drift: FocalDrift | None = None
 
     def of_views(self, views: Sequence[int]) -> Bundle:
         """Return the bundle of some of the views."""
-        drift = self.drift and replace(self.drift, place=self.drift.place[list(views)])
+        drift = self.drift and replace(self.drift, relative_time=self.drift.relative_time[list(views)])
         return replace(self, poses=tuple(self.poses[view] for view in views), drift=drift)
 
-    def moved(self, step: FloatArray, pose_steps: FloatArray) -> Bundle:
+    def with_step(self, step: FloatArray, pose_steps: FloatArray) -> Bundle:
         """Return the bundle after a step of rig, shape and drift (32 + S + D,) and of the poses (V, 6).
 
         To first order the step is added; beyond it the path follows what the pictures hold on to: the targets' middles
@@ -340,7 +344,7 @@ class Bundle:
         """
         middle = self.shape.flat_m.mean(axis=0)
         growth = step[LEFT[:2]] / self.rig.left.parameters[:2]
-        poses = moved_poses(middle, self.poses, pose_steps, growth)
+        poses = step_poses(middle, self.poses, pose_steps, growth)
         before, after = (np.mean([pose.apply(middle) for pose in every], axis=0) for every in (self.poses, poses))
         turns = np.cross(pose_steps[:, 3:], [pose.rotation @ middle for pose in self.poses])
         shift = np.mean(pose_steps[:, :3] + turns, axis=0)
@@ -351,7 +355,7 @@ class Bundle:
         )
         ends = _RIG + len(self.shape.value_m)
         drift = self.drift and replace(self.drift, value=self.drift.value + step[ends:])
-        return Bundle(rig, poses, self.shape.moved(step[_RIG:ends]), drift)
+        return Bundle(rig, poses, self.shape.with_step(step[_RIG:ends]), drift)
 
     def _relative_moved(
         self, step: FloatArray, before: FloatArray, after: FloatArray, shift: FloatArray
@@ -367,18 +371,18 @@ class Bundle:
         rotation = rotation_from_vector(step[ROTATION]) @ relative.rotation
         return RigidTransform(rotation, place - rotation @ after)
 
-    def see(self, picture: Picture) -> Seen:
+    def model_pixels(self, image: ImageObservations) -> ModelledPixels:
         """Return where the picture's points are expected, with derivatives."""
-        camera = self.rig.right if picture.side else self.rig.left
-        relative = self.rig.right_from_left if picture.side else RigidTransform.identity()
-        points = self.shape.points_m[picture.point]
-        seen = see(camera, relative, self.poses[picture.view], points, picture.radius_m)
+        camera = self.rig.right if image.side else self.rig.left
+        relative = self.rig.right_from_left if image.side else RigidTransform.identity()
+        points = self.shape.points_m[image.point]
+        seen = model_pixels(camera, relative, self.poses[image.view], points, image.radius_m)
         if self.drift is None:
             return seen
-        return grown(seen, camera, self.drift.growth(picture.side, np.full(len(points), picture.view)))
+        return scale_focal_lengths(seen, camera, self.drift.growth(image.side, np.full(len(points), image.view)))
 
 
-def moved_poses(
+def step_poses(
     middle_m: FloatArray, poses: Sequence[RigidTransform], steps: FloatArray, growth: FloatArray
 ) -> tuple[RigidTransform, ...]:
     """Return a target's poses after steps (V, 6), its middle moving linearly in the picture and in logarithmic depth.

@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from photogram.arrays import FloatArray, Notice
-from photogram.calibration.result import CalibratedView, Calibration
+from photogram.arrays import FloatArray
+from photogram.calibration.calibration_result import CalibratedView, Calibration
 from photogram.camera import TRANSLATION
 from photogram.geometry import RigidTransform, skew
+from shakercal._common.notices import Notice
 
 _LIKELY_RATIO = 2.0  # of a known length to the calibration's; prints are some percent off, a wrong unit much more
 _APART = 2.0  # standard uncertainties beyond which spacing and known length contradict each other
@@ -43,7 +44,7 @@ class KnownLength:
         return KnownLength(first, second, *numbers)
 
 
-def with_length(calibration: Calibration, known: KnownLength) -> Calibration:
+def scale_to_length(calibration: Calibration, known_length: KnownLength) -> Calibration:
     """Return the calibration scaled by a known length, as far as this is better known than the target's spacing.
 
     With ratio r of the known length to that of the calibration, u(r) from both, and the spacing's relative u, all
@@ -51,26 +52,26 @@ def with_length(calibration: Calibration, known: KnownLength) -> Calibration:
     uncertainty has no weight. A contradiction of more than two standard uncertainties enlarges u by its size
     (Birge 1932, Physical Review 40, 207) and is told.
     """
-    length, u = _length(calibration, known)
-    ratio = known.length_m / length
+    length, u = _length(calibration, known_length)
+    ratio = known_length.length_m / length
     if not 1 / _LIKELY_RATIO <= ratio <= _LIKELY_RATIO:
         told = f"about {length:.4g} m, which the spacing of {calibration.target.spacing_m:g} m makes it"
-        raise ValueError(f"known length: expected {told}, found {known.length_m:g} m: is one of them in mm?")
-    u_ratio = ratio * float(np.hypot(known.u_m / known.length_m, u / length))
+        raise ValueError(f"known length: expected {told}, found {known_length.length_m:g} m: is one of them in mm?")
+    u_ratio = ratio * float(np.hypot(known_length.u_m / known_length.length_m, u / length))
     spacing = calibration.scale_u
     apart = abs(ratio - 1) / float(np.hypot(u_ratio, spacing)) if spacing or u_ratio else float("inf")
     weight = spacing**2 / (spacing**2 + u_ratio**2) if spacing > 0 else 1.0
     scale, scale_u = 1 + weight * (ratio - 1), u_ratio * float(np.sqrt(weight))
     contradicts = spacing > 0 and apart > _APART
     told = (
-        f"the known length of {1e3 * known.length_m:.6g} mm from {known.first} to {known.second} is "
+        f"the known length of {1e3 * known_length.length_m:.6g} mm from {known_length.first} to {known_length.second} is "
         f"{1e3 * length:.6g} mm by the target's spacing ({100 * (ratio - 1):+.2g} %, U = {200 * u_ratio:.2g} %)"
     )
     if contradicts:
         scale_u *= apart
         told += f"; they contradict each other by {apart:.1f} standard uncertainties, measure both again"
     told += f"; all lengths are changed by {100 * (scale - 1):+.2g} %, U = {200 * scale_u:.2g} % (k = 2)"
-    notice = Notice("warning" if contradicts else "info", told, "scale")
+    notice = Notice("warning" if contradicts else "note", told, "scale")
     kept = [item for item in calibration.notices if item.where != "scale"]
     return replace(_scaled(calibration, scale, scale_u), notices=(*kept, notice))
 

@@ -10,24 +10,30 @@ from typing import Literal
 import numpy as np
 
 from photogram.arrays import BoolArray, FloatArray
-from photogram.calibration.adjust import Adjusted, Prior, adjust, residuals
-from photogram.calibration.bundle import DRIFT_SPREAD, Bundle, Drift, Picture, ShapeKind
-from photogram.calibration.left_out import LeftOut, drift_u, leave_out, split_half, stated_covariance
-from photogram.calibration.result import (
-    CalibratedPicture,
+from photogram.calibration.adjust import AdjustedBundle, RigPrior, adjust, residuals
+from photogram.calibration.bundle import DRIFT_SPREAD, Bundle, FocalDrift, ImageObservations, ShapeKind
+from photogram.calibration.calibration_result import (
+    AlternativeModel,
+    CalibratedImage,
     CalibratedView,
     Calibration,
-    Dropped,
-    Judgement,
-    OtherModel,
-    covered_share,
-    refuse_open_focal_lengths,
+    CrossValidation,
+    Rejection,
+    check_focal_lengths,
+    coverage_share,
     rig_parameters,
     session_notices,
 )
-from photogram.calibration.start import LensKind, Pair, lens_prior, picture_of, start_bundle
+from photogram.calibration.initial_bundle import LensKind, ViewPair, image_observations, lens_prior, start_bundle
+from photogram.calibration.leave_one_out import (
+    LeaveOneOut,
+    drift_uncertainty,
+    leave_views_out,
+    split_half,
+    stated_covariance,
+)
 from photogram.camera import LEFT, RIGHT, TRANSLATION, StereoRig
-from photogram.targets.view import Target, TargetView
+from photogram.targets.target_view import Target, TargetView
 
 _ROUNDS = 12
 _START_NOISE_PX = 0.2  # noise added to every point's own in the first round
@@ -44,7 +50,7 @@ _SETTLED_SPREAD = 0.1  # and of the spread of free points: where it is small it 
 
 
 def calibrate_pair(
-    pairs: Sequence[Pair],
+    pairs: Sequence[ViewPair],
     target: Target,
     shape: ShapeKind | Literal["auto"] = "auto",
     scale_u: float = 0.0,
@@ -107,26 +113,26 @@ class _Model:
     single: bool = False
     drifts: bool = False
 
-    def prior(self, rig: StereoRig) -> Prior:
+    def prior(self, rig: StereoRig) -> RigPrior:
         """Return what is known of the cameras beforehand."""
         return lens_prior(rig, self.lens, self.single)
 
 
-def _calibrated(pairs: Sequence[Pair], target: Target, model: _Model) -> _Fit:
+def _calibrated(pairs: Sequence[ViewPair], target: Target, model: _Model) -> _Fit:
     """Return the fit, with what was dropped on the way, pictures that do not belong to the others included."""
-    dropped: tuple[Dropped, ...] = ()
+    dropped: tuple[Rejection, ...] = ()
     while True:
         bundle, pairs, dropped_at_start = start_bundle(pairs, target, model.shape)
         session = _Session.of(bundle, pairs, target)
         if model.lens == "rational":  # from the best polynomial, near which its bent valley is short
             bundle = adjust(bundle, session.weighted(), replace(model, lens="polynomial").prior(bundle.rig)).bundle
         if model.drifts:
-            bundle = replace(bundle, drift=Drift.over(len(bundle.poses)))
+            bundle = replace(bundle, drift=FocalDrift.initial(len(bundle.poses)))
         fit = _settle(bundle, session, model)
         bad = _bad_pictures(fit)
         dropped += (*dropped_at_start, *bad)
         if not bad:
-            left_out = leave_out(fit.adjusted, fit.session.weighted())
+            left_out = leave_views_out(fit.adjusted, fit.session.weighted())
             return replace(fit, dropped=dropped, left_out=left_out)
         names = [None, *(item.name for item in bad)]
         kept = [[view if view and view.name not in names else None for view in pair] for pair in pairs]
@@ -138,10 +144,10 @@ def _drifting(fit: _Fit) -> bool:
 
     Student's t of either drift, by what single views do to it, at a level of 1 % for both together.
     """
-    start = replace(fit.adjusted.bundle, drift=Drift.over(len(fit.adjusted.bundle.poses)))
+    start = replace(fit.adjusted.bundle, drift=FocalDrift.initial(len(fit.adjusted.bundle.poses)))
     adjusted = adjust(start, fit.session.weighted(), fit.model.prior(start.rig), near=True)
     assert adjusted.bundle.drift is not None
-    u = drift_u(adjusted, leave_out(adjusted), fit.factor)
+    u = drift_uncertainty(adjusted, leave_views_out(adjusted), fit.factor)
     t = float((np.abs(adjusted.bundle.drift.value) / u).max())
     if t < NormalDist().inv_cdf(1 - _CHANCE / 4):  # Student's quantiles are larger: SciPy's are not needed
         return False
@@ -173,12 +179,12 @@ class _Session:
     """The pictures, which of their points (N,) take part, and the noise (left, right) added to the points' own."""
 
     views: tuple[TargetView, ...]
-    pictures: tuple[Picture, ...]
+    pictures: tuple[ImageObservations, ...]
     used: tuple[BoolArray, ...]
     added_px: tuple[float, float]
 
     @staticmethod
-    def of(bundle: Bundle, pairs: Sequence[Pair], target: Target) -> _Session:
+    def of(bundle: Bundle, pairs: Sequence[ViewPair], target: Target) -> _Session:
         """Return the session before the first round."""
         views, pictures = [], []
         radius = float(np.median([view.radius for pair in pairs for view in pair if view is not None]))
@@ -187,11 +193,11 @@ class _Session:
                 if view is not None:
                     same = replace(view, radius=radius)
                     views.append(same)
-                    pictures.append(picture_of(same, number, side, bundle.shape.index, target.spacing_m))
+                    pictures.append(image_observations(same, number, side, bundle.shape.index, target.spacing_m))
         used = tuple(np.ones(len(view.index), np.bool_) for view in views)
         return _Session(tuple(views), tuple(pictures), used, (_START_NOISE_PX, _START_NOISE_PX))
 
-    def weighted(self, every: bool = False) -> tuple[Picture, ...]:
+    def weighted(self, every: bool = False) -> tuple[ImageObservations, ...]:
         """Return the pictures with the weights of this round; of `every` point, or zero for those left out."""
         weighted = []
         for view, picture, used in zip(self.views, self.pictures, self.used, strict=True):
@@ -206,13 +212,13 @@ class _Fit:
     """What the rounds settled on: residuals (N, 2) and whitened squares (N,) of every point of every picture."""
 
     session: _Session
-    adjusted: Adjusted
+    adjusted: AdjustedBundle
     model: _Model
     residuals: tuple[FloatArray, ...]
     squares: tuple[FloatArray, ...]
     dof: float
-    dropped: tuple[Dropped, ...] = ()
-    left_out: LeftOut | None = None
+    dropped: tuple[Rejection, ...] = ()
+    left_out: LeaveOneOut | None = None
 
     @property
     def unexplained(self) -> float:
@@ -233,13 +239,13 @@ class _Fit:
         if drift is None:
             return None
         assert self.left_out is not None
-        return np.column_stack([drift.value, drift_u(self.adjusted, self.left_out, self.factor)])
+        return np.column_stack([drift.value, drift_uncertainty(self.adjusted, self.left_out, self.factor)])
 
     @property
     def predictions(self) -> list[tuple[FloatArray, BoolArray]]:
         """What the other views leave of each picture's points (N, 2), and which of these are used (N,)."""
         assert self.left_out is not None
-        return list(zip(self.left_out.away, self.session.used, strict=True))
+        return list(zip(self.left_out.prediction_residuals, self.session.used, strict=True))
 
     @property
     def covariance(self) -> FloatArray:
@@ -321,7 +327,7 @@ def _judged(fit: _Fit) -> _Session:
     return replace(anew, used=tuple(square <= limit for square, limit in zip(squares, limits, strict=True)))
 
 
-def _bad_pictures(fit: _Fit) -> list[Dropped]:
+def _bad_pictures(fit: _Fit) -> list[Rejection]:
     """Return the pictures whose points scatter far more than those of the others, or miss in too large a share."""
     session, bad = fit.session, []
     spread = np.array([np.sqrt(np.median((residual**2).sum(axis=1))) for residual in fit.residuals])
@@ -330,10 +336,10 @@ def _bad_pictures(fit: _Fit) -> list[Dropped]:
         share = 1 - used.mean()
         if share > _REJECTED_SHARE:
             reason = f"{100 * share:.0f} % of its points are more than {np.sqrt(_REJECTED):.0f} standard deviations off"
-            bad.append(Dropped(view.name, 0, reason))
+            bad.append(Rejection(view.name, 0, reason))
         elif own > _SCATTER * typical:
             reason = f"its points scatter by {own:.2f} px, those of the others by {typical:.2f} px"
-            bad.append(Dropped(view.name, 0, reason))
+            bad.append(Rejection(view.name, 0, reason))
     return bad
 
 
@@ -346,11 +352,11 @@ def _result(fit: _Fit, others: Sequence[_Fit], target: Target, scale_u: float) -
     baseline[TRANSLATION] = bundle.rig.right_from_left.translation_m
     rig = replace(bundle.rig, covariance=covariance + scale_u**2 * np.outer(baseline, baseline))
     pictures = [
-        CalibratedPicture(view.name, view.index, view.position_px, residual, np.sqrt(squares / factor), used)
+        CalibratedImage(view.name, view.index, view.position_px, residual, np.sqrt(squares / factor), used)
         for view, residual, squares, used in zip(session.views, fit.residuals, fit.squares, session.used, strict=True)
     ]
     left_out = [
-        Dropped(picture.name, int((~picture.used).sum()), "more than five standard deviations off")
+        Rejection(picture.name, int((~picture.used).sum()), "more than five standard deviations off")
         for picture in pictures
         if not picture.used.all()
     ]
@@ -360,7 +366,7 @@ def _result(fit: _Fit, others: Sequence[_Fit], target: Target, scale_u: float) -
         views.append(CalibratedView(pose, fit.adjusted.pose_covariance[number] * factor, sides.get(0), sides.get(1)))
     by_side = [[seen for p, seen in zip(session.pictures, pictures, strict=True) if p.side == s] for s in (0, 1)]
     parameters = rig_parameters(rig, prior.sigma)
-    refuse_open_focal_lengths(parameters)
+    check_focal_lengths(parameters)
     calibration = Calibration(
         rig=rig,
         target=target,
@@ -374,27 +380,27 @@ def _result(fit: _Fit, others: Sequence[_Fit], target: Target, scale_u: float) -
         shape_index=bundle.shape.index,
         shape_m=bundle.shape.points_m,
         scale_u=scale_u,
-        covered=(
-            covered_share(by_side[0], rig.left.size_px),
-            covered_share(by_side[1], rig.right.size_px) if by_side[1] else float("nan"),
+        coverage=(
+            coverage_share(by_side[0], rig.left.size_px),
+            coverage_share(by_side[1], rig.right.size_px) if by_side[1] else float("nan"),
         ),
-        dropped=(*fit.dropped, *left_out),
+        rejections=(*fit.dropped, *left_out),
         notices=(),
-        judged=_judgement(fit, others, prior),
+        cross_validation=_judgement(fit, others, prior),
         shape_u_m=np.sqrt(factor * fit.adjusted.shape_variance[:-2]).reshape(-1, 3) if bundle.shape.free else None,
     )
     return replace(calibration, notices=session_notices(calibration))
 
 
-def _judgement(fit: _Fit, others: Sequence[_Fit], prior: Prior) -> Judgement:
+def _judgement(fit: _Fit, others: Sequence[_Fit], prior: RigPrior) -> CrossValidation:
     """Return what the views say of each other and of other models."""
     enough = len(fit.adjusted.bundle.poses) >= _VIEWS_TO_HALVE
     u_fit = np.sqrt(np.diagonal(fit.adjusted.covariance) * fit.factor)
     tried = [
-        OtherModel(other.model.shape, other.model.lens, other.adjusted.bundle.rig, _predicted_rms(other))
+        AlternativeModel(other.model.shape, other.model.lens, other.adjusted.bundle.rig, _predicted_rms(other))
         for other in others
     ]
-    return Judgement(
+    return CrossValidation(
         fit.model.shape,
         fit.model.lens,
         _predicted_rms(fit),
@@ -410,7 +416,7 @@ def _predicted_rms(fit: _Fit) -> float:
     return float(np.sqrt(np.concatenate([(away[used] ** 2).sum(axis=1) for away, used in fit.predictions]).mean()))
 
 
-def _rms(pictures: Sequence[CalibratedPicture]) -> float:
+def _rms(pictures: Sequence[CalibratedImage]) -> float:
     """Return the rms length of the residuals of all points in use."""
     squares = [(picture.residual_px[picture.used] ** 2).sum(axis=1) for picture in pictures]
     every = np.concatenate(squares) if squares else np.empty(0)

@@ -22,7 +22,7 @@ from photogram.kernels import njit
 from photogram.subsets.reference import RUN_SUMS, run_sums
 
 SMALLEST_GAIN = 0.1  # of the reference's contrast, below which a cell shows nothing
-LEAST_FILLED = 0.1  # of a cell, below which it is left out
+MIN_FILLED_SHARE = 0.1  # of a cell, below which it is left out
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -99,7 +99,7 @@ def lay_cells(area: BoolArray, side_px: int) -> tuple[FloatArray, IntArray, IntA
     row, start = np.nonzero(inside & (~box[:, :-2] | (across == 0)))
     stop = np.nonzero(inside & (~box[:, 2:] | (across == side_px - 1)))[1]
     tile, length = row // side_px * box.shape[1] + start // side_px, stop - start + 1
-    filled = np.bincount(tile, length) >= LEAST_FILLED * side_px**2
+    filled = np.bincount(tile, length) >= MIN_FILLED_SHARE * side_px**2
     order = np.argsort(tile, kind="stable")
     order = order[filled[tile[order]]]
     length, (cells, first) = length[order], np.unique(tile[order], return_index=True)
@@ -108,7 +108,7 @@ def lay_cells(area: BoolArray, side_px: int) -> tuple[FloatArray, IntArray, IntA
     return corner + (side_px - 1) / 2, runs, np.append(first, len(runs))
 
 
-def pixel_places(runs: IntArray) -> FloatArray:
+def pixel_coordinates(runs: IntArray) -> FloatArray:
     """Return column and row (P, 2) of every pixel of runs (R, 4) (`Cells`)."""
     length = runs[:, 2]
     along = np.arange(int(length.sum())) - np.repeat(runs[:, 3], length)
@@ -124,13 +124,13 @@ def prepare_cells(spline: Spline, area: BoolArray, side_px: int, noise: NoiseMod
     to the Hessian in each direction.
     """
     centre, runs, first = lay_cells(area, side_px)
-    column, row = pixel_places(runs).T.astype(np.intp)
+    column, row = pixel_coordinates(runs).T.astype(np.intp)
     value, *gradient = (part[row, column] for part in (grey_values(spline), *grey_gradients(spline)))
     pixels = np.stack([value < full_scale - 0.5, value, *gradient]).astype(np.float64)
     return _weighted((side_px, centre, runs, first), pixels, noise, spline.degree)
 
 
-def reweighted(cells: Cells, noise: NoiseModel, degree: int) -> Cells:
+def reweight_cells(cells: Cells, noise: NoiseModel, degree: int) -> Cells:
     """Return the cells, of a spline of that degree, with the weights of another noise model."""
     weight = np.where(cells.pixels[0] > 0.0, cells.pixels[0], 1.0)
     pixels = np.concatenate([cells.pixels[:1] > 0.0, cells.pixels[1:] / weight])
@@ -138,7 +138,7 @@ def reweighted(cells: Cells, noise: NoiseModel, degree: int) -> Cells:
     return _weighted((cells.side_px, cells.centre_px, cells.runs, cells.first), pixels, noise, degree)
 
 
-def chosen(cells: Cells, which: IntArray) -> Cells:
+def select_cells(cells: Cells, which: IntArray) -> Cells:
     """Return some of the cells, in the order of `which`."""
     runs = [cells.runs[cells.first[cell] : cells.first[cell + 1]] for cell in which.tolist()]
     own = np.concatenate(runs)

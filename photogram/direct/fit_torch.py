@@ -16,8 +16,8 @@ import numpy as np
 from photogram.arrays import FloatArray
 from photogram.bspline import noise_gain_table
 from photogram.camera import Camera
-from photogram.direct.cells import SMALLEST_GAIN, nine_points, pixel_places
-from photogram.direct.fit import (
+from photogram.direct.cells import SMALLEST_GAIN, nine_points, pixel_coordinates
+from photogram.direct.direct_fit import (
     CORRECTED,
     EVALUATIONS,
     FEWEST_CELLS,
@@ -30,7 +30,7 @@ from photogram.direct.fit import (
     SMALLEST_MISFIT,
     BodyView,
     DirectFit,
-    beside,
+    estimate_shape_amplitudes,
     pose_covariance,
 )
 from photogram.geometry import RigidTransform, rotation_from_vector, vector_from_rotation
@@ -79,7 +79,7 @@ class _Compared(NamedTuple):
     slope: Tensor
 
 
-class _Told(NamedTuple):
+class _CellSums(NamedTuple):
     """What one camera tells of frames (A,): as in `fit_direct`, summed over the cells that show the body."""
 
     information: Tensor
@@ -98,7 +98,7 @@ def torch_view(view: BodyView, device: str, precision: str) -> TorchView:
     cells, camera_from_body = view.cells, view.camera.camera_from_body
     side, kind = cells.side_px, torch_type(precision)
     own, reach = cells.of_pixels, (side - 1) / 2
-    column, row = np.rint(pixel_places(cells.runs) - cells.centre_px[own] + reach).astype(np.int64).T
+    column, row = np.rint(pixel_coordinates(cells.runs) - cells.centre_px[own] + reach).astype(np.int64).T
     pixels = np.zeros((len(cells.centre_px), 4, side * side))
     pixels[own, :, row * side + column] = cells.pixels.T
     down, across = (grid.ravel() - reach for grid in np.mgrid[:side, :side])
@@ -164,7 +164,7 @@ def fit_frames(
         step = torch.zeros((len(active), 6), dtype=torch.float64, device=device)
         for _ in range(2):  # which cells count is judged where the step of all of them leads
             parts = [_told(view, cells, step) for view, cells in zip(views, compared, strict=True)]
-            told = _Told(*(torch.stack(values).sum(dim=0) for values in zip(*parts, strict=True)))
+            told = _CellSums(*(torch.stack(values).sum(dim=0) for values in zip(*parts, strict=True)))
             of_motion, noise_part = told.information[:, :6, :6], told.noise_part[:, :6, :6]
             lowest = torch.linalg.eigvalsh(_scaled(of_motion))[:, 0]
             solvable = (told.count >= FEWEST_CELLS) & (lowest > SINGULAR)
@@ -194,7 +194,7 @@ def fit_frames(
     each, size = level[:, None, None], slice(6)
     rotations = turns[known], vector_from_rotation(turns[known])
     covariances = each * pose_covariance(whole[0, :, size, size], each * whole[1, :, size, size], *rotations)
-    amplitudes, of_shapes = beside(asked[1, known, :6], asked[0, known], (whole[0], whole[1]), level)
+    amplitudes, of_shapes = estimate_shape_amplitudes(asked[1, known, :6], asked[0, known], (whole[0], whole[1]), level)
     for k, f in enumerate(known):
         moved = RigidTransform(turns[f], shifts[f])
         fits[f] = DirectFit(moved, covariances[k], float(level[k]), int(cells[f]), amplitudes[k], of_shapes[k])
@@ -272,7 +272,7 @@ def _compared(view: TorchView, frames: TorchSplines, number: Tensor, rotation: T
     return _Compared(gain, misfit, expected, torch.where(gain[..., None].isfinite(), slope, torch.nan))
 
 
-def _told(view: TorchView, cells: _Compared, step: Tensor) -> _Told:
+def _told(view: TorchView, cells: _Compared, step: Tensor) -> _CellSums:
     """Return the sums over the cells that show the body, as it is after a step (A, 6) of its own."""
     import torch
 
@@ -284,7 +284,7 @@ def _told(view: TorchView, cells: _Compared, step: Tensor) -> _Told:
         return torch.where(used, values, 0.0).sum(dim=1)
 
     share = torch.where(used, gain, 0.0)
-    return _Told(
+    return _CellSums(
         torch.einsum("ac,cij->aij", share**2, view.information),
         torch.einsum("ac,cij->aij", share**2, view.information_noise),
         torch.einsum("ac,cij,aci->aj", share, view.rates, torch.where(used[..., None], slope, 0.0)),

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from photogram.arrays import Arrays, FloatArray, derivatives
-from photogram.direct.surface import RATE_STEP, Patches, PlacedCamera, warps_to
+from photogram.direct.surface import RATE_STEP, Patches, PlacedCamera, warps_of_points
 
 
 class Shapes(Protocol):
@@ -85,6 +85,6 @@ def shape_rates(camera: PlacedCamera, patches: Patches, shapes: Shapes) -> Float
     moved = shape.reshape(len(shape), *patches.points_m.shape)
 
     def warps(amplitude: FloatArray) -> FloatArray:
-        return warps_to(camera, patches, patches.points_m + np.tensordot(amplitude, moved, 1))
+        return warps_of_points(camera, patches, patches.points_m + np.tensordot(amplitude, moved, 1))
 
     return derivatives(warps, np.full(len(shape), RATE_STEP))

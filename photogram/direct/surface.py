@@ -80,10 +80,12 @@ def body_patches(
 
 def patch_warps(camera: PlacedCamera, patches: Patches, moved: RigidTransform) -> FloatArray:
     """Return the affine warps (C, 6) [u u_x u_y v v_x v_y] of the patches when the body moves by `moved`, in px."""
-    return warps_to(camera, patches, patches.points_m, moved)
+    return warps_of_points(camera, patches, patches.points_m, moved)
 
 
-def warps_to(camera: PlacedCamera, patches: Patches, points_m: FloatArray, by: RigidTransform = AT_REST) -> FloatArray:
+def warps_of_points(
+    camera: PlacedCamera, patches: Patches, points_m: FloatArray, by: RigidTransform = AT_REST
+) -> FloatArray:
     """Return the affine warps (C, 6) of the patches when their points, at places (C, 5, 3), move `by` a motion."""
     place, rest, warp = camera.camera_from_body, (patches.rest_px, patches.arm_px), np.empty((len(points_m), 6))
     into = place.rotation @ by.rotation, place.apply(by.translation_m)
@@ -129,7 +131,7 @@ class SeenPoints(Arrays, shapes="points_m N 3; rates N 2 6"):
         return self.camera.project(self.points_m)
 
 
-def see_points(camera: PlacedCamera, points_m: FloatArray) -> SeenPoints:
+def project_body_points(camera: PlacedCamera, points_m: FloatArray) -> SeenPoints:
     """Return points (N, 3) of a body at rest, in its frame, as a camera sees them; NaN for one that is not known."""
     rates = derivatives(
         lambda pose: camera.project(RigidTransform.from_pose(pose).apply(points_m)), np.full(6, RATE_STEP)
@@ -137,7 +139,7 @@ def see_points(camera: PlacedCamera, points_m: FloatArray) -> SeenPoints:
     return SeenPoints(camera, points_m, rates)
 
 
-def motion_of_places(seen: Sequence[SeenPoints], places_px: Sequence[FloatArray]) -> RigidTransform | None:
+def motion_from_positions(seen: Sequence[SeenPoints], positions_px: Sequence[FloatArray]) -> RigidTransform | None:
     """Return the motion from rest that brings points to the places (N, 2) where each camera shows them in one frame.
 
     Gauss-Newton with the rates at rest, as in `direct.fit.fit_direct`, of distances in px with Cauchy weights
@@ -145,7 +147,7 @@ def motion_of_places(seen: Sequence[SeenPoints], places_px: Sequence[FloatArray]
     standard deviations alike. A start, without a covariance. None where fewer than six places are known, or they do not
     fix all six components.
     """
-    rates, places = np.concatenate([one.rates for one in seen]), np.concatenate(places_px)
+    rates, places = np.concatenate([one.rates for one in seen]), np.concatenate(positions_px)
     known = np.isfinite(places).all(axis=1) & np.isfinite(rates[:, 0, 0])
     if np.count_nonzero(known) < FEWEST:
         return None

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import FloatArray, Notice
+from photogram.arrays import FloatArray
 from photogram.images.sequence import GreyImage, ImageSequence
+from shakercal._common.notices import Notice
 
 TILE_PX = 32
 FEWEST_TILE_PX = 8
@@ -22,7 +23,7 @@ LEAST_CLIPPED = 2e-4  # share of the pixels
 BRIGHT = 0.5  # share of the pixels at the largest grey value
 
 
-def without_pattern(image: NDArray[Any], full_scale: int) -> str:
+def missing_pattern_reason(image: NDArray[Any], full_scale: int) -> str:
     """Why an image (H,W) shows nothing but noise: "dark, …", "overexposed, …", "uniform, …"; "" for one with a pattern.
 
     In tiles of 32 x 32 px without their mean and slopes, diagonal neighbours of a pattern are alike, those of noise are
@@ -101,7 +102,7 @@ def mosaic_contrast(image: NDArray[Any]) -> float:
     return 0.0
 
 
-def examined(images: ImageSequence, first: GreyImage) -> ImageSequence:
+def inspect_first_image(images: ImageSequence, first: GreyImage) -> ImageSequence:
     """Return images with what the first one shows of their camera: where it clips, and whether it has colours.
 
     Raises `ValueError` where more than `most_saturated` of the first image is saturated.

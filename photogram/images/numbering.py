@@ -28,7 +28,7 @@ class FrameNumbers:
     `exact`: by a counter; else by times, which may stray.
     """
 
-    place: IntArray
+    frame_index: IntArray
     first: str
     last: str
     step: int = 1

@@ -9,8 +9,8 @@ from os import SEEK_CUR
 from pathlib import Path
 from typing import BinaryIO
 
-from photogram.arrays import Notice
-from photogram.images.sequence import reading
+from photogram.images.sequence import wrap_read_errors
+from shakercal._common.notices import Notice
 
 ORIENTATION = 274  # tag of TIFF and EXIF
 TURNED = {3: "rotated by 180°", 6: "rotated by 90°", 8: "rotated by 270°"}
@@ -41,22 +41,22 @@ def tag_notices(tags: Mapping[Path, int]) -> tuple[Notice, ...]:
     return (Notice("warning", text, str(path)),)
 
 
-def orientations(paths: Iterable[Path]) -> dict[Path, int]:
+def read_orientations(paths: Iterable[Path]) -> dict[Path, int]:
     """Orientation tags of image files, without those that cannot be read or are mirrored."""
     tags = {}
     for path in paths:
         with suppress(OSError, ValueError):
-            tags[path] = stored_orientation(path)
+            tags[path] = read_orientation(path)
     return tags
 
 
-def stored_orientation(path: str | Path) -> int:
+def read_orientation(path: str | Path) -> int:
     """Orientation tag 274 of a TIFF, PNG or JPEG file, 1 without one: how its pixels are to be rotated for display.
 
     Raises `ValueError` for one that mirrors.
     """
     path = Path(path)
-    with reading(path), path.open("rb") as file:
+    with wrap_read_errors(path), path.open("rb") as file:
         start = file.read(4)
         if start in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
             import tifffile
@@ -74,10 +74,10 @@ def stored_orientation(path: str | Path) -> int:
             tag = _exif_orientation(_jpeg_exif(file))
         else:
             tag = 1
-    return checked_orientation(path, tag)
+    return check_orientation(path, tag)
 
 
-def checked_orientation(path: Path, tag: int) -> int:
+def check_orientation(path: Path, tag: int) -> int:
     """Return a tag that rotates or 1; `ValueError` for one that mirrors.
 
     What a camera's program mirrored may be either, the pixels or the tag.

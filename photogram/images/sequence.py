@@ -14,8 +14,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import BoolArray, FloatArray, Notice, check_shape
+from photogram.arrays import BoolArray, FloatArray, check_shape
 from photogram.images.numbering import FrameNumbers
+from shakercal._common.notices import Notice
 
 GreyImage = NDArray[np.uint8 | np.uint16]
 MOST_PIXELS = 1 << 28  # of a picture
@@ -36,7 +37,7 @@ def check_file(path: Path) -> None:
 
 
 @contextmanager
-def reading(path: Path) -> Iterator[None]:
+def wrap_read_errors(path: Path) -> Iterator[None]:
     """Turn whatever goes wrong with a file into `OSError` or `ValueError`: one sentence that begins with its path."""
     check_file(path)
     try:
@@ -159,7 +160,7 @@ class ImageSequence:
                 reader.shutdown(cancel_futures=True)
 
 
-def copied_frames(images: ImageSequence) -> BoolArray:
+def find_copied_frames(images: ImageSequence) -> BoolArray:
     """Which frames (F,) have every grey value of an earlier one: a grabber repeated it, since noise never does.
 
     Only frames that look alike at a glimpse are read.
@@ -180,7 +181,7 @@ def copied_frames(images: ImageSequence) -> BoolArray:
 
 def bytes_at(path: Path, start: int, size: int) -> bytes:
     """Return at most `GLIMPSE` of some bytes of a file from a place on, from its end for a negative one."""
-    with reading(path), path.open("rb") as file:
+    with wrap_read_errors(path), path.open("rb") as file:
         file.seek(start if start >= 0 else max(0, path.stat().st_size + start))
         return file.read(min(size, GLIMPSE))
 

@@ -14,8 +14,8 @@ from typing import Any, BinaryIO, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.images.orientation import ORIENTATION, checked_orientation
-from photogram.images.sequence import GreyImage, ImageHeader, reading
+from photogram.images.orientation import ORIENTATION, check_orientation
+from photogram.images.sequence import GreyImage, ImageHeader, wrap_read_errors
 
 try:
     from isal import isal_zlib  # inflates in half the time of zlib
@@ -45,7 +45,7 @@ def tiff_header(path: Path) -> ImageHeader:
             lossy = any("JPEG" in page.compression.name or page.compression.name == "WEBP" for page in pages)
             wrong = next((page.compression.name for page in pages if page.compression.name not in TIFF_CODES), None)
             count, stack_at = _stacked(path, tiff, pages)
-            orientation = checked_orientation(path, int(pages[0].tags.valueof(ORIENTATION, 1)))
+            orientation = check_orientation(path, int(pages[0].tags.valueof(ORIENTATION, 1)))
     except (ValueError, TypeError, IndexError, KeyError, struct.error) as error:
         if str(error).startswith(str(path)):
             raise
@@ -120,7 +120,7 @@ def read_tiff(path: Path, header: ImageHeader, page: int | None = None) -> GreyI
 def _read_stacked(path: Path, header: ImageHeader, stack_at: int, page: int) -> GreyImage:
     """One of the images that follow each other behind one directory."""
     (width, height), count = header.size_px, math.prod(header.size_px)
-    with reading(path), path.open("rb") as file:
+    with wrap_read_errors(path), path.open("rb") as file:
         kind = np.dtype(f"{'>' if file.read(2) == b'MM' else '<'}u{header.bits // 8}")
         file.seek(stack_at + page * count * kind.itemsize)
         stored = np.frombuffer(file.read(count * kind.itemsize), kind)
@@ -136,7 +136,7 @@ def _read_page(path: Path, bits: int, page: int | None = None) -> GreyImage:
     """
     import tifffile
 
-    with reading(path):
+    with wrap_read_errors(path):
         try:
             at_once = page is None and path.stat().st_size <= READ_AT_ONCE
             # Closed here: what tifffile keeps of it in circles of references would keep the file's bytes as well.
@@ -184,7 +184,7 @@ def _read_tiff_opencv(path: Path, bits: int, page: int) -> GreyImage:
     import tifffile
 
     data = np.fromfile(path, np.uint8)
-    inverted = tiff_as_stored(data, page) == tifffile.PHOTOMETRIC.MINISWHITE
+    inverted = read_raw_tiff(data, page) == tifffile.PHOTOMETRIC.MINISWHITE
     _, pages = cv2.imdecodemulti(data, cv2.IMREAD_UNCHANGED, range=(page, page + 1))
     if len(pages) != 1:
         raise ValueError(f"{path}: not a readable TIFF file (page {page} cannot be decoded)")
@@ -194,7 +194,7 @@ def _read_tiff_opencv(path: Path, bits: int, page: int) -> GreyImage:
     return image >> np.uint16(4) if bits == 12 else image
 
 
-def tiff_as_stored(data: NDArray[np.uint8], page: int = 0) -> Any:
+def read_raw_tiff(data: NDArray[np.uint8], page: int = 0) -> Any:
     """Set the orientation tag of a page of a TIFF file to 1, since OpenCV obeys it whatever it is asked for.
 
     Return the page's photometric interpretation, None of other files.

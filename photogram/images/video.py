@@ -14,10 +14,19 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import FloatArray, Notice
+from photogram.arrays import FloatArray
 from photogram.images.numbering import numbers_of_times
 from photogram.images.orientation import ROTATED, tag_notices
-from photogram.images.sequence import GLIMPSE, GreyImage, ImageSequence, bytes_at, check_pixels, full_scale_of, reading
+from photogram.images.sequence import (
+    GLIMPSE,
+    GreyImage,
+    ImageSequence,
+    bytes_at,
+    check_pixels,
+    full_scale_of,
+    wrap_read_errors,
+)
+from shakercal._common.notices import Notice
 
 LARGEST_HEADER = 4 << 20  # bytes of a .cih or .cihx, which are some ten thousand
 MOST_FRAMES = 1 << 21
@@ -92,7 +101,7 @@ def open_photron(header: Path, bit_depth: int | None) -> ImageSequence:
     rate_hz, exposure_s = (_stated(entries, key) for key in ("Record Rate(fps)", "Shutter Speed(s)"))
     step = _stated(entries, "Save Step") or 1.0
     told = "its frames are called raw, as those of 12 bits are; taken for monochrome, not for the mosaic of colours"
-    notices = (Notice("info", told, str(header)),) if colour.lower() == "raw" else ()
+    notices = (Notice("note", told, str(header)),) if colour.lower() == "raw" else ()
     return ImageSequence(
         _names(path, frames),
         size_px,
@@ -143,7 +152,7 @@ def _read_mraw(path: Path, size_px: tuple[int, int], stored_bits: int, shift: in
     """Frame `index` of 8, 12 or 16 stored bits per pixel; of 16 the grey value may stand `shift` bits higher."""
     width, height = size_px
     count = width * height * stored_bits // 8
-    with reading(path):
+    with wrap_read_errors(path):
         raw = np.fromfile(path, np.uint8, count=count, offset=index * count)
     if len(raw) < count:
         raise ValueError(f"{path}: frame {index} is cut off, expected {count} bytes, found {len(raw)}")
@@ -185,7 +194,7 @@ class _Cine:
     def read(self, index: int) -> GreyImage:
         """Return frame `index`; codes of 10 bits as the grey values of 12 bits that they stand for."""
         width, height = self.size_px
-        with reading(self.path), self.path.open("rb") as file:
+        with wrap_read_errors(self.path), self.path.open("rb") as file:
             file.seek(int(self.offsets[index]))
             (annotation,) = struct.unpack("<I", file.read(4).ljust(4, b"\0"))
             file.seek(int(self.offsets[index]) + annotation)
@@ -258,7 +267,7 @@ def open_cine(path: Path, bit_depth: int | None) -> ImageSequence:
             told = f"exposure of {1e6 * exposure_s:.4g} µs, but another one stated for {other} of {frames} frames"
             notices.append(Notice("warning", told, str(path)))
     if packing == PACKED_10:
-        notices.append(Notice("info", "10 bits a pixel, companded: rounded to 0.1 % of full scale", str(path)))
+        notices.append(Notice("note", "10 bits a pixel, companded: rounded to 0.1 % of full scale", str(path)))
     scale = full_scale_of(path, bits, bit_depth)
     names, remarks = _names(path, frames), tuple(notices)
     return ImageSequence(names, cine.size_px, scale, cine.read, time_s, exposure_s, remarks, glimpse=cine.glimpse)
@@ -310,7 +319,7 @@ class _Film:
 
     def read(self, index: int) -> GreyImage:
         """Return frame `index` as grey values, of a coloured one its luminance."""
-        with reading(self.path):
+        with wrap_read_errors(self.path):
             return self._decoded(index)
 
     def _decoded(self, index: int) -> GreyImage:
@@ -389,7 +398,7 @@ def open_film(path: Path, bit_depth: int | None) -> ImageSequence:
         else f"compressed video ({name}): its codec moves grey values and edges by what it leaves out, differently "
         "from frame to frame. Such errors are in no uncertainty; record uncompressed frames (TIFF, cine, raw video)"
     )
-    codec_told = Notice("info" if name in LOSSLESS else "warning", told, str(path))
+    codec_told = Notice("note" if name in LOSSLESS else "warning", told, str(path))
     notices = (codec_told, *tag_notices({path: ROTATED.get(turned, 1)}))
     scale, film = full_scale_of(path, bits, bit_depth), _Film(path, tag in (GREY_8, GREY_16))
     time_s = np.array(stamps) - stamps[0]

@@ -179,10 +179,10 @@ def _sources_digest() -> str:
     return digest.hexdigest()
 
 
-def user_cache(room: str) -> Path:
+def user_cache(name: str) -> Path:
     """Folder of the user's caches of this program for one kind of content; `RuntimeError` for a user without a home."""
     home = os.environ.get("LOCALAPPDATA") if sys.platform == "win32" else os.environ.get("XDG_CACHE_HOME")
-    return Path(home or Path.home() / ".cache") / "shakercal" / room
+    return Path(home or Path.home() / ".cache") / "shakercal" / name
 
 
 @cache
@@ -207,9 +207,9 @@ def _cache_folder() -> tuple[Path | None, str]:
     return folder, ""
 
 
-def why_not_kept(*, elsewhere: bool = False) -> str:
+def cache_failure_reason(*, other_processes: bool = False) -> str:
     """Return why compiled kernels are not kept for the next process of the user; empty where they are.
 
     Also empty where this process has compiled none, unless processes `elsewhere` did for it.
     """
-    return _cache_folder()[1] if elsewhere or _cache_folder.cache_info().currsize else ""
+    return _cache_folder()[1] if other_processes or _cache_folder.cache_info().currsize else ""

@@ -84,12 +84,12 @@ def constant(kind: Any, number: float) -> Any:
     return ir.Constant(kind, [number] * kind.count)
 
 
-def counted(builder: Any, kind: Any) -> Lanes:
+def lane_numbers(builder: Any, kind: Any) -> Lanes:
     """The numbers 0, 1 … of all lanes."""
     return Lanes(builder, ir.Constant(kind, [float(lane) for lane in range(kind.count)]))
 
 
-def spread(builder: Any, scalar: Any, kind: Any) -> Lanes:
+def broadcast(builder: Any, scalar: Any, kind: Any) -> Lanes:
     """A double in every lane, rounded to what lanes hold."""
     return Lanes(builder, _spread(builder, scalar if kind == DOUBLES else builder.fptrunc(scalar, FLOAT), kind))
 
@@ -132,7 +132,7 @@ def store(builder: Any, lanes: Lanes, pointer: Any, mask: Any = None) -> None:
     builder.call(masked, [lanes.value, place, ir.Constant(_WORD, align), mask])
 
 
-def across(builder: Any, lanes: Lanes) -> Any:
+def sum_lanes(builder: Any, lanes: Lanes) -> Any:
     """The sum of all lanes: halves added to each other until one is left."""
     value, width = lanes.value, lanes.value.type.count
     while width > 1:
@@ -166,7 +166,7 @@ def _vector_code(builder: Any, name: str, kind: Any, suffix: str, form: Any) -> 
     return cgutils.get_or_insert_function(builder.module, form, whole)
 
 
-def filling(*kinds: Any) -> Any:
+def kernel_signature(*kinds: Any) -> Any:
     """Type of generated code that fills arrays: contiguous floats or doubles; whole numbers stay whole."""
     for kind in kinds:
         if isinstance(kind, types.Array) and (kind.layout != "C" or kind.dtype not in (types.float32, types.float64)):

@@ -9,39 +9,40 @@ from itertools import groupby
 
 import numpy as np
 
-from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, Notice, RunningMean, Sample
-from photogram.camera import Points, Rig, StereoRig, locate
-from photogram.direct.fit import rest_covariance, rigid_share
+from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, RunningMean, Sample
+from photogram.camera import Points3D, Rig, StereoRig, locate
+from photogram.direct.direct_fit import rest_covariance, rigid_share
 from photogram.direct.shapes import ShapeAmplitudes
 from photogram.geometry import RigidTransform
 from photogram.images.noise import NoiseModel
 from photogram.images.sequence import ImageSequence
 from photogram.measure.follow import (
+    BodyPrior,
     BodyScene,
     FollowedBlock,
-    Found,
-    KnownBody,
     Progress,
-    carried_px,
-    central,
+    Registrations,
+    central_point,
     follow_block,
-    in_turn,
+    image_motion_px,
+    iterate_blocks,
     prepare_body,
 )
 from photogram.motion import Deformation, DeformationMean, RigidMotion, fit_motion, overlap_correlation
 from photogram.subsets.find import BodyNotFound, DepthRange
-from photogram.subsets.icgn import TrackSettings, noise_of, places_of
-from photogram.subsets.texture import SubsetQuality, assess
+from photogram.subsets.icgn import TrackSettings, subset_noise, subset_positions
+from photogram.subsets.texture import SubsetQuality, assess_subsets
 from photogram.subsets.track import (
-    StereoCourse,
+    EpipolarMonitor,
     StereoTracks,
-    Told,
     Tracks,
-    tracks_of,
-    without_aside,
+    TrackSummary,
+    build_tracks,
+    drop_rejected,
 )
+from shakercal._common.notices import Notice
 
-MOST_HELD = 500_000  # subsets times frames of a series that is held with its points: some 100 MB
+MAX_CACHED_POSITIONS = 500_000  # subsets times frames of a series that is held with its points: some 100 MB
 LARGEST_BENDING = 4.0  # rms, in standard deviations of the points; the reference's noise makes it 1.4
 LARGEST_DIFFERENCE = 2.0  # rms, in standard uncertainties of the motion of the points
 
@@ -63,8 +64,8 @@ class BodyMotion(Arrays):
 
     motion: RigidMotion
     motion_of_points: RigidMotion
-    deformed: ShapeAmplitudes
-    sought: BoolArray
+    shape_amplitudes: ShapeAmplitudes
+    subset_frames: BoolArray
     reprojection_px: float
     subsets_px: FloatArray
     sigma_px: float
@@ -72,8 +73,8 @@ class BodyMotion(Arrays):
     noise: tuple[NoiseModel, ...] | None
     quality: tuple[SubsetQuality, ...] | None
     notices: tuple[Notice, ...]
-    tracked: Tracked
-    surface: Surface
+    tracked: TrackedSubsets
+    surface: SurfaceDeformation
 
     @cached_property
     def tracks(self) -> StereoTracks:
@@ -89,13 +90,13 @@ class BodyMotion(Arrays):
             )
             for side in zip(*(block.cameras for block in blocks), strict=True)
         )
-        return self.tracked.told.of(tuple(whole))
+        return self.tracked.summary.with_tracks(tuple(whole))
 
     @cached_property
-    def points(self) -> Points:
+    def points(self) -> Points3D:
         """Points of these frames, in the body's frame, 100 bytes for each in every frame."""
         parts = [points for _, points in self.tracked.with_points()]
-        return Points(
+        return Points3D(
             np.concatenate([part.position_m for part in parts]),
             np.concatenate([part.covariance_m2 for part in parts]),
             np.concatenate([part.reprojection_px for part in parts]),
@@ -132,7 +133,7 @@ def measure_body(
     >>> f"{1e3 * body.motion.pose[1, 0]:.1f} mm"
     '1.0 mm'
     """
-    known = KnownBody(depth_m)
+    known = BodyPrior(depth_m)
     scene = prepare_body(images, rig, body_from_left, settings, device, progress, known)
     return body_motion(scene, [follow_block(scene, block, device, progress) for block in scene.blocks])
 
@@ -148,7 +149,7 @@ def body_motion(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> BodyMotion
     quality, remarks = None, list[Notice]()
     if noise is not None:
         sides = zip(references, scene.first, noise, scene.images, strict=True)
-        quality = tuple(assess(reference, first, own, side.saturation) for reference, first, own, side in sides)
+        quality = tuple(assess_subsets(reference, first, own, side.saturation) for reference, first, own, side in sides)
         named = zip(("left camera", "right camera"), quality, strict=False)
         remarks = [notice for where, told in named for notice in told.notices(where)]
     shared = None
@@ -169,15 +170,17 @@ def body_motion(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> BodyMotion
     of_points = _joined(sums.of_points)
     motion = fits.of_all(of_points, tracked.frames)
     notices = (
-        *tracked.told.notices,
+        *tracked.summary.notices,
         *remarks,
         *_rigid_notices(sums, _of_frames(motion, tracked.frames), of_points, fits.missed(scene.body)),
     )
     return BodyMotion(
         motion=motion,
         motion_of_points=of_points,
-        deformed=ShapeAmplitudes(scene.shapes, fits.amplitude, fits.amplitude_covariance, rigid_share(scene.views)),
-        sought=np.isin(np.arange(len(motion.pose)), tracked.frames),
+        shape_amplitudes=ShapeAmplitudes(
+            scene.shapes, fits.amplitude, fits.amplitude_covariance, rigid_share(scene.views)
+        ),
+        subset_frames=np.isin(np.arange(len(motion.pose)), tracked.frames),
         reprojection_px=float(np.sqrt(sums.reprojection[0] / (sums.reprojection[1] or np.nan))),
         subsets_px=sums.subsets_px,
         sigma_px=float(np.sqrt(sums.variance_px2.median)),
@@ -186,7 +189,7 @@ def body_motion(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> BodyMotion
         quality=quality,
         notices=notices,
         tracked=tracked,
-        surface=Surface(sums.mean, motion, tracked),
+        surface=SurfaceDeformation(sums.mean, motion, tracked),
     )
 
 
@@ -194,7 +197,7 @@ def body_motion(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> BodyMotion
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Tracked(Arrays, shapes="frames S; pose S 6"):
+class TrackedSubsets(Arrays, shapes="frames S; pose S 6"):
     """Tracked subsets of a body, some frames at a time from the first one on, as often as they are asked for.
 
     frames (S,): in which they were looked for, pose (S, 6): of the body there. noise_grey: image noise (N,) at the
@@ -207,19 +210,19 @@ class Tracked(Arrays, shapes="frames S; pose S 6"):
     frames: IntArray
     pose: FloatArray
     noise_grey: tuple[FloatArray, ...]
-    course: StereoCourse
-    told: Told
-    held: list[tuple[StereoTracks, Points]] = field(default_factory=list)
+    monitor: EpipolarMonitor
+    summary: TrackSummary
+    cached_blocks: list[tuple[StereoTracks, Points3D]] = field(default_factory=list)
 
     def __iter__(self) -> Iterator[StereoTracks]:
-        return (tracks for tracks, _ in self.held) if self.held else self._computed()
+        return (tracks for tracks, _ in self.cached_blocks) if self.cached_blocks else self._computed()
 
-    def with_points(self) -> Iterator[tuple[StereoTracks, Points]]:
+    def with_points(self) -> Iterator[tuple[StereoTracks, Points3D]]:
         """Yield some frames at a time with the points of their subsets, in the body's frame."""
-        if self.held:
-            yield from self.held
+        if self.cached_blocks:
+            yield from self.cached_blocks
             return
-        short = len(self.frames) * len(self.scene.grid.left_px) <= MOST_HELD
+        short = len(self.frames) * len(self.scene.grid.left_px) <= MAX_CACHED_POSITIONS
         seen, start = [], 0
         for tracks in self._computed():
             stop = start + len(tracks.left.position_px)
@@ -227,23 +230,23 @@ class Tracked(Arrays, shapes="frames S; pose S 6"):
             if short:
                 seen.append(both)
             yield both
-        self.held.extend(seen)
+        self.cached_blocks.extend(seen)
 
     def _computed(self) -> Iterator[StereoTracks]:
-        for block in in_turn(self.scene, self.blocks):
+        for block in iterate_blocks(self.scene, self.blocks):
             found = [both for both, _ in block if both is not None]
             if not found:
                 continue
             cameras = tuple(
-                tracks_of(
+                build_tracks(
                     [both[side] for both in found], self.scene.references[side], self.scene.settings.degree, noise
                 )
                 for side, noise in enumerate(self.noise_grey)
             )
-            aside = self.course.aside(tuple(camera.position_px for camera in cameras))
-            yield self.told.of(without_aside(cameras, aside))
+            aside = self.monitor.find_rejected(tuple(camera.position_px for camera in cameras))
+            yield self.summary.with_tracks(drop_rejected(cameras, aside))
 
-    def _points(self, tracks: StereoTracks, pose: FloatArray) -> Points:
+    def _points(self, tracks: StereoTracks, pose: FloatArray) -> Points3D:
         """Points of some frames, of a camera alone on the face where the body in its `pose` (F, 6) takes it."""
         rig, placed, moved = self.scene.rig, self.scene.body_from_left, None
         if not isinstance(rig, StereoRig):
@@ -254,12 +257,12 @@ class Tracked(Arrays, shapes="frames S; pose S 6"):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Surface(Arrays):
+class SurfaceDeformation(Arrays):
     """What the points of a body do beside its motion, some frames at a time, as often as it is asked for."""
 
     mean: DeformationMean
     motion: RigidMotion
-    tracked: Tracked
+    tracked: TrackedSubsets
 
     def __iter__(self) -> Iterator[Deformation]:
         start = 0
@@ -278,9 +281,9 @@ class _Fits(Arrays, shapes="pose F 6; covariance F 6 6; amplitude F S; amplitude
     amplitude: FloatArray
     amplitude_covariance: FloatArray
 
-    def missed(self, body: KnownBody) -> tuple[int, int]:
+    def missed(self, body: BodyPrior) -> tuple[int, int]:
         """How many of how many later frames have none, those that are absent not counted."""
-        later = [number for number in range(1, len(self.pose)) if not body.lacks(number)]
+        later = [number for number in range(1, len(self.pose)) if not body.is_absent(number)]
         return int(np.count_nonzero(~np.isfinite(self.pose[later, 0]))), len(later)
 
     def merged(self, of_points: RigidMotion, frames: IntArray) -> RigidMotion:
@@ -314,7 +317,7 @@ class _Sums:
         self.of_points: list[RigidMotion] = []
         self.variance_px2, self.variance_m2, self.zncc = Sample(), Sample(), Sample()
 
-    def add(self, tracks: StereoTracks, points: Points, of_points: RigidMotion, motion: RigidMotion) -> None:
+    def add(self, tracks: StereoTracks, points: Points3D, of_points: RigidMotion, motion: RigidMotion) -> None:
         """Take in further frames."""
         assert self.mean is not None
         self.mean.add(points, motion)
@@ -331,15 +334,15 @@ class _Sums:
         self.of_points.append(of_points)
 
 
-def _tracked(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> tuple[Tracked, _Fits]:
+def _tracked(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> tuple[TrackedSubsets, _Fits]:
     """Go through what was followed for what it takes all frames to know: noise, remarks, and the direct fits."""
-    course = StereoCourse(scene.rig if isinstance(scene.rig, StereoRig) else None)
+    course = EpipolarMonitor(scene.rig if isinstance(scene.rig, StereoRig) else None)
     noise = tuple(RunningMean() for _ in scene.images)
     levels, frames, fits = list[float](), list[int](), list[tuple[FloatArray, ...]]()
     shapes = scene.views[0].rates.shape[2] - 6
     nothing = tuple(np.full(shape, np.nan) for shape in (6, (6, 6), shapes, (shapes, shapes)))
-    centres = tuple(map(central, scene.seen))
-    for block in in_turn(scene, blocks):
+    centres = tuple(map(central_point, scene.seen))
+    for block in iterate_blocks(scene, blocks):
         for sought, group in groupby(block, lambda one: one[0] is not None):
             run = list(group)
             if sought:
@@ -352,22 +355,26 @@ def _tracked(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> tuple[Tracked
                     fits.append((fit.moved.pose, fit.covariance, fit.amplitude, fit.amplitude_covariance))
                 levels += [] if fit is None else [fit.noise]
                 if fit is not None and not sought:
-                    course.carry(tuple(carried_px(centre, fit.moved)[0] for centre in centres))
+                    course.add_motion(tuple(image_motion_px(centre, fit.moved)[0] for centre in centres))
     if levels:
         fits[0] = (nothing[0], rest_covariance(scene.views, float(np.median(levels))), *nothing[2:])
     grey = tuple(np.sqrt(side.mean) for side in noise)
-    told = course.told(scene.first, scene.grid, scene.settings, grey)
+    told = course.summarize(scene.first, scene.grid, scene.settings, grey)
     whole, numbers = _Fits(*map(np.array, zip(*fits, strict=True))), np.array(frames)
-    return Tracked(scene, blocks, numbers, whole.pose[numbers], grey, course, told), whole
+    return TrackedSubsets(scene, blocks, numbers, whole.pose[numbers], grey, course, told), whole
 
 
-def _take_in(scene: BodyScene, found: Sequence[Found], course: StereoCourse, noise: tuple[RunningMean, ...]) -> None:
+def _take_in(
+    scene: BodyScene, found: Sequence[Registrations], course: EpipolarMonitor, noise: tuple[RunningMean, ...]
+) -> None:
     """Add the subsets of successive frames to what all frames say."""
     sides = [list(side) for side in zip(*found, strict=True)]
-    positions, statuses = zip(*(places_of(*both) for both in zip(sides, scene.references, strict=True)), strict=True)
+    positions, statuses = zip(
+        *(subset_positions(*both) for both in zip(sides, scene.references, strict=True)), strict=True
+    )
     course.add(positions, statuses)
     for running, side, reference in zip(noise, sides, scene.references, strict=True):
-        running.add(noise_of(side, reference, scene.settings.degree) ** 2)
+        running.add(subset_noise(side, reference, scene.settings.degree) ** 2)
 
 
 def _of_frames(motion: RigidMotion, frames: IntArray) -> RigidMotion:

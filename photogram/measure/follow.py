@@ -11,40 +11,40 @@ import numpy as np
 
 from photogram.arrays import Arrays, BoolArray, FloatArray, spread_choice
 from photogram.bspline import Spline, spline_of_image
-from photogram.camera import Points, Rig, StereoRig, locate
-from photogram.direct.fit import (
+from photogram.camera import Points3D, Rig, StereoRig, locate
+from photogram.direct.direct_fit import (
     BodyView,
     DirectFit,
-    approach,
+    coarse_fit,
+    decimate,
     fit_direct,
     image_noise,
-    reweighted_view,
-    thinned,
+    reweight_view,
     view_body,
 )
 from photogram.direct.shapes import PlainShapes, Shapes
-from photogram.direct.surface import PlacedCamera, SeenPoints, motion_of_places, see_points
+from photogram.direct.surface import PlacedCamera, SeenPoints, motion_from_positions, project_body_points
 from photogram.geometry import RigidTransform
 from photogram.images.noise import NoiseModel
 from photogram.images.sequence import GreyImage, ImageSequence
 from photogram.motion import fit_motion
-from photogram.subsets.find import BodyNotFound, DepthRange, Follower, identity
+from photogram.subsets.find import BodyNotFound, DepthRange, Follower, identity_registration
 from photogram.subsets.icgn import Registration, TrackSettings
-from photogram.subsets.reference import Reference
-from photogram.subsets.search import HISTORY, foretold, predict_warp
+from photogram.subsets.reference import ReferenceSubsets
+from photogram.subsets.search import HISTORY, predict_next, predict_warp
 from photogram.subsets.track import StereoGrid, first_frame, lay_single_grid, lay_stereo_grid, prepare_sequence
 
 Progress = Callable[[int], None]
 Splines = tuple[Spline, ...]
 Noise = tuple[NoiseModel, ...]
-Found = tuple[Registration, ...]
+Registrations = tuple[Registration, ...]
 """Of each camera: the left and the right one of a pair, or the only one."""
 UNIFORM = NoiseModel(1.0, 0.0)
 BLOCK_FRAMES = 64
 """A constant, so that results do not depend on who computes them; few enough to share, many enough to start seldom."""
 GPU_BLOCK_FRAMES = 1024
 """On a GPU, which follows frames in batches: more than most series have, few enough to hold."""
-FORETELLING = 4
+MIN_PREDICTION_FRAMES = 4
 """Frames in a row that foretell the next: as many as the rule of one sine about any mean takes."""
 FEWEST_CONTINUED = 6
 """Frames in a row that a mean and one line are fitted to, to foretell the next."""
@@ -59,14 +59,14 @@ LOUDER = 4.0
 ELSEWHERE_PX = 0.5
 """Median distance of subsets from where the motion takes them, beyond which one of both is wrong."""
 
-FollowedFrame = tuple[Found | None, DirectFit | None]
+FollowedFrame = tuple[Registrations | None, DirectFit | None]
 FollowedBlock = tuple[FollowedFrame, ...]
 """Successive frames: where the subsets are in each camera, None where they were not looked for, and
 the direct fit, None for none."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class KnownBody(Arrays, shapes="terms F m; absent F"):
+class BodyPrior(Arrays, shapes="terms F m; absent F"):
     """What is known of a body before it is seen.
 
     `depth_m`: nearest and farthest depth in the left camera at which it can be, where its pattern may repeat. `shapes`:
@@ -79,11 +79,11 @@ class KnownBody(Arrays, shapes="terms F m; absent F"):
 
     depth_m: DepthRange | None = None
     shapes: Shapes | None = None
-    rolls: bool = False
+    rolling_shutter: bool = False
     terms: FloatArray | None = None
     absent: BoolArray | None = None
 
-    def lacks(self, number: int) -> bool:
+    def is_absent(self, number: int) -> bool:
         """Whether a frame is absent."""
         return self.absent is not None and bool(self.absent[number])
 
@@ -105,8 +105,8 @@ class BodyScene(Arrays, shapes="rest_m N 3; sought F"):
     body_from_left: RigidTransform
     settings: TrackSettings
     grid: StereoGrid
-    references: tuple[Reference, ...]
-    body: KnownBody
+    references: tuple[ReferenceSubsets, ...]
+    body: BodyPrior
     rest_m: FloatArray
     views: tuple[BodyView, ...]
     near: tuple[BodyView, ...]
@@ -114,7 +114,7 @@ class BodyScene(Arrays, shapes="rest_m N 3; sought F"):
     noise: Noise | None
     lead: FollowedBlock
     blocks: tuple[range, ...]
-    sought: BoolArray
+    subset_frames: BoolArray
 
     @property
     def shapes(self) -> Shapes:
@@ -129,28 +129,28 @@ def prepare_body(
     settings: TrackSettings,
     device: str = "cpu",
     progress: Progress | None = None,
-    known: KnownBody | None = None,
+    prior: BodyPrior | None = None,
 ) -> BodyScene:
     """Return what following a body needs: its subsets, its surface, and the noise of the images.
 
     The surface is triangulated by a pair; of a camera alone it is the face that its rig states. Blocks have
     `BLOCK_FRAMES` frames, on a GPU `GPU_BLOCK_FRAMES`.
     """
-    known = known or KnownBody()
+    prior = prior or BodyPrior()
     frames = tuple(first_frame(side, settings) for side in images)
     first, splines = zip(*frames, strict=True)
     if isinstance(rig, StereoRig):
         left, right = images
-        grid = lay_stereo_grid(left, right, rig, settings, known.depth_m, frames)
+        grid = lay_stereo_grid(left, right, rig, settings, prior.depth_m, frames)
     else:
         grid = lay_single_grid(images[0], settings, first[0])
-    placed = zip(images, grid.places_px, frames, strict=True)
+    placed = zip(images, grid.centres_px, frames, strict=True)
     references = tuple(prepare_sequence(side, px, settings, frame) for side, px, frame in placed)
     fixed = images, first, rig, body_from_left, settings, grid, references
     every = np.ones(len(images[0]), dtype=np.bool_)
-    scene = BodyScene(*fixed, known, np.empty((0, 3)), (), (), (), None, (), (), every)
-    rest_m = _place(scene, tuple(map(identity, references))).position_m[0]
-    seen = tuple(see_points(camera, rest_m) for camera in cameras_about(scene, rest_m))
+    scene = BodyScene(*fixed, prior, np.empty((0, 3)), (), (), (), None, (), (), every)
+    rest_m = _place(scene, tuple(map(identity_registration, references))).position_m[0]
+    seen = tuple(project_body_points(camera, rest_m) for camera in cameras_about(scene, rest_m))
     scene = replace(scene, rest_m=rest_m, seen=seen)
     scene = replace(scene, views=body_views(scene, splines))
     _tell(progress, 1)
@@ -159,7 +159,7 @@ def prepare_body(
     length = BLOCK_FRAMES if device == "cpu" else GPU_BLOCK_FRAMES
     blocks = tuple(rest[start : start + length] for start in range(0, len(rest), length))
     sought = every if settings.frames is None else _sought(rest, settings.frames)
-    return replace(scene, near=thinned(scene.views), blocks=blocks, sought=sought)
+    return replace(scene, near=decimate(scene.views), blocks=blocks, subset_frames=sought)
 
 
 def _sought(rest: range, wanted: int) -> BoolArray:
@@ -169,7 +169,7 @@ def _sought(rest: range, wanted: int) -> BoolArray:
     the others that has no period, so that no two lines that all frames tell apart fold onto each other.
     """
     numbers = np.arange(rest.stop)
-    sought = (numbers < rest.start) | ((numbers - rest.start) % BLOCK_FRAMES < FORETELLING)
+    sought = (numbers < rest.start) | ((numbers - rest.start) % BLOCK_FRAMES < MIN_PREDICTION_FRAMES)
     others = int(np.count_nonzero(~sought))
     if len(sought) < FEW_MORE * wanted or others == 0:
         return np.ones(len(sought), dtype=np.bool_)
@@ -181,43 +181,43 @@ def follow_block(
 ) -> FollowedBlock:
     """Follow the body through a block of later frames; the first of them is found from the reference alone."""
     followed = []
-    for number, one in zip(frames, _found(Course(scene), frames, device), strict=True):
+    for number, one in zip(frames, _found(BodyTracker(scene), frames, device), strict=True):
         followed.append(one)
         _tell(progress, number + 1)
     return tuple(followed)
 
 
-def in_turn(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> Iterator[FollowedBlock]:
+def iterate_blocks(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> Iterator[FollowedBlock]:
     """The scene's frames from the reference on, no more than `BLOCK_FRAMES` at a time."""
-    own = tuple(map(identity, scene.references))
+    own = tuple(map(identity_registration, scene.references))
     for block in chain([((own, None), *scene.lead)], blocks):
         for start in range(0, len(block), BLOCK_FRAMES):
             yield block[start : start + BLOCK_FRAMES]
 
 
-def _found(course: Course, frames: range, device: str) -> Iterator[FollowedFrame]:
+def _found(course: BodyTracker, frames: range, device: str) -> Iterator[FollowedFrame]:
     """The body and its subsets in some frames in turn, nothing in those that are absent."""
-    for absent, group in groupby(frames, course.scene.body.lacks):
+    for absent, group in groupby(frames, course.scene.body.is_absent):
         numbers = list(group)
         if absent:
-            yield from (course.took(None, None) for _ in numbers)
+            yield from (course.add_frame(None, None) for _ in numbers)
         else:
             yield from _found_in(course, range(numbers[0], numbers[-1] + 1), device)
 
 
-def _found_in(course: Course, frames: range, device: str) -> Iterator[FollowedFrame]:
+def _found_in(course: BodyTracker, frames: range, device: str) -> Iterator[FollowedFrame]:
     """The body and its subsets in some frames in turn; on a GPU together as far as they are foretold."""
-    if device != "cpu" and not course.scene.body.rolls:
-        from photogram.measure.follow_torch import found_together
+    if device != "cpu" and not course.scene.body.rolling_shutter:
+        from photogram.measure.follow_torch import find_in_batches
 
-        yield from found_together(course, frames, device)
+        yield from find_in_batches(course, frames, device)
         return
     read = zip(*(images.read_ahead(frames) for images in course.scene.images), strict=True)
     for number, images in zip(frames, read, strict=True):
         yield course.find(number, images)
 
 
-class Course:
+class BodyTracker:
     """A body followed from frame to frame of a block: what those so far foretell of the next.
 
     fits: of the last frames in a row that have one, at most `FITS_KEPT`.
@@ -226,7 +226,7 @@ class Course:
     def __init__(self, scene: BodyScene) -> None:
         self.scene, self.fits = scene, list[DirectFit]()
         self.sides = followers(scene)
-        self._history, self._last = list[Found](), scene.lead[-1][0] if scene.lead else None
+        self._history, self._last = list[Registrations](), scene.lead[-1][0] if scene.lead else None
 
     def find(self, number: int, images: tuple[GreyImage, ...]) -> FollowedFrame:
         """Fit the body from where the last frames foretell it, and look for its subsets from there.
@@ -235,33 +235,33 @@ class Course:
         """
         splines = tuple(spline_of_image(image, self.scene.settings.degree) for image in images)
         fit = self._foretold_fit(number, splines)
-        here: Found | None = None
-        if fit is None or self.scene.sought[number]:
-            starts = self.starts(fit)
+        here: Registrations | None = None
+        if fit is None or self.scene.subset_frames[number]:
+            starts = self.subset_starts(fit)
             seen = zip(self.sides, images, splines, starts, strict=True)
             here = tuple(side.find((image, spline), start) for side, image, spline, start in seen)
-            if fit is None or any(elsewhere(one.warp, start) for one, start in zip(here, starts, strict=True)):
+            if fit is None or any(subsets_displaced(one.warp, start) for one, start in zip(here, starts, strict=True)):
                 fit = _fit(self.scene, here, splines)
-        return self.took(here, fit)
+        return self.add_frame(here, fit)
 
     def _foretold_fit(self, number: int, splines: Splines) -> DirectFit | None:
         """The direct fit of a frame from where those before it foretell the body; None where it has none like theirs.
 
         Some of the cells first lead nearer where the frames before it do not show that this is spared.
         """
-        if len(self.fits) < FORETELLING:
+        if len(self.fits) < MIN_PREDICTION_FRAMES:
             return None
-        scene, along = self.scene, self.continued(range(number, number + 1))
+        scene, along = self.scene, self.extrapolate(range(number, number + 1))
         start: RigidTransform | None
         if len(along):
             start = RigidTransform.from_pose(along[0])
         else:
-            start = foretold_motion(self.fits)
-            start = approach(scene.near, splines, start) if scene.near else start
+            start = predict_motion(self.fits)
+            start = coarse_fit(scene.near, splines, start) if scene.near else start
         fit = None if start is None else fit_direct(scene.views, splines, start)
-        return None if fit is None or too_loud(fit, self.fits) else fit
+        return None if fit is None or has_excess_noise(fit, self.fits) else fit
 
-    def continued(self, numbers: range) -> FloatArray:
+    def extrapolate(self, numbers: range) -> FloatArray:
         """Where the terms of the motion take the body in the next frames, `numbers`: poses (n, 6) of as many of them
         as are foretold.
 
@@ -277,11 +277,11 @@ class Course:
         inverse = np.linalg.pinv(known, rcond=np.finfo(np.float64).eps * count)
         poses = np.array([fit.moved.pose for fit in self.fits])
         parts, weight = inverse @ poses, coming @ inverse
-        left = (poses - known @ parts)[-FORETELLING:] / np.sqrt(np.diagonal(self.fits[-1].covariance))
+        left = (poses - known @ parts)[-MIN_PREDICTION_FRAMES:] / np.sqrt(np.diagonal(self.fits[-1].covariance))
         off = np.sqrt(np.mean(np.sum(left**2, axis=1)) * (1.0 + np.sum(weight**2, axis=1)))
         return np.asarray((coming @ parts)[np.logical_and.accumulate(off < LARGEST_LEFT)])
 
-    def starts(self, fit: DirectFit | None) -> list[FloatArray | None]:
+    def subset_starts(self, fit: DirectFit | None) -> list[FloatArray | None]:
         """Where each camera's subsets are to be looked for: where a fit takes those that were found last, else where
         the frames before foretell them; None where nothing does."""
         starts: list[FloatArray | None] = []
@@ -289,13 +289,13 @@ class Course:
             start = None
             if fit is not None and self._last is not None:
                 start = self._last[side].warp.copy()
-                start[:, [0, 3]] = carried_px(seen, fit.moved)
+                start[:, [0, 3]] = image_motion_px(seen, fit.moved)
             elif self._history:
                 start = predict_warp([both[side].warp for both in self._history])
             starts.append(start)
         return starts
 
-    def took(self, here: Found | None, fit: DirectFit | None) -> FollowedFrame:
+    def add_frame(self, here: Registrations | None, fit: DirectFit | None) -> FollowedFrame:
         """Take in what was found in the next frame."""
         if here is None:
             self._history = []
@@ -312,31 +312,31 @@ def sine_terms(time_s: FloatArray, frequency_hz: FloatArray) -> FloatArray:
     return np.hstack([np.ones((len(phase), 1)), both])
 
 
-def carried_px(seen: SeenPoints, moved: RigidTransform) -> FloatArray:
+def image_motion_px(seen: SeenPoints, moved: RigidTransform) -> FloatArray:
     """By how much a body's motion moves its points (N, 2) in a camera."""
     return np.asarray(seen.camera.project(moved.apply(seen.points_m)) - seen.rest_px)
 
 
-def central(seen: SeenPoints) -> SeenPoints:
+def central_point(seen: SeenPoints) -> SeenPoints:
     """The known one of a body's points that a camera shows nearest to their middle, at rest."""
     off_px = np.linalg.norm(seen.rest_px - np.nanmedian(seen.rest_px, axis=0), axis=1)
     only = slice(nearest := int(np.nanargmin(off_px)), nearest + 1)
     return replace(seen, points_m=seen.points_m[only], rates=seen.rates[only])
 
 
-def foretold_motion(fits: Sequence[DirectFit]) -> RigidTransform:
+def predict_motion(fits: Sequence[DirectFit]) -> RigidTransform:
     """Return the motion that the last frames foretell of the next."""
     last = fits[-HISTORY:]
     weights = 1.0 / np.sqrt(np.diagonal(last[-1].covariance))
-    return RigidTransform.from_pose(foretold([fit.moved.pose for fit in last], weights))
+    return RigidTransform.from_pose(predict_next([fit.moved.pose for fit in last], weights))
 
 
-def too_loud(fit: DirectFit, before: Sequence[DirectFit]) -> bool:
+def has_excess_noise(fit: DirectFit, before: Sequence[DirectFit]) -> bool:
     """Whether a fit leaves far more noise than those before it, as in a place that is not the body's."""
     return fit.noise > LOUDER * median(one.noise for one in before[-HISTORY:])
 
 
-def elsewhere(warp: FloatArray, start: FloatArray | None) -> BoolArray:
+def subsets_displaced(warp: FloatArray, start: FloatArray | None) -> BoolArray:
     """Whether not even half of the subsets (..., N, p) are where they were looked for, or nothing foretold them."""
     if start is None:
         return np.asarray(True)
@@ -356,8 +356,8 @@ def followers(scene: BodyScene) -> tuple[Follower, ...]:
 def _with_noise(scene: BodyScene, progress: Progress | None) -> BodyScene:
     """The scene with the noise models of the first frame that can be fitted, and what was found up to it."""
     sides = followers(scene)
-    for number in range(1, 1 if scene.body.rolls else len(scene.images[0])):
-        if scene.body.lacks(number):
+    for number in range(1, 1 if scene.body.rolling_shutter else len(scene.images[0])):
+        if scene.body.is_absent(number):
             scene = replace(scene, lead=(*scene.lead, (None, None)))
             continue
         images = [one.read(number) for one in scene.images]
@@ -368,7 +368,7 @@ def _with_noise(scene: BodyScene, progress: Progress | None) -> BodyScene:
         if fit is not None:
             noise = tuple(image_noise(*one, moved=fit.moved) for one in zip(scene.views, splines, strict=True))
             weighed = zip(scene.views, noise, strict=True)
-            views = tuple(reweighted_view(view, model, scene.settings.degree) for view, model in weighed)
+            views = tuple(reweight_view(view, model, scene.settings.degree) for view, model in weighed)
             scene = replace(scene, noise=noise, views=views)
             fit = _fit(scene, found, splines)
         scene = replace(scene, lead=(*scene.lead, (found, fit)))
@@ -384,13 +384,13 @@ def _tell(progress: Progress | None, frames: int) -> None:
         progress(2 * frames)
 
 
-def _places(scene: BodyScene, found: Found) -> tuple[FloatArray, ...]:
+def _places(scene: BodyScene, found: Registrations) -> tuple[FloatArray, ...]:
     """Where the subsets (N, 2) of one frame are in each camera, NaN where they are not found."""
     both = zip(scene.references, found, strict=True)
     return tuple(reference.centre_px + here.warp[:, [0, 3]] for reference, here in both)
 
 
-def _place(scene: BodyScene, found: Found) -> Points:
+def _place(scene: BodyScene, found: Registrations) -> Points3D:
     """Points (1, N) of one frame in the body's frame, all subsets equally trusted."""
     return locate(scene.rig, [place[None] for place in _places(scene, found)]).transformed(scene.body_from_left)
 
@@ -402,7 +402,7 @@ def cameras_about(scene: BodyScene, rest_m: FloatArray) -> tuple[PlacedCamera, .
         text = f"at least 3 points that both cameras see in one place, found {placed} of {len(rest_m)}"
         raise BodyNotFound(f"rig: expected {text}; the calibration does not belong to these images")
     left_from_body = scene.body_from_left.inverse()
-    return tuple(PlacedCamera(camera, from_left @ left_from_body) for camera, from_left in scene.rig.placed)
+    return tuple(PlacedCamera(camera, from_left @ left_from_body) for camera, from_left in scene.rig.camera_poses)
 
 
 def body_views(scene: BodyScene, splines: Splines, most_px: float = np.inf) -> tuple[BodyView, ...]:
@@ -414,11 +414,11 @@ def body_views(scene: BodyScene, splines: Splines, most_px: float = np.inf) -> t
     )
 
 
-def _fit(scene: BodyScene, found: Found, splines: Splines) -> DirectFit | None:
+def _fit(scene: BodyScene, found: Registrations, splines: Splines) -> DirectFit | None:
     """The direct fit of one frame, begun where its subsets are; None where it has none."""
-    if scene.body.rolls:
+    if scene.body.rolling_shutter:
         return None
-    start = motion_of_places(scene.seen, _places(scene, found))
+    start = motion_from_positions(scene.seen, _places(scene, found))
     fit = None if start is None else fit_direct(scene.views, splines, start)
     if fit is None:  # from all that the points tell, whatever it costs
         pose = fit_motion(_place(scene, found), scene.rest_m, np.zeros(3)).pose[0]

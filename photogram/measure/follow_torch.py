@@ -12,13 +12,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photogram.arrays import FloatArray
-from photogram.direct.fit import DirectFit
+from photogram.direct.direct_fit import DirectFit
 from photogram.direct.fit_torch import fit_frames, load_solvers, torch_view
 from photogram.images.sequence import GreyImage
-from photogram.measure.follow import FORETELLING, Course, FollowedFrame, elsewhere, foretold_motion, too_loud
-from photogram.subsets.find import MORE_LOST, grown
+from photogram.measure.follow import (
+    MIN_PREDICTION_FRAMES,
+    BodyTracker,
+    FollowedFrame,
+    has_excess_noise,
+    predict_motion,
+    subsets_displaced,
+)
+from photogram.subsets.find import MORE_LOST, grow_from_neighbours
 from photogram.subsets.icgn import Registration
-from photogram.subsets.icgn_torch import PRECISION, TorchSplines, register_frames, splines_of, torch_reference, uploaded
+from photogram.subsets.icgn_torch import (
+    PRECISION,
+    TorchSplines,
+    register_frames,
+    splines_of,
+    torch_reference,
+    upload_images,
+)
 from photogram.subsets.reference import TrackStatus
 
 if TYPE_CHECKING:
@@ -44,7 +58,7 @@ class _Batch:
         return _Batch(self.numbers[own], self.images[own], [one[own] for one in self.raw])
 
 
-def found_together(course: Course, frames: range, device: str) -> Iterator[FollowedFrame]:
+def find_in_batches(course: BodyTracker, frames: range, device: str) -> Iterator[FollowedFrame]:
     """Find the body and its subsets in some frames in turn.
 
     What is not foretold, not found where it is foretold, or has lost subsets there, is found as on a CPU.
@@ -53,26 +67,26 @@ def found_together(course: Course, frames: range, device: str) -> Iterator[Follo
     for batch in _read_ahead(course, frames, device):
         done = 0
         while done < len(batch.numbers):
-            starts = course.continued(batch.numbers[done:])
+            starts = course.extrapolate(batch.numbers[done:])
             if len(starts) == 0:
-                starts = foretold_poses(course, len(batch.numbers) - done)
+                starts = predict_poses(course, len(batch.numbers) - done)
             here, lost = batch.part(done, max(1, len(starts))), False
             found = engine.find(here, starts) if len(starts) else [None]
             for number, images, one in zip(here.numbers, here.images, found, strict=True):
                 if one is None and lost:  # two in a row: what was foretold is not so
                     break
-                yield course.find(number, images) if one is None else course.took(*one)
+                yield course.find(number, images) if one is None else course.add_frame(*one)
                 done, lost = done + 1, one is None
 
 
-def _read_ahead(course: Course, frames: range, device: str) -> Iterator[_Batch]:
+def _read_ahead(course: BodyTracker, frames: range, device: str) -> Iterator[_Batch]:
     """Frames in batches; a thread for each camera reads and uploads the next one in advance."""
     sources = [images.read_ahead(frames) for images in course.scene.images]
     length = _most_frames(sum(images.size_px[0] * images.size_px[1] for images in course.scene.images), device)
     ends = [0, *range(min(FIRST_FRAMES, length), len(frames), length), len(frames)]
 
     def read(source: Iterator[GreyImage], count: int) -> tuple[NDArray[Any], Tensor]:
-        return uploaded(list(islice(source, count)), device)
+        return upload_images(list(islice(source, count)), device)
 
     with ThreadPoolExecutor(max_workers=len(sources)) as readers:
         parts = [frames[first:end] for first, end in pairwise(ends)]
@@ -97,7 +111,7 @@ def _most_frames(pixels: int, device: str) -> int:
 class _Engine:
     """What stays on the device while a body is followed."""
 
-    def __init__(self, course: Course, device: str) -> None:
+    def __init__(self, course: BodyTracker, device: str) -> None:
         load_solvers(device)
         self._course, scene = course, course.scene
         self._views = [torch_view(view, device, PRECISION) for view in scene.views]
@@ -105,13 +119,13 @@ class _Engine:
 
     def find(self, batch: _Batch, starts: FloatArray) -> list[FollowedFrame | None]:
         """The body in frames from poses (n, 6) foretold of them, its subsets where they are sought; None where lost."""
-        scene, before = self._course.scene, fits_before(self._course)
+        scene, before = self._course.scene, previous_fits(self._course)
         splines = [splines_of(raw, scene.settings.degree, PRECISION) for raw in batch.raw]
         everywhere = range(len(starts))
         fits = fit_frames(self._views, [(one, everywhere) for one in splines], starts)
-        kept = [None if fit is None or too_loud(fit, before) else fit for fit in fits]
-        sought = [k for k, fit in enumerate(kept) if fit is not None and scene.sought[batch.numbers[k]]]
-        begun = {k: self._course.starts(kept[k]) for k in sought}
+        kept = [None if fit is None or has_excess_noise(fit, before) else fit for fit in fits]
+        sought = [k for k, fit in enumerate(kept) if fit is not None and scene.subset_frames[batch.numbers[k]]]
+        begun = {k: self._course.subset_starts(kept[k]) for k in sought}
         sides = [self._subsets(side, one, batch, begun) for side, one in enumerate(splines)]
         found: list[FollowedFrame | None] = []
         for k, fit in enumerate(kept):
@@ -135,7 +149,7 @@ class _Engine:
             found = register_frames(prepared, splines, whole, scene.settings)
             return {k: found[k] for k in starts}
 
-        found = grown(reference, registered(starts), registered)
+        found = grow_from_neighbours(reference, registered(starts), registered)
         follower, brightest = self._course.sides[side], batch.raw[side].float().amax(dim=(1, 2)).cpu().numpy()
         for k, here in found.items():
             if brightest[k] >= scene.images[side].saturation:
@@ -145,7 +159,7 @@ class _Engine:
         )
         usable = reference.status == TrackStatus.OK
         lost = usable & np.array([here.status != TrackStatus.OK for here in found.values()])
-        there = ~elsewhere(warps, begun_at) & (lost.sum(axis=1) <= MORE_LOST * lost.shape[1])
+        there = ~subsets_displaced(warps, begun_at) & (lost.sum(axis=1) <= MORE_LOST * lost.shape[1])
         return {k: here for (k, here), kept in zip(found.items(), there, strict=True) if kept}
 
 
@@ -159,12 +173,12 @@ POINTS = 16
 FINER, REFINEMENTS = 33, 4
 
 
-def fits_before(course: Course) -> list[DirectFit]:
+def previous_fits(course: BodyTracker) -> list[DirectFit]:
     """Return the fits of the frames in a row before the next, or those that gave the noise of the images."""
     return course.fits or [fit for _, fit in course.scene.lead[-1:] if fit is not None]
 
 
-def foretold_poses(course: Course, most: int) -> FloatArray:
+def predict_poses(course: BodyTracker, most: int) -> FloatArray:
     """Return the poses (n, 6) that the fits so far foretell of the next frames, at most so many; none from no fits.
 
     The body stays where it was, or moves by up to `LINES` sines about a drifting mean, taken from the strongest on:
@@ -173,11 +187,11 @@ def foretold_poses(course: Course, most: int) -> FloatArray:
     from it; else only the next one is foretold, by `foretold_motion`. After fewer than `FORETELLING` frames
     `FIRST_FRAMES` are looked for from the mean place, the first ones from half way between rest and the lead.
     """
-    fits = fits_before(course)
+    fits = previous_fits(course)
     if not fits:
         return np.empty((0, 6))
     poses = np.array([fit.moved.pose for fit in fits])
-    if len(fits) < FORETELLING:
+    if len(fits) < MIN_PREDICTION_FRAMES:
         middle = np.mean(poses if course.fits else [np.zeros(6), *poses], axis=0)
         return np.tile(middle, (min(most, FIRST_FRAMES), 1))
     tested = len(fits) // 4
@@ -188,7 +202,7 @@ def foretold_poses(course: Course, most: int) -> FloatArray:
     if miss > TRUSTED_PX:
         off_px = np.sqrt(np.mean((moved_px - moved_px.mean(axis=0)) ** 2, axis=1))
         near = np.max(off_px) < NEAR_PX
-        return np.tile(poses.mean(axis=0), (count, 1)) if near else foretold_motion(fits).pose[None]
+        return np.tile(poses.mean(axis=0), (count, 1)) if near else predict_motion(fits).pose[None]
     if lines == 0:
         return np.tile(poses[-1], (count, 1))
     frequencies = np.zeros(0)
@@ -201,7 +215,7 @@ def _lines_of(known: FloatArray, truth: FloatArray) -> tuple[int, float]:
     """How many sines foretell best the places that follow those known, and how far off they are; 0: the last place."""
     best, frequencies = (0, float(np.median(np.abs(known[-1] - truth)))), np.zeros(0)
     for number in range(1, LINES + 1):
-        if best[1] < CLOSE_PX or len(known) < 2 * (number + 1) + FORETELLING:
+        if best[1] < CLOSE_PX or len(known) < 2 * (number + 1) + MIN_PREDICTION_FRAMES:
             break
         frequencies = _next_line(known, frequencies)
         miss = float(np.median(np.abs(_continued(known, frequencies, len(truth)) - truth)))

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from photogram.arrays import BoolArray, FloatArray
 from photogram.bspline import Spline
 from photogram.camera import StereoRig, epipolar_residual, triangulate
-from photogram.subsets.icgn import LINEAR_PX, Registration, TrackSettings, register, resolved
-from photogram.subsets.reference import PARAMETERS, Reference, TrackStatus
+from photogram.subsets.icgn import LINEAR_PX, Registration, TrackSettings, drop_unresolved, register
+from photogram.subsets.reference import PARAMETERS, ReferenceSubsets, TrackStatus
 from photogram.subsets.search import (
     affine_field,
     affine_starts,
@@ -22,8 +22,8 @@ from photogram.subsets.search import (
     neighbour_starts,
     template_shifts,
 )
-from photogram.subsets.sweep import line_starts, line_uncertainty_px, surfaces
-from photogram.subsets.texture import repeat_steps_px, saturated
+from photogram.subsets.sweep import fit_surfaces, line_starts, line_uncertainty_px
+from photogram.subsets.texture import find_saturated, repeat_steps_px
 
 Image = NDArray[Any]
 
@@ -47,7 +47,7 @@ class Follower:
     `first`: the image of the reference; subsets with pixels at `full_scale` are lost.
     """
 
-    def __init__(self, reference: Reference, first: Image, full_scale: int, settings: TrackSettings) -> None:
+    def __init__(self, reference: ReferenceSubsets, first: Image, full_scale: int, settings: TrackSettings) -> None:
         self._reference, self._first = reference, first
         self._full_scale, self._settings = full_scale, settings
         self._steps: FloatArray | None = None  # by which the pattern repeats, once that matters
@@ -61,37 +61,41 @@ class Follower:
         """
         reference, settings = self._reference, self._settings
         if start is None:
-            found = find_anew(reference, self._first, frame, settings)
+            found = find_without_prediction(reference, self._first, frame, settings)
         else:
-            start = start if last is None else moved_together(reference, frame[1], start, last, settings)
+            start = start if last is None else predict_common_motion(reference, frame[1], start, last, settings)
             found = follow(reference, self._first, frame, start, settings)
         usable = reference.status == TrackStatus.OK
         if np.count_nonzero(found.status != TrackStatus.OK) > MORE_LOST * len(usable) + np.count_nonzero(~usable):
             if self._steps is None:
                 self._steps = repeat_steps_px(self._first, reference.centre_px[usable], settings.radius_px)
-            found = find_off_copies(reference, self._first, frame, found, self._steps, settings)
+            found = find_next_to_copies(reference, self._first, frame, found, self._steps, settings)
         return self.unsaturated(frame[0], found)
 
     def unsaturated(self, image: Image, found: Registration) -> Registration:
         """Return what was found in an image, less the subsets with pixels at full scale."""
         centres = self._reference.centre_px + found.warp[:, [0, 3]]
-        full = saturated(image, self._full_scale, centres, self._settings.radius_px)
-        return dropped(found, full, TrackStatus.SATURATED)
+        full = find_saturated(image, self._full_scale, centres, self._settings.radius_px)
+        return drop_subsets(found, full, TrackStatus.SATURATED)
 
 
-def find_anew(reference: Reference, first: Image, frame: tuple[Image, Spline], settings: TrackSettings) -> Registration:
+def find_without_prediction(
+    reference: ReferenceSubsets, first: Image, frame: tuple[Image, Spline], settings: TrackSettings
+) -> Registration:
     """Subsets of the first image in a frame of which nothing is foretold: from rest and by search, the better one.
 
     A start at rest finds some subsets of a body that moved by a speckle in a wrong place; a search slides along edges.
     """
-    rest = identity(reference).warp
+    rest = identity_registration(reference).warp
     found = follow(reference, first, frame, rest, settings)
     searched = find_by_search(reference, first, frame, rest, settings)
-    return held_together(reference, find_from_neighbours(reference, frame[1], merged(found, searched), settings))
+    return drop_disagreeing(
+        reference, find_from_neighbours(reference, frame[1], merge_registrations(found, searched), settings)
+    )
 
 
 def follow(
-    reference: Reference, first: Image, frame: tuple[Image, Spline], start: FloatArray, settings: TrackSettings
+    reference: ReferenceSubsets, first: Image, frame: tuple[Image, Spline], start: FloatArray, settings: TrackSettings
 ) -> Registration:
     """Subsets of the first image in a later one: from the prediction; where that loses most, by search.
 
@@ -107,13 +111,13 @@ def follow(
             more = find_by_search(reference, first, frame, start, replace(settings, reach_px=reach))
         else:
             more = find_from_features(reference, first, frame, settings)
-        found = merged(found, more)
+        found = merge_registrations(found, more)
     found = find_from_neighbours(reference, frame[1], found, settings)
-    return held_together(reference, found) if attempt > 0 else found
+    return drop_disagreeing(reference, found) if attempt > 0 else found
 
 
-def moved_together(
-    reference: Reference, target: Spline, start: FloatArray, last: FloatArray, settings: TrackSettings
+def predict_common_motion(
+    reference: ReferenceSubsets, target: Spline, start: FloatArray, last: FloatArray, settings: TrackSettings
 ) -> FloatArray:
     """Warps (N,p) in an image, from the last ones (N,p) and one affine motion of all, or `start` if that is nearer.
 
@@ -142,8 +146,8 @@ def moved_together(
     return np.where(np.isfinite(together), together, start)
 
 
-def find_off_copies(
-    reference: Reference,
+def find_next_to_copies(
+    reference: ReferenceSubsets,
     first: Image,
     frame: tuple[Image, Spline],
     found: Registration,
@@ -163,7 +167,7 @@ def find_off_copies(
             start[:, [0, 3]] += step
             near = replace(settings, reach_px=max(3, int(np.hypot(*step) / 4.0)))
             there = find_by_search(reference, first, frame, start, near)
-            there = held_together(reference, find_from_neighbours(reference, frame[1], there, settings))
+            there = drop_disagreeing(reference, find_from_neighbours(reference, frame[1], there, settings))
             tried.append((_missing(reference, there, settings.radius_px, size), there))
         least, there = min(tried, key=lambda each: each[0], default=(missing, best))
         if least > missing - MORE_LOST:
@@ -172,29 +176,31 @@ def find_off_copies(
     return best
 
 
-def _missing(reference: Reference, found: Registration, radius_px: int, size_px: NDArray[np.int64]) -> float:
+def _missing(reference: ReferenceSubsets, found: Registration, radius_px: int, size_px: NDArray[np.int64]) -> float:
     """Share of the subsets that, by their neighbours, should be in a picture of size_px (2,) and are not."""
     ok, expected = found.status == TrackStatus.OK, _expected(reference, found, radius_px, size_px)
     return float(np.mean(~ok[expected])) if ok.any() else 1.0
 
 
-def _expected(reference: Reference, found: Registration, radius_px: int, size_px: NDArray[np.int64]) -> BoolArray:
+def _expected(
+    reference: ReferenceSubsets, found: Registration, radius_px: int, size_px: NDArray[np.int64]
+) -> BoolArray:
     """Subsets (N,) that are found, or whose neighbours foretell a place well inside a picture of size_px (2,)."""
     place = reference.centre_px + neighbour_starts(reference.centre_px, found.warp)[:, [0, 3]]
     inside = ((place >= EDGE * radius_px) & (place <= size_px - 1.0 - EDGE * radius_px)).all(axis=1)
     return np.asarray((inside & (reference.status == TrackStatus.OK)) | (found.status == TrackStatus.OK))
 
 
-def held_together(reference: Reference, found: Registration) -> Registration:
+def drop_disagreeing(reference: ReferenceSubsets, found: Registration) -> Registration:
     """`found` without the subsets that lie elsewhere than their neighbours say, as after a jump to a copy of theirs."""
     if reference.order == 0:  # without an affine map no neighbour says where another one is
         return found
     agree = agreeing_neighbours(reference.centre_px, found.warp)
-    return dropped(found, agree < LEAST_AGREEING, TrackStatus.NOT_CONVERGED)
+    return drop_subsets(found, agree < LEAST_AGREEING, TrackStatus.NOT_CONVERGED)
 
 
 def find_from_features(
-    reference: Reference, first: Image, frame: tuple[Image, Spline], settings: TrackSettings
+    reference: ReferenceSubsets, first: Image, frame: tuple[Image, Spline], settings: TrackSettings
 ) -> Registration:
     """All subsets from the affine maps of matched features around them."""
     source, moved = match_features(first, frame[0])
@@ -205,7 +211,7 @@ def find_from_features(
 
 
 def find_by_search(
-    reference: Reference, first: Image, frame: tuple[Image, Spline], start: FloatArray, settings: TrackSettings
+    reference: ReferenceSubsets, first: Image, frame: tuple[Image, Spline], start: FloatArray, settings: TrackSettings
 ) -> Registration:
     """All subsets from one affine motion through a few well-textured seeds, which are searched by correlation."""
     usable = np.flatnonzero(reference.status == TrackStatus.OK)
@@ -219,14 +225,16 @@ def find_by_search(
 
 
 def find_from_neighbours(
-    reference: Reference, target: Spline, found: Registration, settings: TrackSettings
+    reference: ReferenceSubsets, target: Spline, found: Registration, settings: TrackSettings
 ) -> Registration:
     """Lost subsets once more from the affine maps of their nearest neighbours, as long as that finds some."""
-    return grown(reference, {0: found}, lambda starts: {0: register(reference, target, starts[0], settings)})[0]
+    return grow_from_neighbours(
+        reference, {0: found}, lambda starts: {0: register(reference, target, starts[0], settings)}
+    )[0]
 
 
-def grown(
-    reference: Reference,
+def grow_from_neighbours(
+    reference: ReferenceSubsets,
     found: Mapping[int, Registration],
     registered: Callable[[dict[int, FloatArray]], dict[int, Registration]],
 ) -> dict[int, Registration]:
@@ -245,11 +253,11 @@ def grown(
             break
         more = registered(starts)
         going_on = [k for k in starts if np.any(more[k].status == TrackStatus.OK)]
-        whole |= {k: merged(whole[k], more[k]) for k in going_on}
-    return {k: resolved(reference, here) for k, here in whole.items()}
+        whole |= {k: merge_registrations(whole[k], more[k]) for k in going_on}
+    return {k: drop_unresolved(reference, here) for k, here in whole.items()}
 
 
-def merged(first: Registration, second: Registration) -> Registration:
+def merge_registrations(first: Registration, second: Registration) -> Registration:
     """`first`, with the subsets that only `second` found, or that it found where they correlate better."""
     worse = (first.status != TrackStatus.OK) | (first.zncc < second.zncc)
     better = worse & (second.status == TrackStatus.OK)
@@ -263,14 +271,14 @@ def merged(first: Registration, second: Registration) -> Registration:
     )
 
 
-def dropped(found: Registration, which: BoolArray, status: TrackStatus) -> Registration:
+def drop_subsets(found: Registration, which: BoolArray, status: TrackStatus) -> Registration:
     """`found` without the subsets `which`, which receive the status."""
     return replace(
         found, warp=np.where(which[:, None], np.nan, found.warp), status=np.where(which, np.int8(status), found.status)
     )
 
 
-def identity(reference: Reference) -> Registration:
+def identity_registration(reference: ReferenceSubsets) -> Registration:
     """The reference found in itself; its noise is filled in from the other frames."""
     ones = np.where(reference.status == TrackStatus.OK, 1.0, np.nan)
     warp = np.outer(ones, np.zeros(max(6, PARAMETERS[reference.order])))
@@ -312,7 +320,7 @@ class _Surface:
 
 
 def find_on_lines(
-    reference: Reference,
+    reference: ReferenceSubsets,
     first: Image,
     frame: tuple[Image, Spline],
     settings: TrackSettings,
@@ -339,12 +347,12 @@ def find_on_lines(
         spread[seeds] = start
         here = register(reference, frame[1], spread, settings)
         off, _, _ = epipolar_residual(rig, reference.centre_px, reference.centre_px + here.warp[:, [0, 3]])
-        tried.append(dropped(here, ~(np.abs(off) <= 2.0 * band), TrackStatus.NO_START).warp)
+        tried.append(drop_subsets(here, ~(np.abs(off) <= 2.0 * band), TrackStatus.NO_START).warp)
     if not tried:
         return None
     warps = np.stack(tried)[:, seeds]
     centre = reference.centre_px[seeds]
-    chosen = surfaces(rig, centre, _once(centre + warps[..., [0, 3]]))
+    chosen = fit_surfaces(rig, centre, _once(centre + warps[..., [0, 3]]))
     if not chosen:
         return None
     known = np.full((len(usable), warps.shape[2]), np.nan)
@@ -369,7 +377,7 @@ def find_on_lines(
 
 
 def _smoothed(
-    reference: Reference, frame: tuple[Image, Spline], settings: TrackSettings, found: Registration
+    reference: ReferenceSubsets, frame: tuple[Image, Spline], settings: TrackSettings, found: Registration
 ) -> Registration:
     """All subsets once more from the affine map of those around, where they correlate as well.
 
@@ -381,7 +389,7 @@ def _smoothed(
     starts[usable] = affine_starts(centre[usable], centre[ok], (centre + found.warp[:, [0, 3]])[ok])
     again = register(reference, frame[1], starts, settings)
     as_good = (again.status == TrackStatus.OK) & ~(again.zncc < found.zncc - LESS_ZNCC)
-    return held_together(reference, merged(again, dropped(found, as_good, TrackStatus.NO_START)))
+    return drop_disagreeing(reference, merge_registrations(again, drop_subsets(found, as_good, TrackStatus.NO_START)))
 
 
 def _once(place: FloatArray) -> FloatArray:
@@ -393,19 +401,21 @@ def _once(place: FloatArray) -> FloatArray:
     return kept
 
 
-def _grown(reference: Reference, frame: tuple[Image, Spline], settings: TrackSettings, known: FloatArray) -> _Surface:
+def _grown(
+    reference: ReferenceSubsets, frame: tuple[Image, Spline], settings: TrackSettings, known: FloatArray
+) -> _Surface:
     """The surface through the subsets whose warps (N,p) are known, without those that depart from their neighbours."""
     start = neighbour_starts(reference.centre_px, known)
     found = find_from_neighbours(reference, frame[1], register(reference, frame[1], start, settings), settings)
     agree = agreeing_neighbours(reference.centre_px, found.warp)
-    found = held_together(reference, found)
+    found = drop_disagreeing(reference, found)
     expected = _expected(reference, found, settings.radius_px, np.array(frame[0].shape[::-1]))
     agree = agree[np.isfinite(agree)]
     return _Surface(found, expected, float(np.mean(agree)) if len(agree) else 1.0)
 
 
 def _refuse_rival(
-    reference: Reference, rig: StereoRig, best: _Surface, other: _Surface, depth_m: DepthRange | None
+    reference: ReferenceSubsets, rig: StereoRig, best: _Surface, other: _Surface, depth_m: DepthRange | None
 ) -> None:
     """Raise `BodyNotFound` where the second surface fits as well as the first."""
     centre = reference.centre_px

@@ -16,7 +16,7 @@ from photogram.kernels import njit
 from photogram.subsets.reference import (
     AFFINE_SUMS,
     PARAMETERS,
-    Reference,
+    ReferenceSubsets,
     TrackStatus,
     affine_sums,
     curved_sums,
@@ -99,7 +99,7 @@ class Registration(Arrays, shapes="warp N p; zncc N; gain N; residual_grey2 N; s
     iterations: IntArray
 
 
-def register(reference: Reference, target: Spline, start: FloatArray, settings: TrackSettings) -> Registration:
+def register(reference: ReferenceSubsets, target: Spline, start: FloatArray, settings: TrackSettings) -> Registration:
     """Find every subset of `reference` in the image `target`, beginning at the warps `start` (N,6); NaN = no start.
 
     Minimises the zero-normalised sum of squared differences (its gain and offset eliminated) over the warp, by
@@ -122,14 +122,14 @@ def register(reference: Reference, target: Spline, start: FloatArray, settings: 
     check_shape("start", start, (count, columns if start.shape[1:] == (columns,) else 6))
     warp[:, : start.shape[1]] = start
     if reference.affine is not None:
-        plain = without_curvature(warp)
+        plain = affine_part(warp)
         first = register(replace(reference.affine, status=reference.status), target, plain, settings)
-        found = _found(reference, target, after_affine(warp, first), settings)
-        return judged(reference, found, first)
+        found = _found(reference, target, starts_from_affine(warp, first), settings)
+        return reject_poor_curvature(reference, found, first)
     return _found(reference, target, warp, settings)
 
 
-def _found(reference: Reference, target: Spline, warp: FloatArray, settings: TrackSettings) -> Registration:
+def _found(reference: ReferenceSubsets, target: Spline, warp: FloatArray, settings: TrackSettings) -> Registration:
     """Gauss-Newton steps of all subsets from `warp` (N,6 or 12), which is overwritten."""
     count = len(warp)
     scores = np.full((count, 3), np.nan)
@@ -152,18 +152,18 @@ def _found(reference: Reference, target: Spline, warp: FloatArray, settings: Tra
     return Registration(warp, zncc, gain, residual, status, iterations)
 
 
-def without_curvature(start: FloatArray) -> FloatArray:
+def affine_part(start: FloatArray) -> FloatArray:
     """The affine part (...,6) of starts (...,12) without curvature, NaN where there is some."""
     return np.where(np.all(start[..., 6:] == 0.0, axis=-1, keepdims=True), start[..., :6], np.nan)
 
 
-def after_affine(start: FloatArray, first: Registration) -> FloatArray:
+def starts_from_affine(start: FloatArray, first: Registration) -> FloatArray:
     """Starts (N,12) of order 2: those that have curvature as they are, else what order 1 found, NaN where it failed."""
     flat = np.pad(first.warp, ((0, 0), (0, 6)))
-    return np.where(np.isnan(without_curvature(start)).any(axis=1, keepdims=True), start, flat)
+    return np.where(np.isnan(affine_part(start)).any(axis=1, keepdims=True), start, flat)
 
 
-def judged(reference: Reference, found: Registration, first: Registration) -> Registration:
+def reject_poor_curvature(reference: ReferenceSubsets, found: Registration, first: Registration) -> Registration:
     """What order 2 found after what order 1 found (`first`) as far as the subsets carry it, `UNRESOLVED` elsewhere.
 
     Refused is what fits worse than the affine warp, which order 2 contains (1 − zncc² is larger by more than 10⁻³ of
@@ -172,10 +172,10 @@ def judged(reference: Reference, found: Registration, first: Registration) -> Re
     tried, loss = first.status != TrackStatus.NO_START, (1.0 + WORSE) * (1.0 - first.zncc**2) + SMALLEST_LOSS
     status = np.where(tried & (first.status != TrackStatus.OK), first.status, found.status)
     done = replace(found, status=status, iterations=found.iterations + first.iterations)
-    return _refused(resolved(reference, done), 1.0 - found.zncc**2 > loss)
+    return _refused(drop_unresolved(reference, done), 1.0 - found.zncc**2 > loss)
 
 
-def resolved(reference: Reference, found: Registration) -> Registration:
+def drop_unresolved(reference: ReferenceSubsets, found: Registration) -> Registration:
     """`found` without the subsets of order 2 for which `unresolved_px` is more than 0.15 px."""
     if reference.order < 2:
         return found
@@ -189,7 +189,7 @@ def _refused(found: Registration, which: BoolArray) -> Registration:
     return replace(found, warp=np.where(gone[:, None], np.nan, found.warp), status=status)
 
 
-def unresolved_px(reference: Reference, found: Registration) -> FloatArray:
+def unresolved_px(reference: ReferenceSubsets, found: Registration) -> FloatArray:
     """Displacement (N,2) in px, rms over the subset, that explains what is left over beyond noise.
 
     A displacement e that the shape function does not follow leaves gain²·mean(f_x²)·e² over along x, likewise along y,
@@ -209,7 +209,7 @@ def unresolved_px(reference: Reference, found: Registration) -> FloatArray:
     return np.sqrt(square)
 
 
-def position_covariance(reference: Reference, found: Registration, noise_grey: FloatArray) -> FloatArray:
+def position_covariance(reference: ReferenceSubsets, found: Registration, noise_grey: FloatArray) -> FloatArray:
     """Covariance (N,2,2) in px² of the found centres from white image noise of standard deviation noise_grey (N,).
 
     A V Aᵀ σ²/gain² with V the `position_variance` of the subset (affine parameters, gain and offset free) and A the
@@ -229,7 +229,7 @@ def position_covariance(reference: Reference, found: Registration, noise_grey: F
     return covariance
 
 
-def noise_of_residual(reference: Reference, found: Registration, degree: int) -> FloatArray:
+def noise_of_residual(reference: ReferenceSubsets, found: Registration, degree: int) -> FloatArray:
     """Noise (N,), as a standard deviation in grey values of the found image, that explains what is left over.
 
     The residual g − gain·f̃ has the variance σ²(κ_g + gain²·κ_f) when both images carry white noise σ; κ is the
@@ -242,7 +242,7 @@ def noise_of_residual(reference: Reference, found: Registration, degree: int) ->
     return np.sqrt(np.maximum(variance, QUANTISATION))
 
 
-def after_inverse(warp: Any, step: Any) -> tuple[Any, ...]:
+def compose_with_inverse(warp: Any, step: Any) -> tuple[Any, ...]:
     """The six parts of warp ∘ step⁻¹, both affine: each a number, or a tensor of those of many warps."""
     a, b, c, d = 1.0 + step[1], step[2], step[4], 1.0 + step[5]
     scale = 1.0 / (a * d - b * c)
@@ -253,7 +253,7 @@ def after_inverse(warp: Any, step: Any) -> tuple[Any, ...]:
     return *across, warp[3] + (r * iu + s * iv), r * ia + s * ic, r * ib + s * id_ - 1.0
 
 
-_after_inverse = njit()(after_inverse)
+_after_inverse = njit()(compose_with_inverse)
 
 
 @njit()
@@ -410,7 +410,7 @@ def _matrix_of(warp):  # type: ignore[no-untyped-def]
     return matrix
 
 
-def places_of(found: Sequence[Registration], reference: Reference) -> tuple[FloatArray, NDArray[np.int8]]:
+def subset_positions(found: Sequence[Registration], reference: ReferenceSubsets) -> tuple[FloatArray, NDArray[np.int8]]:
     """Positions (F,N,2) of all frames, NaN where a subset is not found, and statuses (F,N)."""
     status = np.stack([here.status for here in found])
     position = np.stack([reference.centre_px + here.warp[:, [0, 3]] for here in found])
@@ -418,7 +418,7 @@ def places_of(found: Sequence[Registration], reference: Reference) -> tuple[Floa
     return position, status
 
 
-def noise_of(found: Sequence[Registration], reference: Reference, degree: int) -> FloatArray:
+def subset_noise(found: Sequence[Registration], reference: ReferenceSubsets, degree: int) -> FloatArray:
     """Image noise (F,N) of all frames at each subset, NaN where it is not found."""
     noise = np.stack([noise_of_residual(reference, here, degree) for here in found])
     noise[np.stack([here.status for here in found]) != TrackStatus.OK] = np.nan

@@ -21,12 +21,12 @@ from photogram.subsets.icgn import (
     SMALL_STEP,
     Registration,
     TrackSettings,
-    after_affine,
-    after_inverse,
-    judged,
-    without_curvature,
+    affine_part,
+    compose_with_inverse,
+    reject_poor_curvature,
+    starts_from_affine,
 )
-from photogram.subsets.reference import Reference, TrackStatus, shape_values, subset_offsets
+from photogram.subsets.reference import ReferenceSubsets, TrackStatus, shape_values, subset_offsets
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -67,11 +67,11 @@ def spline_frames(images: NDArray[np.generic], degree: int, device: str, precisi
     check_shape("images", images, (None, None, None))
     if min(images.shape[1:]) < 2 * PADDING_PX:
         raise ValueError(f"images: expected at least {2 * PADDING_PX} x {2 * PADDING_PX} px, found {images.shape[1:]}")
-    _, raw = uploaded(list(images), device)
+    _, raw = upload_images(list(images), device)
     return splines_of(raw, degree, precision)
 
 
-def uploaded(images: Sequence[NDArray[np.generic]], device: str) -> tuple[NDArray[np.generic], Tensor]:
+def upload_images(images: Sequence[NDArray[np.generic]], device: str) -> tuple[NDArray[np.generic], Tensor]:
     """B images (B,H,W) in memory and on the device; to a GPU they go from pinned memory, beside what it computes."""
     import torch
 
@@ -156,7 +156,7 @@ def sample(frames: TorchSplines, corner: Tensor, place_px: Tensor, polynomials: 
     return summed.mul_(along).sum(dim=1).view(place_px.shape[1:])
 
 
-def warped(frames: TorchSplines, squares: tuple[Tensor, Tensor, Tensor], shape: Tensor, basis: Tensor) -> Tensor:
+def sample_warped(frames: TorchSplines, squares: tuple[Tensor, Tensor, Tensor], shape: Tensor, basis: Tensor) -> Tensor:
     """Grey values (n,P) at squares that are warped: squares are frames (n,), centres in px (n,2), warps (n,6 or 12).
 
     shape (s,P) of their points, as in `TorchReference`. Points are placed relative to the pixel under the square's
@@ -275,7 +275,7 @@ def _portion_sums(squares: Squares, frames: TorchSplines, pairs: Pairs, basis: T
     import torch
 
     frame, own, warp = pairs
-    grey = warped(frames, (frame, squares.centre_px[own], warp), squares.shape, basis)
+    grey = sample_warped(frames, (frame, squares.centre_px[own], warp), squares.shape, basis)
     grey -= squares.mean[own, None].to(grey.dtype)
     products = squares.pixels[own].mul_(grey[:, None])
     weighted = products[:, 0] if products.shape[1] > 3 else grey
@@ -304,7 +304,7 @@ class TorchReference(Squares):
     removed: Tensor
     inverse_hessian: Tensor
     status: Tensor
-    source: Reference
+    source: ReferenceSubsets
     affine: TorchReference | None = None
 
     @property
@@ -313,7 +313,7 @@ class TorchReference(Squares):
         return 2 * len(self.shape)
 
 
-def torch_reference(reference: Reference, device: str, precision: str = "float64") -> TorchReference:
+def torch_reference(reference: ReferenceSubsets, device: str, precision: str = "float64") -> TorchReference:
     """The reference on the device, its pixels in `precision`: 'float64', or 'float32' for GPUs without fast float64."""
     import torch
 
@@ -321,7 +321,7 @@ def torch_reference(reference: Reference, device: str, precision: str = "float64
     shape = shape_values(subset_offsets(reference.radius_px), max(reference.order, 1))
     pixels = torch.from_numpy(reference.pixels).to(device, pixel_type)
 
-    def prepared(source: Reference, values: FloatArray, affine: TorchReference | None) -> TorchReference:
+    def prepared(source: ReferenceSubsets, values: FloatArray, affine: TorchReference | None) -> TorchReference:
         fields = ("centre_px", "mean", "energy", "removed", "inverse_hessian", "status")
         return TorchReference(
             pixels=pixels,
@@ -353,10 +353,10 @@ def register_frames(
     given = 12 if start.shape[2:] == (12,) else 6
     check_shape("start", start, (len(frames.coefficients), len(reference.centre_px), given))
     whole = np.pad(start, ((0, 0), (0, 0), (0, 12 - given)))
-    first = _frames_found(reference.affine, frames, without_curvature(whole), settings)
-    curved = np.stack([after_affine(here, plain) for here, plain in zip(whole, first, strict=True)])
+    first = _frames_found(reference.affine, frames, affine_part(whole), settings)
+    curved = np.stack([starts_from_affine(here, plain) for here, plain in zip(whole, first, strict=True)])
     found = _frames_found(reference, frames, curved, settings)
-    return tuple(judged(reference.source, here, plain) for here, plain in zip(found, first, strict=True))
+    return tuple(reject_poor_curvature(reference.source, here, plain) for here, plain in zip(found, first, strict=True))
 
 
 def _frames_found(
@@ -489,7 +489,7 @@ def _compose_inverse(warp: Tensor, step: Tensor) -> Tensor:
     import torch
 
     if warp.shape[1] == 6:
-        return torch.stack(after_inverse(warp.T, step.T), dim=1)
+        return torch.stack(compose_with_inverse(warp.T, step.T), dim=1)
     product = torch.matmul(_matrices(warp), torch.linalg.inv_ex(_matrices(step)).inverse)
     places = product[:, 1:3].clone()
     places[:, :, 3::2] *= 2.0

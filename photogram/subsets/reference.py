@@ -23,15 +23,15 @@ from photogram.kernels.lanes import (
     FLOATS,
     INDEX,
     Lanes,
-    across,
     array_of,
+    broadcast,
     constant,
-    counted,
     element,
-    filling,
     in_blocks,
+    kernel_signature,
+    lane_numbers,
     load,
-    spread,
+    sum_lanes,
 )
 
 _Terms = tuple[Lanes, ...]
@@ -49,7 +49,7 @@ def affine_sums(typing, grey, mean, pixels, offsets, sums):  # type: ignore[no-u
         a, d = along * g, down * g
         return g, g * g, f * g, a, a * dx, a * dy, d, d * dx, d * dy
 
-    return filling(grey, mean, pixels, offsets, sums), _subset_code(terms, AFFINE_SUMS)
+    return kernel_signature(grey, mean, pixels, offsets, sums), _subset_code(terms, AFFINE_SUMS)
 
 
 @intrinsic
@@ -61,7 +61,7 @@ def curved_sums(typing, grey, mean, pixels, offsets, sums):  # type: ignore[no-u
         xx, xy, yy = 0.5 * dx * dx, dx * dy, 0.5 * dy * dy
         return a * xx, a * xy, a * yy, d * xx, d * xy, d * yy
 
-    return filling(grey, mean, pixels, offsets, sums), _subset_code(terms, CURVED_SUMS)
+    return kernel_signature(grey, mean, pixels, offsets, sums), _subset_code(terms, CURVED_SUMS)
 
 
 def _powers(degree: int) -> list[tuple[int, int]]:
@@ -85,7 +85,9 @@ def _moments_by(degree: int) -> Any:
     @intrinsic
     def moments(typing, grey, mean, pixels, offsets, sums):  # type: ignore[no-untyped-def]
         """Fill sums with Σ q·dx^a·dy^b: of f_x², f_x·f_y, f_y² for all powers, of f_x, f_y, f̃·f_x, f̃·f_y for shapes."""
-        return filling(grey, mean, pixels, offsets, sums), _subset_code(terms, 3 * len(all_powers) + 4 * len(shapes))
+        return kernel_signature(grey, mean, pixels, offsets, sums), _subset_code(
+            terms, 3 * len(all_powers) + 4 * len(shapes)
+        )
 
     return moments
 
@@ -108,7 +110,7 @@ def _subset_code(terms: Callable[..., _Terms], number: int) -> Callable[..., Any
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Sequence[Any]) -> Any:
         grey, pixels, offsets, sums = (array_of(context, builder, signature, arguments, k) for k in (0, 2, 3, 4))
-        mean = spread(builder, arguments[1], DOUBLES)
+        mean = broadcast(builder, arguments[1], DOUBLES)
 
         def block(index: Any, mask: Any) -> _Terms:
             rows = [(pixels, 0), (pixels, 1), (pixels, 2), (offsets, 0), (offsets, 1)]
@@ -134,8 +136,8 @@ def run_sums(typing, grey, mean, pixels, span, dx, sums):  # type: ignore[no-unt
     def generate(context: Any, builder: Any, signature: Any, arguments: Sequence[Any]) -> Any:
         values, table, totals = (array_of(context, builder, signature, arguments, k) for k in (0, 2, 5))
         start, count = cgutils.unpack_tuple(builder, arguments[3], 2)
-        level = spread(builder, arguments[1], DOUBLES)
-        begin = spread(builder, arguments[4], DOUBLES) + counted(builder, DOUBLES)
+        level = broadcast(builder, arguments[1], DOUBLES)
+        begin = broadcast(builder, arguments[4], DOUBLES) + lane_numbers(builder, DOUBLES)
 
         def block(index: Any, mask: Any) -> _Terms:
             place = builder.add(start, index)
@@ -143,14 +145,14 @@ def run_sums(typing, grey, mean, pixels, span, dx, sums):  # type: ignore[no-unt
                 load(builder, element(builder, table, row, place), DOUBLES, mask) for row in range(4)
             )
             g = _within(builder, load(builder, builder.gep(values.data, [index]), DOUBLES, mask) - level, mask)
-            offset = begin + spread(builder, builder.sitofp(index, DOUBLE), DOUBLES)
+            offset = begin + broadcast(builder, builder.sitofp(index, DOUBLE), DOUBLES)
             w, a, d = weight * g, along * g, down * g
             return w, w * g, f * g, a, a * offset, d, d * offset
 
         _sum(builder, count, RUN_SUMS, block, totals)
         return context.get_dummy_value()
 
-    return filling(grey, mean, pixels, span, dx, sums), generate
+    return kernel_signature(grey, mean, pixels, span, dx, sums), generate
 
 
 @intrinsic
@@ -168,7 +170,7 @@ def fetch(typing, table, span):  # type: ignore[no-untyped-def]
             builder.call(ask, [builder.gep(first, [index]), *numbers])
         return context.get_dummy_value()
 
-    return filling(table, span), generate
+    return kernel_signature(table, span), generate
 
 
 def _sum(builder: Any, count: Any, number: int, block: Callable[..., _Terms], sums: Any) -> None:
@@ -184,7 +186,7 @@ def _sum(builder: Any, count: Any, number: int, block: Callable[..., _Terms], su
     in_blocks(builder, count, DOUBLES, add)
     for k, total in enumerate(totals):
         place = builder.gep(sums.data, [ir.Constant(INDEX, k)])
-        builder.store(across(builder, Lanes(builder, builder.load(total))), place)
+        builder.store(sum_lanes(builder, Lanes(builder, builder.load(total))), place)
 
 
 def _within(builder: Any, lanes: Lanes, mask: Any) -> Lanes:
@@ -221,7 +223,7 @@ class TrackStatus(IntEnum):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Reference(
+class ReferenceSubsets(
     Arrays,
     shapes="centre_px N 2; pixels N 3 P; removed N 2 m; inverse_hessian N m m; position_variance N 2 2; mean N; "
     "energy N; noise_gain N; noise_grey2 N; status N",
@@ -250,7 +252,7 @@ class Reference(
     noise_grey2: FloatArray
     status: NDArray[np.int8]
     order: int = 1
-    affine: Reference | None = None
+    affine: ReferenceSubsets | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -258,7 +260,7 @@ class Reference(
             raise ValueError(f"order: expected 0, 1 or 2, found {self.order}")
 
 
-def prepare_reference(spline: Spline, centre_px: FloatArray, radius_px: int, order: int = 1) -> Reference:
+def prepare_reference(spline: Spline, centre_px: FloatArray, radius_px: int, order: int = 1) -> ReferenceSubsets:
     """Grey values, gradients and Hessians of the subsets of one image; centres (N,2) need not be whole pixels.
 
     Steepest-descent images of the affine warp: [f_x, f_x dx, f_x dy, f_y, f_y dx, f_y dy] (Baker, Matthews 2004,
@@ -307,8 +309,8 @@ def prepare_reference(spline: Spline, centre_px: FloatArray, radius_px: int, ord
     affine = None
     subsets, ends = (centre_px, radius_px, pixels, mean, energy), (gain, noise2, status)
     if order == 2:
-        affine = Reference(*subsets, np.ascontiguousarray(removed[:, :, :6]), plain, plain_variance, *ends)
-    return Reference(*subsets, removed, inverse, variance, *ends, order, affine)
+        affine = ReferenceSubsets(*subsets, np.ascontiguousarray(removed[:, :, :6]), plain, plain_variance, *ends)
+    return ReferenceSubsets(*subsets, removed, inverse, variance, *ends, order, affine)
 
 
 def shape_values(offsets: FloatArray, order: int) -> FloatArray:

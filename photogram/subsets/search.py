@@ -147,12 +147,12 @@ def template_shifts(
     return shifts
 
 
-def score_peaks(score: NDArray[Any], least: float) -> IntArray:
+def score_peaks(score: NDArray[Any], threshold: float) -> IntArray:
     """Column and row (K,2) of the peaks of a correlation map (H,W), the highest first and those of at least `least`."""
     import cv2
 
     size = np.ones((2 * PEAK_PX + 1, 2 * PEAK_PX + 1), np.uint8)
-    rows, columns = np.nonzero((score >= min(least, float(score.max()))) & (score == cv2.dilate(score, size)))
+    rows, columns = np.nonzero((score >= min(threshold, float(score.max()))) & (score == cv2.dilate(score, size)))
     order = np.argsort(-score[rows, columns], kind="stable")
     return np.stack([columns[order], rows[order]], axis=1)
 
@@ -236,10 +236,10 @@ def predict_warp(history: Sequence[FloatArray]) -> FloatArray:
     """The next warps (N,p) after those in `history`, oldest first, by the displacements of all subsets (`foretold`)."""
     weights = np.zeros(history[-1].shape[-1])
     weights[[0, 3]] = 1.0
-    return foretold(history, weights)
+    return predict_next(history, weights)
 
 
-def foretold(history: Sequence[FloatArray], weights: FloatArray) -> FloatArray:
+def predict_next(history: Sequence[FloatArray], weights: FloatArray) -> FloatArray:
     """The next of a series of arrays (...,p), oldest first: by the rule that would have foretold the last best.
 
     Rules: stay; go on evenly, 2x₋₁ − x₋₂; one sine about any mean, x₋₃ + c(x₋₁ − x₋₂) with c = 1 + 2cos(ωΔt) fitted

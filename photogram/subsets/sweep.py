@@ -36,7 +36,7 @@ FEWEST, BEYOND_CHANCE = 3, 6  # points of a surface; any three lie on one
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class _Lines(Arrays, shapes="right_px S K 2; affine S B T 2 2"):
+class _EpipolarLines(Arrays, shapes="right_px S K 2; affine S B T 2 2"):
     """Places on the epipolar lines of S points, 1 px apart, NaN beyond the right image; T tilts of a surface there.
 
     right_px; affine: derivative of the right pixel by the left one on a surface so tilted in the middle of every block
@@ -139,7 +139,7 @@ def line_uncertainty_px(rig: StereoRig, left_px: FloatArray, right_px: FloatArra
     return float(np.sqrt(np.nanmax(np.einsum("ni,ij,nj->n", slope, rig.covariance, slope), initial=0.0)))
 
 
-def surfaces(rig: StereoRig, left_px: FloatArray, right_px: FloatArray) -> list[IntArray]:
+def fit_surfaces(rig: StereoRig, left_px: FloatArray, right_px: FloatArray) -> list[IntArray]:
     """Smooth surfaces through the candidates right_px (C,S,2) of the points left_px (S,2), NaN = none.
 
     Each as an array (S,) of the candidate that lies on it, −1 where none does; the one with the most points first.
@@ -212,7 +212,7 @@ def _seen(rig: StereoRig, rays: FloatArray, inverse_depth: FloatArray) -> FloatA
     return np.where((away < 1e-6)[..., None], pixel, np.nan)
 
 
-def _lines(rig: StereoRig, points_px: FloatArray) -> _Lines:
+def _lines(rig: StereoRig, points_px: FloatArray) -> _EpipolarLines:
     """The epipolar lines of points (S,2) within the right image."""
     base = float(np.linalg.norm(rig.right_from_left.translation_m))
     rays = _rays(rig, points_px)
@@ -244,7 +244,7 @@ def _lines(rig: StereoRig, points_px: FloatArray) -> _Lines:
     slope = _slopes(rig, rays, inverse, change)
     affine = affine[:, :, None] + along[:, :, None, :, None] * slope[..., None, :]
     affine[(np.abs(affine) > LARGEST_STRETCH).any(axis=(-2, -1))] = np.nan
-    return _Lines(right_px, affine)
+    return _EpipolarLines(right_px, affine)
 
 
 def _slopes(rig: StereoRig, rays: FloatArray, inverse: FloatArray, change: FloatArray) -> FloatArray:

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import Arrays, BoolArray, FloatArray, Notice, check_shape
+from photogram.arrays import Arrays, BoolArray, FloatArray, check_shape
 from photogram.images.noise import NoiseModel
-from photogram.subsets.reference import Reference, TrackStatus
+from photogram.subsets.reference import ReferenceSubsets, TrackStatus
 from photogram.subsets.search import score_peaks
+from shakercal._common.notices import Notice
 
 Image = NDArray[Any]
 COARSE_WINDOW_PX = 9
@@ -98,17 +99,17 @@ def subset_mean(values: Image, points_px: FloatArray, radius_px: int) -> FloatAr
     return np.asarray(total / (2 * radius_px + 1) ** 2)
 
 
-def saturated(image: Image, full_scale: int, points_px: FloatArray, radius_px: int) -> BoolArray:
+def find_saturated(image: Image, full_scale: int, points_px: FloatArray, radius_px: int) -> BoolArray:
     """Which subsets around points_px (N,2) have more than 1 % of their pixels at full scale."""
     if image.max() < full_scale:
         return np.zeros(len(points_px), dtype=np.bool_)
     return np.asarray(subset_mean(image >= full_scale, points_px, radius_px) > SATURATED_SHARE)
 
 
-def without_saturated(reference: Reference, image: Image, full_scale: int) -> Reference:
+def drop_saturated(reference: ReferenceSubsets, image: Image, full_scale: int) -> ReferenceSubsets:
     """`reference` without NaN centres and without subsets that are saturated in it."""
     absent = ~np.isfinite(reference.centre_px).all(axis=1)
-    full = saturated(image, full_scale, reference.centre_px, reference.radius_px)
+    full = find_saturated(image, full_scale, reference.centre_px, reference.radius_px)
     status = np.where(full, np.int8(TrackStatus.SATURATED), reference.status)
     return replace(reference, status=np.where(absent, np.int8(TrackStatus.NO_START), status))
 
@@ -309,10 +310,10 @@ class SubsetQuality(Arrays, shapes="predicted_sigma_px N 2; noise_grey N; status
         if not parts:
             return ()
         text = f"{np.sum(~self.usable)} of {len(self.status)} subsets are not used: {', '.join(parts)}"
-        return (Notice("info", text, where),)
+        return (Notice("note", text, where),)
 
 
-def assess(reference: Reference, image: Image, noise: NoiseModel, full_scale: int) -> SubsetQuality:
+def assess_subsets(reference: ReferenceSubsets, image: Image, noise: NoiseModel, full_scale: int) -> SubsetQuality:
     """What the subsets of `reference`, prepared from `image` (H,W), will yield in any frame of a camera's noise model.
 
     σᵢ² = Vᵢᵢ · Σ fᵢ²·s²(f) / Σ fᵢ² with V the `position_variance` per unit noise (affine map, gain and offset free), fᵢ
@@ -321,7 +322,7 @@ def assess(reference: Reference, image: Image, noise: NoiseModel, full_scale: in
     check_shape("image", image, (None, None))
     grey = image.astype(np.float64)
     level = noise.variance(grey)
-    status = without_saturated(reference, image, full_scale).status
+    status = drop_saturated(reference, image, full_scale).status
     variance = np.empty((len(status), 2))
     for i, slope in enumerate(np.gradient(grey)[::-1]):
         weight = subset_mean(slope**2, reference.centre_px, reference.radius_px)

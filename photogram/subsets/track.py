@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, Notice, RunningMean, check_shape
+from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, RunningMean, check_shape
 from photogram.bspline import Spline, spline_of_image
 from photogram.camera import StereoRig, epipolar_residual
-from photogram.images.exposure import without_pattern
+from photogram.images.exposure import missing_pattern_reason
 from photogram.images.sequence import GreyImage, ImageSequence
 from photogram.subsets.find import (
     BodyNotFound,
@@ -25,23 +25,24 @@ from photogram.subsets.find import (
     find_from_features,
     find_from_neighbours,
     find_on_lines,
-    identity,
+    identity_registration,
 )
-from photogram.subsets.icgn import Registration, TrackSettings, noise_of, places_of, position_covariance
-from photogram.subsets.reference import Reference, TrackStatus, prepare_reference
+from photogram.subsets.icgn import Registration, TrackSettings, position_covariance, subset_noise, subset_positions
+from photogram.subsets.reference import ReferenceSubsets, TrackStatus, prepare_reference
 from photogram.subsets.search import HISTORY, LARGEST_COEFFICIENT, predict_warp
 from photogram.subsets.sweep import TOLERANCE_PX
 from photogram.subsets.texture import (
     aliasing_bias,
     aliasing_notice,
+    drop_saturated,
+    find_saturated,
     lay_grid,
     repeat_px,
-    saturated,
     speckle_size,
     subset_mean,
     textured_area,
-    without_saturated,
 )
+from shakercal._common.notices import Notice
 
 Image = NDArray[Any]
 Progress = Callable[[int], None]
@@ -110,26 +111,26 @@ class FollowedImage:
 class StereoGrid(Arrays):
     """Subsets of one body in the first image of each camera: places (N,2), the textured areas (H,W), and remarks."""
 
-    places_px: tuple[FloatArray, ...]
+    centres_px: tuple[FloatArray, ...]
     areas: tuple[BoolArray, ...]
     notices: tuple[Notice, ...]
 
     @property
     def left_px(self) -> FloatArray:
         """Their places in the left camera, or in the only one."""
-        return self.places_px[0]
+        return self.centres_px[0]
 
     @property
     def right_px(self) -> FloatArray:
         """Their places in the right camera of a pair."""
-        return self.places_px[1]
+        return self.centres_px[1]
 
 
-Frame = tuple[Image, Spline]
+SplineFrame = tuple[Image, Spline]
 """A picture and its spline."""
 
 
-def first_frame(sequence: ImageSequence, settings: TrackSettings) -> Frame:
+def first_frame(sequence: ImageSequence, settings: TrackSettings) -> SplineFrame:
     """The picture that stays the reference of a whole sequence."""
     first = sequence.read(0)
     return first, spline_of_image(first, settings.degree)
@@ -156,17 +157,17 @@ def match_stereo(
     right = right_image, splines[1]
     found = None if rig is None else find_on_lines(reference, left_image, right, settings, rig, depth_m)
     if found is not None:
-        return tracks_of([found], reference, settings.degree)
+        return build_tracks([found], reference, settings.degree)
     found = find_from_features(reference, left_image, right, settings)
     if not np.any(found.status == TrackStatus.OK):
         anywhere = replace(settings, reach_px=max(right_image.shape))
-        found = find_by_search(reference, left_image, right, identity(reference).warp, anywhere)
-    return tracks_of([find_from_neighbours(reference, right[1], found, settings)], reference, settings.degree)
+        found = find_by_search(reference, left_image, right, identity_registration(reference).warp, anywhere)
+    return build_tracks([find_from_neighbours(reference, right[1], found, settings)], reference, settings.degree)
 
 
 def prepare_sequence(
-    sequence: ImageSequence, points_px: FloatArray, settings: TrackSettings, frame: Frame | None = None
-) -> Reference:
+    sequence: ImageSequence, points_px: FloatArray, settings: TrackSettings, frame: SplineFrame | None = None
+) -> ReferenceSubsets:
     """The subsets centred at points_px (N,2) in frame 0, its `first_frame`, the reference of the whole sequence.
 
     Centres may lie between pixels; a NaN centre is carried along as `NO_START`.
@@ -174,11 +175,11 @@ def prepare_sequence(
     check_shape("points_px", points_px, (None, 2))
     first, spline = frame or first_frame(sequence, settings)
     reference = prepare_reference(spline, points_px, settings.radius_px, settings.shape_order)
-    return without_saturated(reference, first, sequence.saturation)
+    return drop_saturated(reference, first, sequence.saturation)
 
 
 def follow_sequence(
-    sequence: ImageSequence, reference: Reference, settings: TrackSettings, frames: range | None = None
+    sequence: ImageSequence, reference: ReferenceSubsets, settings: TrackSettings, frames: range | None = None
 ) -> Iterator[FollowedImage]:
     """Every frame, or only some, in turn with where the subsets of `reference` (`prepare_sequence`) are in it.
 
@@ -188,10 +189,10 @@ def follow_sequence(
     wanted = range(len(sequence)) if frames is None else frames
     first = sequence.read(0)
     if wanted.start == 0:
-        yield FollowedImage(first, spline_of_image(first, settings.degree), identity(reference))
+        yield FollowedImage(first, spline_of_image(first, settings.degree), identity_registration(reference))
     later = range(max(1, wanted.start), wanted.stop)
     follower = Follower(reference, first, sequence.saturation, settings)
-    history = [identity(reference)] if later.start == 1 else []
+    history = [identity_registration(reference)] if later.start == 1 else []
     for number, image in zip(later, sequence.read_ahead(later), strict=True):
         target = spline_of_image(image, settings.degree)
         alone = number == later.start  # nothing foretells what the reference alone does not
@@ -214,7 +215,7 @@ def track_sequence(
         found.append(frame.found)
         if progress is not None:
             progress(len(found))
-    return tracks_of(found, reference, settings.degree)
+    return build_tracks(found, reference, settings.degree)
 
 
 def lay_stereo_grid(
@@ -223,7 +224,7 @@ def lay_stereo_grid(
     rig: StereoRig | None,
     settings: TrackSettings,
     depth_m: DepthRange | None = None,
-    frames: tuple[Frame, ...] | None = None,
+    frames: tuple[SplineFrame, ...] | None = None,
 ) -> StereoGrid:
     """Lay a grid over the textured body in the first left image and match it to the first right image.
 
@@ -242,11 +243,11 @@ def lay_stereo_grid(
     right_px = matched.position_px[0]
     kept = (matched.status[0] == TrackStatus.OK) & (subset_mean(areas[1], right_px, settings.radius_px) >= OVERLAP)
     for image, camera, centres in ((images[0], left, points), (images[1], right, right_px)):
-        kept &= ~saturated(image, camera.saturation, centres, settings.radius_px)
+        kept &= ~find_saturated(image, camera.saturation, centres, settings.radius_px)
     notices: list[Notice] = []
     if rig is not None:
         distance, _, _ = epipolar_residual(rig, points, np.where(kept[:, None], right_px, np.nan))
-        off = float(middle(distance))
+        off = float(finite_median(distance))
         kept &= np.abs(distance - off) <= TOLERANCE_PX
         if abs(off) > 1.0:
             period = repeat_px(images[0], points, settings.radius_px)
@@ -278,7 +279,7 @@ def lay_single_grid(images: ImageSequence, settings: TrackSettings, first: GreyI
     """
     _refuse_blank("left", images, first)
     area, points = _laid(images.names[0], first, settings)
-    kept = points[~saturated(first, images.saturation, points, settings.radius_px)]
+    kept = points[~find_saturated(first, images.saturation, points, settings.radius_px)]
     if len(kept) < 3:
         raise BodyNotFound(
             f"left: expected a speckled body, found {len(kept)} unsaturated subsets in {images.names[0]}"
@@ -288,7 +289,7 @@ def lay_single_grid(images: ImageSequence, settings: TrackSettings, first: GreyI
 
 def _refuse_blank(side: str, images: ImageSequence, first: Image) -> None:
     """Raise `BodyNotFound` where the first image of a camera shows nothing but noise."""
-    why = without_pattern(first, images.full_scale)
+    why = missing_pattern_reason(first, images.full_scale)
     if why:
         raise BodyNotFound(f"{side}: expected an image of a speckled body, found none in {images.names[0]}: {why}")
 
@@ -316,14 +317,14 @@ def stereo_tracks(
     With `rig`, without the places at which one camera shows a subset elsewhere than the other. Raises `BodyNotFound`
     where that happens to the whole body, or it jumps, and its pattern repeats.
     """
-    course = StereoCourse(rig)
+    course = EpipolarMonitor(rig)
     aside = course.add((tracks[0].position_px, tracks[1].position_px), (tracks[0].status, tracks[1].status))
-    told = course.told(images, grid, settings, (tracks[0].noise_grey, tracks[1].noise_grey))
-    return told.of(without_aside(tracks, aside))
+    told = course.summarize(images, grid, settings, (tracks[0].noise_grey, tracks[1].noise_grey))
+    return told.with_tracks(drop_rejected(tracks, aside))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Told(Arrays, shapes="speckle_px C; noise_grey C; bias_px C"):
+class TrackSummary(Arrays, shapes="speckle_px C; noise_grey C; bias_px C"):
     """What `StereoTracks` say beside the tracks, once all frames are known."""
 
     notices: tuple[Notice, ...]
@@ -331,12 +332,12 @@ class Told(Arrays, shapes="speckle_px C; noise_grey C; bias_px C"):
     noise_grey: FloatArray
     bias_px: FloatArray
 
-    def of(self, tracks: tuple[Tracks, ...]) -> StereoTracks:
+    def with_tracks(self, tracks: tuple[Tracks, ...]) -> StereoTracks:
         """Return the tracks of all frames, or of some, with it."""
         return StereoTracks(tracks, self.notices, self.speckle_px, self.noise_grey, self.bias_px)
 
 
-class StereoCourse:
+class EpipolarMonitor:
     """What the frames of a series say of its tracks, however many of them come at a time.
 
     With `rig`, places where one camera took a copy of a subset, off its epipolar line unlike at first, are none.
@@ -361,18 +362,18 @@ class StereoCourse:
         self._common.append(common)
         for side, (position, status) in enumerate(zip(positions_px, statuses, strict=True)):
             seen = np.where(aside[..., None], np.nan, position) - self._first[side]
-            self._moved[side].append(np.array([middle(frame) for frame in seen]))
+            self._moved[side].append(np.array([finite_median(frame) for frame in seen]))
             counted = np.where(aside, np.int8(TrackStatus.NOT_CONVERGED), status)
             self._statuses[side] += np.bincount(counted.ravel(), minlength=len(TrackStatus))
         return aside
 
-    def carry(self, moved_px: tuple[FloatArray, ...]) -> None:
+    def add_motion(self, moved_px: tuple[FloatArray, ...]) -> None:
         """Take in a frame without subsets, from how far the body has moved in each camera, (2,)."""
         self._common.append(np.full(1, np.nan))
         for side, moved in enumerate(moved_px):
             self._moved[side].append(moved[None])
 
-    def aside(self, positions_px: tuple[FloatArray, ...]) -> BoolArray:
+    def find_rejected(self, positions_px: tuple[FloatArray, ...]) -> BoolArray:
         """Which places (F,N) of frames that were added are none."""
         return self._apart(positions_px)[1]
 
@@ -381,16 +382,16 @@ class StereoCourse:
         if self._rig is None:
             return np.zeros(len(positions_px[0])), np.zeros(positions_px[0].shape[:2], np.bool_)
         change = epipolar_residual(self._rig, *positions_px)[0] - self._residual
-        common = np.array([middle(frame) for frame in change])
+        common = np.array([finite_median(frame) for frame in change])
         return common, np.asarray(np.abs(change - common[:, None]) > TOLERANCE_PX)
 
-    def told(
+    def summarize(
         self,
         images: tuple[GreyImage, ...],
         grid: StereoGrid,
         settings: TrackSettings,
         noise_grey: tuple[FloatArray, ...],
-    ) -> Told:
+    ) -> TrackSummary:
         """Remarks on the cameras, whose subsets have the noise (N,); `BodyNotFound` as `stereo_tracks` raises it."""
         self._refuse_copies(images[0], settings)
         for image, first, moved, side in zip(images, self._first, self._moved, ("left", "right"), strict=False):
@@ -398,7 +399,7 @@ class StereoCourse:
         notices, speckle, levels, biases = list(grid.notices), [], [], []
         cameras = zip(images, grid.areas, noise_grey, self._statuses, ("left camera", "right camera"), strict=False)
         for image, area, noises, counts, where in cameras:
-            noise = float(middle(noises))
+            noise = float(finite_median(noises))
             bias = aliasing_bias(image, area, noise, settings.radius_px, settings.degree)
             speckle.append(speckle_size(image, area))
             unresolved = aliasing_notice(image, area, noise, speckle[-1], bias, where)
@@ -411,7 +412,7 @@ class StereoCourse:
                 notices.append(Notice("warning", text, where))
             levels.append(noise)
             biases.append(bias.mean_px)
-        return Told(tuple(notices), np.array(speckle), np.array(levels), np.array(biases))
+        return TrackSummary(tuple(notices), np.array(speckle), np.array(levels), np.array(biases))
 
     def _refuse_copies(self, image: Image, settings: TrackSettings) -> None:
         """Raise `BodyNotFound` where all subsets leave their epipolar lines and the pattern repeats.
@@ -461,9 +462,9 @@ def _refuse_jumps(image: Image, first_px: FloatArray, moved: FloatArray, setting
         )
 
 
-def without_aside(tracks: tuple[Tracks, ...], aside: BoolArray) -> tuple[Tracks, ...]:
+def drop_rejected(tracks: tuple[Tracks, ...], rejected: BoolArray) -> tuple[Tracks, ...]:
     """The tracks of each camera with subsets lost where they are `aside` (F,N) (`StereoCourse`)."""
-    return tuple(_without(track, aside) for track in tracks) if aside.any() else tracks
+    return tuple(_without(track, rejected) for track in tracks) if rejected.any() else tracks
 
 
 def _without(track: Tracks, which: BoolArray) -> Tracks:
@@ -542,21 +543,21 @@ def _covered(shape: tuple[int, ...], centre_px: FloatArray, radius_px: int) -> B
     return covered
 
 
-def middle(values: FloatArray) -> FloatArray:
+def finite_median(values: FloatArray) -> FloatArray:
     """Return the median () or (K,) of those of the values (N,) or rows (N,K) that are known, NaN for none."""
     known = values[np.isfinite(values).reshape(len(values), -1).all(axis=1)]
     return np.asarray(np.median(known, axis=0) if len(known) else np.full(values.shape[1:], np.nan))
 
 
-def tracks_of(
-    found: Sequence[Registration], reference: Reference, degree: int, noise_grey: FloatArray | None = None
+def build_tracks(
+    found: Sequence[Registration], reference: ReferenceSubsets, degree: int, noise_grey: FloatArray | None = None
 ) -> Tracks:
     """Positions and covariances of all frames; the first of several is the reference itself.
 
     Of some frames of a series if `noise_grey` (N,) tells the noise of all.
     """
-    position, status = places_of(found, reference)
-    ok, noise = status == TrackStatus.OK, noise_of(found, reference, degree)
+    position, status = subset_positions(found, reference)
+    ok, noise = status == TrackStatus.OK, subset_noise(found, reference, degree)
     if noise_grey is None:
         pooled = RunningMean()
         pooled.add(noise**2)

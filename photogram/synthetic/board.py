@@ -17,7 +17,7 @@ from photogram.arrays import FloatArray, IntArray
 from photogram.camera import Camera, StereoRig, distort, undistort
 from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.kernels import njit
-from photogram.targets.view import Target, TargetView
+from photogram.targets.target_view import Target, TargetView
 
 _FAR = 4.5  # σ of the softening beyond which an edge has no effect
 _NODE = math.sqrt(0.6)  # Gauss-Legendre points of degree 5 on (−1, 1), weights 5/18, 8/18, 5/18 of the mean
@@ -488,7 +488,7 @@ def _seen(rig: StereoRig, pose: RigidTransform, required: FloatArray) -> bool:
 
 
 @dataclass(frozen=True)
-class Faults:
+class SessionFaults:
     """What real sessions have and the noise of their points does not tell.
 
     `warp_m`: largest height of a bent board over its plane, a random polynomial of third order. `focus`: relative
@@ -503,14 +503,14 @@ class Faults:
     focus: float = 0.0
     smooth_px: float = 0.0
     locking_px: float = 0.0
-    course: Literal["even", "warming", "jump"] = "even"
+    focus_profile: Literal["even", "warming", "jump"] = "even"
 
     def growth(self, views: int) -> FloatArray:
         """Return the relative change (V,) of the focal lengths in each view, its mean zero."""
         place = np.linspace(0.0, 1.0, views)
-        if self.course == "warming":
+        if self.focus_profile == "warming":
             place = -np.expm1(-3 * place) / -np.expm1(-3)
-        elif self.course == "jump":
+        elif self.focus_profile == "jump":
             place = (place > 1 / 3).astype(np.float64)
         return np.asarray(self.focus * (place - place.mean()))
 
@@ -518,13 +518,13 @@ class Faults:
 _SMOOTH = 0.3
 
 
-def seen_session(
+def simulate_session(
     rng: np.random.Generator,
     rig: StereoRig,
     poses: Sequence[RigidTransform],
     board: Board,
     noise_px: float,
-    faults: Faults = Faults(),
+    faults: SessionFaults = SessionFaults(),
 ) -> list[tuple[TargetView, TargetView]]:
     """Return the views (left, right) of a board's corners as found with normal noise and faults, without pictures.
 

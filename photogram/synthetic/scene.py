@@ -74,7 +74,7 @@ def speckle_texture(
     return texture_from_samples(samples, step_m, blur_m)
 
 
-def tiled(texture: Texture, period_m: float) -> Texture:
+def tile_texture(texture: Texture, period_m: float) -> Texture:
     """Return the texture printed from one tile of `period_m`, side by side along u and v, as printed foils are."""
     count = max(4, round(period_m / texture.step_m))
     rows, columns = (np.arange(n) % min(count, n) for n in texture.coefficients.shape)
@@ -268,7 +268,9 @@ def render(view: View, face: Face, poses: FloatArray, weights: FloatArray, nodes
     return image * view.light
 
 
-def bent(view: View, face: Face, pose: FloatArray, shape_m: Callable[[FloatArray, FloatArray], FloatArray]) -> View:
+def bend_view(
+    view: View, face: Face, pose: FloatArray, shape_m: Callable[[FloatArray, FloatArray], FloatArray]
+) -> View:
     """Return the view in which the undeformed face, in `pose` (6,), shows itself as it is seen deformed.
 
     `shape_m` gives the small displacement (..., 3) along u, v and the normal of face points u, v (...). A ray that
@@ -313,16 +315,16 @@ def render_exposure(
     return render(view, face, poses, shares, nodes)
 
 
-def beside(
+def add_face(
     image: FloatArray,
     view: View,
     face: Face,
     pose_at: Callable[[float], FloatArray],
-    exposed: tuple[float | FloatArray, float],
+    exposure: tuple[float | FloatArray, float],
     nodes: int = 2,
 ) -> FloatArray:
     """Return an image (H, W) with one more face, which covers none that is there; `exposed`: middle and length in s."""
-    return image + render_exposure(view, face, pose_at, *exposed, nodes) - face.background * view.light
+    return image + render_exposure(view, face, pose_at, *exposure, nodes) - face.background * view.light
 
 
 def _gauss_legendre(nodes: int, length: float) -> tuple[FloatArray, FloatArray]:
@@ -396,7 +398,7 @@ def motion_bound(
 
     def grey(view: View, change: FloatArray) -> FloatArray:
         moved, amplitude = start + change[:6], change[6:]
-        seen = bent(view, face, moved, partial(bending, amplitude)) if amplitude.any() else view
+        seen = bend_view(view, face, moved, partial(bending, amplitude)) if amplitude.any() else view
         return render(seen, face, moved[None], np.ones(1)) * sensor.full_scale
 
     steps = np.concatenate([_POSE_STEP, np.full(len(shapes), _POSE_STEP[0])])

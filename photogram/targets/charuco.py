@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photogram.arrays import FloatArray, IntArray
-from photogram.targets.chessboard import SEARCHED_PX, corner_view, eight_bit, lattice_powers, reduced
-from photogram.targets.view import Target, TargetNotFound, TargetView, picture_fault, refuse_second
+from photogram.targets.chessboard import SEARCHED_PX, corner_view, downscale, eight_bit, lattice_powers
+from photogram.targets.target_view import Target, TargetNotFound, TargetView, image_fault, refuse_second
 
 _NEAR = 1.3  # squares between a corner and the nearest marker that was seen
 _SECOND = 6  # markers that make a second board
@@ -36,11 +36,11 @@ def find_charuco(image: NDArray[Any], target: Target, name: str, full_scale: flo
     if board is None:
         raise TargetNotFound(_reason(image, grey, target, dictionary, full_scale))
     wanted = f"{target.size[0]} x {target.size[1]} squares"
-    if len(board.place) < _FIT_SHARE * board.seen:
-        fitting = f"{len(board.place)} of {board.seen} markers"
+    if len(board.lattice_position) < _FIT_SHARE * board.seen:
+        fitting = f"{len(board.lattice_position)} of {board.seen} markers"
         raise TargetNotFound(f"another target: only {fitting} are where a ChArUco board of {wanted} has them")
     another = _beside(markers, board, target.size, grey.shape)
-    if another is not None and len(another.place) >= max(_SECOND, _FIT_SHARE * another.seen):
+    if another is not None and len(another.lattice_position) >= max(_SECOND, _FIT_SHARE * another.seen):
         refuse_second(f"a ChArUco board of {wanted}")
     index, start, axes = _expected(board, target.size)
     return corner_view(image, target, index, start, axes, name, full_scale)
@@ -53,29 +53,29 @@ def dictionary_of(image: NDArray[Any], size: tuple[int, int]) -> str | None:
 
 def _dictionary(grey: NDArray[np.uint8], size: tuple[int, int]) -> str | None:
     """Return the dictionary that fits the board in a picture of 8 bits, None for none."""
-    small, factor = reduced(grey, SEARCHED_PX)
+    small, factor = downscale(grey, SEARCHED_PX)
     name = find_dictionary(small, size)
     return name if name is not None or factor == 1 else find_dictionary(grey, size)
 
 
 def _seen(grey: NDArray[np.uint8], dictionary: str) -> Markers:
     """Return the markers seen in a smaller picture, in the pixels of the picture itself."""
-    small, factor = reduced(grey, SEARCHED_PX)
+    small, factor = downscale(grey, SEARCHED_PX)
     found = find_markers(small, dictionary)
     return Markers(found.number, (found.centre_px + 0.5) * factor - 0.5, found.upper_px * factor)
 
 
-def _search(grey: NDArray[np.uint8], markers: Markers, size: tuple[int, int], dictionary: str) -> Board | None:
+def _search(grey: NDArray[np.uint8], markers: Markers, size: tuple[int, int], dictionary: str) -> MarkerBoard | None:
     """Return the board that markers `_seen` make or, if some are missing, those seen in the picture itself."""
     board = find_board(markers, size, grey.shape)
-    if max(grey.shape) <= SEARCHED_PX or (board and len(board.place) == len(_places(size, board.legacy))):
+    if max(grey.shape) <= SEARCHED_PX or (board and len(board.lattice_position) == len(_places(size, board.legacy))):
         return board
     whole = find_board(find_markers(grey, dictionary), size, grey.shape)
     both = [one for one in (whole, board) if one is not None]
-    return max(both, key=lambda one: len(one.place), default=None)
+    return max(both, key=lambda one: len(one.lattice_position), default=None)
 
 
-def _beside(markers: Markers, board: Board, size: tuple[int, int], shape: tuple[int, ...]) -> Board | None:
+def _beside(markers: Markers, board: MarkerBoard, size: tuple[int, int], shape: tuple[int, ...]) -> MarkerBoard | None:
     """Return the board that markers `_seen` beyond the outline of the one found make, None for none."""
     centre = markers.centre_px
     square = apply(board.lattice_from_px, centre) + 1.0 if len(centre) else centre
@@ -83,7 +83,7 @@ def _beside(markers: Markers, board: Board, size: tuple[int, int], shape: tuple[
     return find_board(Markers(markers.number[beyond], centre[beyond], markers.upper_px[beyond]), size, shape)
 
 
-def _expected(board: Board, size: tuple[int, int]) -> tuple[IntArray, FloatArray, FloatArray]:
+def _expected(board: MarkerBoard, size: tuple[int, int]) -> tuple[IntArray, FloatArray, FloatArray]:
     """Return index (N, 2), position (N, 2) and squares' sides (N, 2, 2) in px of the corners near the markers seen.
 
     The homography of the markers' centres and, where there are enough of them, a polynomial in the lattice for what
@@ -93,17 +93,17 @@ def _expected(board: Board, size: tuple[int, int]) -> tuple[IntArray, FloatArray
     index = np.column_stack([i.ravel(), j.ravel()])
     corner = index.astype(np.float64)
     px_from_lattice = np.asarray(np.linalg.inv(board.lattice_from_px), dtype=np.float64)
-    bent = board.centre_px - apply(px_from_lattice, board.place)
-    count = len(board.place)
+    bent = board.centre_px - apply(px_from_lattice, board.lattice_position)
+    count = len(board.lattice_position)
     terms = 10 if count >= 20 else 6 if count >= 12 else 3 if count >= 6 else 0
-    solution = np.linalg.lstsq(lattice_powers(board.place)[:, :terms], bent, rcond=None)[0]
+    solution = np.linalg.lstsq(lattice_powers(board.lattice_position)[:, :terms], bent, rcond=None)[0]
 
     def expected(place: FloatArray) -> FloatArray:
         return np.asarray(apply(px_from_lattice, place) + lattice_powers(place)[:, :terms] @ solution)
 
     half = 0.5 * np.eye(2)
     sides = [expected(corner + half[k]) - expected(corner - half[k]) for k in range(2)]
-    distance = np.linalg.norm(index[:, None] - board.place[None], axis=2).min(axis=1)
+    distance = np.linalg.norm(index[:, None] - board.lattice_position[None], axis=2).min(axis=1)
     near = distance < _NEAR
     return index[near], expected(corner)[near], np.stack(sides, axis=1)[near]
 
@@ -112,7 +112,7 @@ def _reason(
     image: NDArray[Any], grey: NDArray[np.uint8], target: Target, dictionary: str | None, full_scale: float
 ) -> str:
     """Return what is wrong with a picture in which the board was not found."""
-    fault = picture_fault(image, full_scale)
+    fault = image_fault(image, full_scale)
     if fault is not None:
         return fault
     size = target.size or (0, 0)
@@ -161,14 +161,14 @@ class Markers:
 
 
 @dataclass(frozen=True, eq=False)
-class Board:
+class MarkerBoard:
     """Markers of a board: `place` (N, 2), the squares' centres in the lattice of inner corners, at centre_px (N, 2).
 
     lattice_from_px (3, 3): the homography that most markers agree with. `seen`: markers within the board's outline, or
     beyond it on its lattice (of a larger board); not those of another board beside it.
     """
 
-    place: FloatArray
+    lattice_position: FloatArray
     centre_px: FloatArray
     lattice_from_px: FloatArray
     legacy: bool
@@ -220,7 +220,7 @@ def _predefined(name: str) -> Any:
     return cv2.aruco.getPredefinedDictionary(code)
 
 
-def find_board(markers: Markers, size: tuple[int, int], shape: tuple[int, ...]) -> Board | None:
+def find_board(markers: Markers, size: tuple[int, int], shape: tuple[int, ...]) -> MarkerBoard | None:
     """Return the board that most markers agree with, of the new or the legacy pattern, None where fewer than 4 do.
 
     Where the board has an odd number of columns the patterns differ by one column for all markers but those at the
@@ -229,7 +229,7 @@ def find_board(markers: Markers, size: tuple[int, int], shape: tuple[int, ...]) 
     """
     boards = [_board(markers, size, legacy) for legacy in ((False, True) if size[1] % 2 == 0 else (False,))]
 
-    def whole_markers(board: Board) -> int:
+    def whole_markers(board: MarkerBoard) -> int:
         """How many of a board's markers lie in the picture as a whole."""
         corner = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
         corners = (_places(size, board.legacy)[:, None, :] + corner).reshape(-1, 2)
@@ -237,10 +237,10 @@ def find_board(markers: Markers, size: tuple[int, int], shape: tuple[int, ...]) 
         return int(((pixels > 0) & (pixels < [shape[1] - 1, shape[0] - 1])).all(axis=(1, 2)).sum())
 
     candidates = [board for board in boards if board is not None]
-    return max(candidates, key=lambda board: (len(board.place), -whole_markers(board)), default=None)
+    return max(candidates, key=lambda board: (len(board.lattice_position), -whole_markers(board)), default=None)
 
 
-def _board(markers: Markers, size: tuple[int, int], legacy: bool) -> Board | None:
+def _board(markers: Markers, size: tuple[int, int], legacy: bool) -> MarkerBoard | None:
     """Return the board of one pattern: its markers' centres fit a homography, and their edges its directions."""
     import cv2
 
@@ -263,7 +263,7 @@ def _board(markers: Markers, size: tuple[int, int], legacy: bool) -> Board | Non
     on_board = apply(homography, markers.centre_px) + 0.5
     beyond = np.linalg.norm(on_board - np.rint(on_board), axis=1) < _ON_LATTICE
     inside = ((on_board > -0.5) & (on_board < np.array(size) - 0.5)).all(axis=1)
-    return Board(place[good][first], centre[good][first], homography, legacy, int((inside | beyond).sum()))
+    return MarkerBoard(place[good][first], centre[good][first], homography, legacy, int((inside | beyond).sum()))
 
 
 def apply(homography: FloatArray, points: FloatArray) -> FloatArray:
@@ -285,8 +285,8 @@ def find_dictionary(grey: NDArray[np.uint8], size: tuple[int, int]) -> str | Non
         if name is None:
             continue
         board = find_board(find_markers(grey, name, wanted + 1), size, grey.shape)
-        if board is not None and len(board.place) > most:
-            best, most = name, len(board.place)
+        if board is not None and len(board.lattice_position) > most:
+            best, most = name, len(board.lattice_position)
         if 2 * most >= wanted:
             break
     return best

@@ -8,16 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photogram.arrays import FloatArray, IntArray
-from photogram.targets.crossing import FAINT, GOOD, OUTSIDE, REASONS, Response, find_sharpening, refine_corners
-from photogram.targets.view import (
+from photogram.targets.crossing import FAINT, GOOD, OUTSIDE, REASONS, CameraResponse, find_sharpening, refine_corners
+from photogram.targets.target_view import (
     Target,
     TargetNotFound,
     TargetView,
     check_blur,
     check_exposure,
+    estimate_image_noise,
+    image_fault,
     outline,
-    picture_fault,
-    picture_noise,
     refuse_second,
 )
 
@@ -54,7 +54,7 @@ def corner_view(
     left, top = np.maximum(np.floor(area.min(axis=0)), 0).astype(int)
     right, bottom = np.ceil(area.max(axis=0)).astype(int) + 1
     strip = _STRIP if markers else np.inf
-    response = Response(picture_noise(image[top:bottom, left:right], full_scale), full_scale)
+    response = CameraResponse(estimate_image_noise(image[top:bottom, left:right], full_scale), full_scale)
     response = find_sharpening(image, start_px, axes_px, response, strip)
     first = refine_corners(image, start_px, axes_px, response, strip=strip)
     good = first.status == GOOD
@@ -152,7 +152,7 @@ def find_chessboard(image: NDArray[Any], target: Target, name: str, full_scale: 
     grey = eight_bit(image)
     corners = _search(grey, target.size)
     if corners is None:
-        small, factor = reduced(grey, SEARCHED_PX)
+        small, factor = downscale(grey, SEARCHED_PX)
         boards = _boards(small, target.size)
         for board in boards:  # the one wanted may be another
             corners = _search(_covered(grey, (board + 0.5) * factor - 0.5), target.size)
@@ -161,7 +161,7 @@ def find_chessboard(image: NDArray[Any], target: Target, name: str, full_scale: 
         else:
             raise TargetNotFound(_reason(image, small, boards, target.size, full_scale))
     _refuse_larger(grey, corners)
-    small, factor = reduced(grey, SEARCHED_PX)
+    small, factor = downscale(grey, SEARCHED_PX)
     another = _search(_covered(small, (corners + 0.5) / factor - 0.5), target.size)
     if another is not None and _is_board(small, another):
         refuse_second(f"a chessboard of {target.size[0]} x {target.size[1]} inner corners")
@@ -178,7 +178,7 @@ def eight_bit(image: NDArray[Any]) -> NDArray[np.uint8]:
     return np.asarray(np.clip(np.rint(spread), 0, 255).astype(np.uint8)[image])
 
 
-def reduced(grey: NDArray[np.uint8], longest_px: int) -> tuple[NDArray[np.uint8], int]:
+def downscale(grey: NDArray[np.uint8], longest_px: int) -> tuple[NDArray[np.uint8], int]:
     """Return a picture made smaller by a whole factor to at most `longest_px`, and the factor."""
     import cv2
 
@@ -194,7 +194,7 @@ def _search(grey: NDArray[np.uint8], size: tuple[int, int]) -> FloatArray | None
     """Return the corners (columns, rows, 2) in px that OpenCV finds, first in a smaller picture, None for none."""
     import cv2
 
-    small, factor = reduced(grey, SEARCHED_PX)
+    small, factor = downscale(grey, SEARCHED_PX)
     for picture, scale in ((small, factor), (grey, 1)) if factor > 1 else ((grey, 1),):
         found, corners = cv2.findChessboardCornersSB(picture, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
         if found:
@@ -297,7 +297,7 @@ def _reason(
     full_scale: float,
 ) -> str:
     """Return what is wrong with a picture in which only `boards` of other sizes were found."""
-    fault = picture_fault(image, full_scale)
+    fault = image_fault(image, full_scale)
     if fault is not None:
         return fault
     wanted = f"{size[0]} x {size[1]}"

@@ -378,7 +378,7 @@ _BETTER = 0.98  # χ² with sharpening over that without, for there to be any
 
 
 @dataclass(frozen=True)
-class Response:
+class CameraResponse:
     """What the camera makes of the light: `noise` and `full_scale` in grey values, and its unsharp mask.
 
     `amount` A and `radius_px` τ of the mask: the picture is (1 + A)·I − A·(I blurred by a Gaussian of σ = τ).
@@ -418,7 +418,7 @@ def refine_corners(
     image: NDArray[Any],
     start_px: FloatArray,
     axes_px: FloatArray,
-    response: Response,
+    response: CameraResponse,
     bend_per_px: FloatArray | None = None,
     strip: float = np.inf,
     before: Corners | None = None,
@@ -462,7 +462,7 @@ def refine_corners(
 def _fit_all(
     image: NDArray[Any],
     corners: tuple[FloatArray, FloatArray, FloatArray | None],
-    response: Response,
+    response: CameraResponse,
     strip: float,
     fitted: FloatArray,
 ) -> FloatArray:
@@ -515,8 +515,8 @@ def _covariance(lags: FloatArray, good: BoolArray, sharpened: bool) -> FloatArra
 
 
 def find_sharpening(
-    image: NDArray[Any], start_px: FloatArray, axes_px: FloatArray, response: Response, strip: float = np.inf
-) -> Response:
+    image: NDArray[Any], start_px: FloatArray, axes_px: FloatArray, response: CameraResponse, strip: float = np.inf
+) -> CameraResponse:
     """Return the camera's response with the unsharp mask under which some of the corners fit best, if any does."""
     probes = np.unique(np.linspace(0, len(start_px) - 1, _PROBES).astype(int))
 

@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
-from photogram.targets.ellipse import Blobs, Ellipses, find_blobs, fit_ellipses
-from photogram.targets.view import (
+from photogram.targets.ellipse import Blobs, FittedEllipses, find_blobs, fit_ellipses
+from photogram.targets.target_view import (
     Target,
     TargetNotFound,
     TargetView,
     check_blur,
     check_exposure,
+    image_fault,
     outline,
-    picture_fault,
     refuse_second,
 )
 
@@ -39,7 +39,7 @@ class _NoGrid(ValueError):
 
 
 @dataclass(frozen=True, eq=False)
-class _Grid:
+class _DotGrid:
     """Dots with sub-pixel ellipses and places on a lattice that is turned and, if need be, mirrored to be right-handed
     in the picture (first index to the right, second down, if turned suitably).
 
@@ -47,7 +47,7 @@ class _Grid:
     """  # fmt: skip
 
     index: IntArray
-    ellipses: Ellipses
+    ellipses: FittedEllipses
     ring: BoolArray
     jacobian: FloatArray
 
@@ -76,7 +76,7 @@ def find_dots(image: NDArray[Any], target: Target, name: str, full_scale: int) -
             except _NoGrid as failure:
                 failures.append(failure)
     worth = max(failures, key=lambda failure: failure.dots)
-    fault = picture_fault(image, full_scale) if worth.dots < LEAST_DOTS else None
+    fault = image_fault(image, full_scale) if worth.dots < LEAST_DOTS else None
     raise TargetNotFound(fault or str(worth))
 
 
@@ -123,7 +123,7 @@ def _refuse_another(image: NDArray[Any], blobs: Blobs, member: IntArray, target:
     refuse_second("a grid of dots" + ("" if target.size is None else f", {target.size[0]} x {target.size[1]},"))
 
 
-def _measure(image: NDArray[Any], blobs: Blobs, lattice: Lattice) -> _Grid:
+def _measure(image: NDArray[Any], blobs: Blobs, lattice: Lattice) -> _DotGrid:
     """Fit the ellipses and keep the dots that are round and on the lattice."""
     member, index = lattice.member, lattice.index
     shape, ring = blobs.shape_px2[member], blobs.ring[member]
@@ -137,9 +137,9 @@ def _measure(image: NDArray[Any], blobs: Blobs, lattice: Lattice) -> _Grid:
     good[good] = off < OFF_LATTICE
     jacobian = jacobian[off < OFF_LATTICE]
     flip = np.array([1, -1 if len(jacobian) and np.median(np.linalg.det(jacobian)) < 0 else 1])
-    return _Grid(
+    return _DotGrid(
         index[good] * flip,
-        Ellipses(**{name: value[good] for name, value in vars(ellipses).items()}),
+        FittedEllipses(**{name: value[good] for name, value in vars(ellipses).items()}),
         ring[good],
         jacobian * flip,
     )
@@ -150,7 +150,7 @@ def _spacing(jacobian: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.abs(jacobian[:, 0, 0] * jacobian[:, 1, 1] - jacobian[:, 0, 1] * jacobian[:, 1, 0])))
 
 
-def _places(grid: _Grid, target: Target, shape: tuple[int, ...]) -> IntArray:
+def _places(grid: _DotGrid, target: Target, shape: tuple[int, ...]) -> IntArray:
     """Places (N, 2) in the target's lattice; raises `_NoGrid`."""
     rings, dots = int(grid.ring.sum()), len(grid.index)
     if target.kind == "dots" and rings == 3:
@@ -162,7 +162,7 @@ def _places(grid: _Grid, target: Target, shape: tuple[int, ...]) -> IntArray:
     return _places_from_size(grid, target.kind == "asymmetric-dots", target.size, shape)
 
 
-def _places_from_rings(grid: _Grid) -> IntArray:
+def _places_from_rings(grid: _DotGrid) -> IntArray:
     """Places from the ring at the corner of the L, x along the longer arm, y the shorter."""
     rings = grid.index[grid.ring]
     for corner in range(3):
@@ -180,7 +180,7 @@ def _places_from_rings(grid: _Grid) -> IntArray:
     raise _NoGrid(len(grid.index), "the three ring markers do not form an L")
 
 
-def _places_from_size(grid: _Grid, asymmetric: bool, size: tuple[int, int], shape: tuple[int, ...]) -> IntArray:
+def _places_from_size(grid: _DotGrid, asymmetric: bool, size: tuple[int, int], shape: tuple[int, ...]) -> IntArray:
     """Places from the corner of a full grid."""
     (columns, rows), dots = size, len(grid.index)
     wanted = {(2 * i + j % 2 if asymmetric else i, j) for i in range(columns) for j in range(rows)}
@@ -211,7 +211,7 @@ def _same(places: IntArray, wanted: set[tuple[int, int]]) -> bool:
     return len(places) == len(wanted) and set(map(tuple, places.tolist())) == wanted
 
 
-def _leaves(grid: _Grid, shape: tuple[int, ...]) -> bool:
+def _leaves(grid: _DotGrid, shape: tuple[int, ...]) -> bool:
     """Whether the next dots beyond the lattice would not be wholly in the picture."""
     steps = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
     beyond = grid.ellipses.centre_px[:, None] + np.einsum("nab,kb->nka", grid.jacobian, steps)

@@ -142,7 +142,7 @@ RING_SHARE = 0.25
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Ellipses(Arrays, shapes="centre_px N 2; covariance_px2 N 2 2; shape_px2 N 2 2; blur_px N; roughness_px N"):
+class FittedEllipses(Arrays, shapes="centre_px N 2; covariance_px2 N 2 2; shape_px2 N 2 2; blur_px N; roughness_px N"):
     """N fitted ellipses (x − c)ᵀ S⁻¹ (x − c) = 1; all NaN where the fit failed.
 
     `centre_px` c (N, 2) and its `covariance_px2` (N, 2, 2); `shape_px2` S (N, 2, 2), of determinant (product of the
@@ -173,7 +173,7 @@ def fit_ellipses(
     start_shape_px2: FloatArray,
     reach_px: FloatArray,
     ring: NDArray[np.bool_],
-) -> Ellipses:
+) -> FittedEllipses:
     """Fit a blurred ellipse to each of N dots of an image (H, W).
 
     I(x) = (1 + γ·(x − x₀)) (B + C/2 erfc(s/(√2 σ))), s the distance of x from the ellipse, positive outside: centre,
@@ -196,7 +196,7 @@ def fit_ellipses(
     _fit_all(grey, start_px, precisions, reach_px, ring, fitted, spread)
     a, b, c = fitted[:, 2:5].T
     shape = np.stack([c, -b, -b, a], axis=-1).reshape(-1, 2, 2) / (a * c - b * b)[:, None, None]
-    return Ellipses(
+    return FittedEllipses(
         centre_px=fitted[:, :2],
         covariance_px2=spread[:, [0, 1, 1, 2]].reshape(-1, 2, 2),
         shape_px2=shape,

@@ -11,23 +11,23 @@ from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape
 from shaker.compensation.filter import (
     Compensation,
     CompensationFilter,
+    CompensationTarget,
     Discretisation,
     Sections,
     SensorDynamics,
-    Target,
     best_damping,
     cancelled_poles,
+    discretise,
     low_pass_poles,
     mode_poles,
     parameter_sections,
-    sampled,
     target_poles,
 )
 from shaker.lti.system import LinearSystem
 
 # The target that keeps a whole sensor within a permitted error up to a wanted frequency.
 
-KEPT_SHARE = 0.1
+MODEL_ERROR_SHARE = 0.1
 """Share of the permitted error that is left to the uncertainty of the model."""
 HIGHEST_FACTOR = 32.0
 RESOLUTION = 1e-10
@@ -41,7 +41,7 @@ def target_for_bandwidth(
     permitted_error: float = 0.1,
     real_hz: float | None = None,
     low_pass_hz: float | None = None,
-) -> Target:
+) -> CompensationTarget:
     """Return the target of lowest natural frequency with which the whole sensor stays within 1 ± δ up to a frequency.
 
     All its poles and zeros count, also those that stay. A tenth of δ is left to the uncertainty of the model.
@@ -53,9 +53,9 @@ def target_for_bandwidth(
         raise ValueError(f"bandwidth_hz: expected a positive number, found {bandwidth_hz}")
     if not len(sensor.frequency_hz):
         raise ValueError("frequency_hz: expected a mode to compensate for a bandwidth, found real poles only")
-    allowed = (1.0 - KEPT_SHARE) * permitted_error
+    allowed = (1.0 - MODEL_ERROR_SHARE) * permitted_error
     start, gain = best_damping(allowed), _gains(sensor, np.linspace(0.0, bandwidth_hz, POINTS))
-    wanted = Target(bandwidth_hz, start, real_hz, low_pass_hz)
+    wanted = CompensationTarget(bandwidth_hz, start, real_hz, low_pass_hz)
 
     def lowest(damping: float) -> float:
         """Lowest natural frequency with which the band is kept, infinite where none does."""
@@ -92,14 +92,14 @@ def target_for_frequency(
     permitted_error: float = 0.1,
     real_hz: float | None = None,
     low_pass_hz: float | None = None,
-) -> Target:
+) -> CompensationTarget:
     """Return the target of a natural frequency whose damping ratio gives the whole sensor the widest band of 1 ± δ.
 
     A tenth of δ is left to the uncertainty of the model. For one mode that is `best_damping` of what is left.
     """
-    allowed = (1.0 - KEPT_SHARE) * permitted_error
+    allowed = (1.0 - MODEL_ERROR_SHARE) * permitted_error
     start = best_damping(allowed)
-    wanted = Target(frequency_hz, start, real_hz, low_pass_hz)
+    wanted = CompensationTarget(frequency_hz, start, real_hz, low_pass_hz)
     if not len(sensor.frequency_hz):
         return wanted
     gain = _gains(sensor, np.linspace(0.0, REACH * frequency_hz, FINE))
@@ -113,7 +113,7 @@ def target_for_frequency(
     return replace(wanted, damping_ratio=float(dampings[best]))
 
 
-def _gains(sensor: SensorDynamics, frequency_hz: FloatArray) -> Callable[[Target], FloatArray]:
+def _gains(sensor: SensorDynamics, frequency_hz: FloatArray) -> Callable[[CompensationTarget], FloatArray]:
     """The gain over the static one (K,) of the compensated sensor at frequencies (K,), as a function of the target."""
     s: ComplexArray = np.asarray(2j * np.pi * frequency_hz, dtype=np.complex128)
 
@@ -123,7 +123,7 @@ def _gains(sensor: SensorDynamics, frequency_hz: FloatArray) -> Callable[[Target
 
     rest = np.abs(sensor.system.at(s) / sensor.static_gain * denominator(cancelled_poles(sensor)))
 
-    def gain(target: Target) -> FloatArray:
+    def gain(target: CompensationTarget) -> FloatArray:
         return np.asarray(rest / np.abs(denominator([*target_poles(sensor, target), *low_pass_poles(target)])))
 
     return gain
@@ -187,7 +187,7 @@ PERIODS = 6
 PER_PERIOD = 256
 
 
-def moved(sensor: SensorDynamics, vector: FloatArray) -> LinearSystem:
+def with_parameters(sensor: SensorDynamics, vector: FloatArray) -> LinearSystem:
     """Return the whole sensor with other values of `SensorDynamics.vector`; its other poles and zeros stay."""
     modes, reals = len(sensor.frequency_hz), len(sensor.real_hz)
     f, zeta, real, gain = np.split(np.asarray(vector, dtype=np.float64), np.cumsum([modes, modes, reals]))
@@ -201,7 +201,7 @@ def with_frequency(sensor: SensorDynamics, factor: float) -> LinearSystem:
     """Return the whole sensor with the frequencies of the cancelled modes times a factor, as another load makes it."""
     vector = sensor.vector.copy()
     vector[: len(sensor.frequency_hz)] *= factor
-    return moved(sensor, vector)
+    return with_parameters(sensor, vector)
 
 
 def residual_ringing(compensation: Compensation, sensor: LinearSystem, after_s: float) -> float:
@@ -287,7 +287,7 @@ class CompensationWithUncertainty:
         level: FloatArray | float | None = 0.0,
         noise: float = 0.0,
     ) -> None:
-        sections = sampled(compensation, sample_rate_hz, method)
+        sections = discretise(compensation, sample_rate_hz, method)
         covariance = compensation.sensor.covariance
         self._covariance = np.zeros((0, 0)) if covariance is None else covariance
         scatter = compensation.sensor.scatter

@@ -133,7 +133,7 @@ MODE_SPACING = 2.0
 
 
 @dataclass(frozen=True)
-class Target:
+class CompensationTarget:
     """Natural frequency in Hz and damping ratio that the lowest compensated mode shall have.
 
     Further compensated modes get the same damping ratio and keep their frequency, but are moved to twice, four times, …
@@ -182,7 +182,7 @@ def cancelled_poles(sensor: SensorDynamics) -> list[ComplexArray]:
     return [*pairs, *(np.array([-2 * np.pi * f + 0j]) for f in sensor.real_hz)]
 
 
-def target_poles(sensor: SensorDynamics, target: Target) -> list[ComplexArray]:
+def target_poles(sensor: SensorDynamics, target: CompensationTarget) -> list[ComplexArray]:
     """Return the poles in rad/s that take their place, section by section."""
     poles = []
     if len(sensor.frequency_hz):
@@ -197,7 +197,7 @@ def target_poles(sensor: SensorDynamics, target: Target) -> list[ComplexArray]:
     return poles
 
 
-def low_pass_poles(target: Target) -> list[ComplexArray]:
+def low_pass_poles(target: CompensationTarget) -> list[ComplexArray]:
     """Return the poles in rad/s of the low-pass, a section of its own, or no section."""
     return [] if target.low_pass_hz is None else [mode_poles(target.low_pass_hz, float(np.sqrt(0.5)))]
 
@@ -227,7 +227,7 @@ class Compensation:
     """
 
     sensor: SensorDynamics
-    target: Target
+    target: CompensationTarget
     calibrated: bool = False
 
     def __post_init__(self) -> None:
@@ -307,7 +307,7 @@ class Sections(Brief):
         return np.asarray(self.gain * np.prod(top / bottom, axis=1))
 
 
-def sampled(compensation: Compensation, sample_rate_hz: float, method: Discretisation = "matched") -> Sections:
+def discretise(compensation: Compensation, sample_rate_hz: float, method: Discretisation = "matched") -> Sections:
     """Return a filter for samples at a rate.
 
     "matched": z = exp(s/fs) of every pole and zero; the zeros stand exactly on the poles of the sampled sensor, which
@@ -325,7 +325,7 @@ def sampled(compensation: Compensation, sample_rate_hz: float, method: Discretis
     return Sections(np.stack(rows), compensation.gain, float(sample_rate_hz))
 
 
-def filled(sections: Sections, count: int) -> Sections:
+def pad_sections(sections: Sections, count: int) -> Sections:
     """Return the same filter as `count` sections, those added letting everything pass."""
     if count < len(sections.sos):
         raise ValueError(f"count: expected at least {len(sections.sos)}, as many as there are, found {count}")
@@ -368,7 +368,7 @@ def parameter_sections(
 
     The poles do not depend on the sensor, so that ∂y/∂θ is y's filter with ∂b/∂θ in place of b, by central differences.
     """
-    base, sensor = sampled(compensation, sample_rate_hz, method), compensation.sensor
+    base, sensor = discretise(compensation, sample_rate_hz, method), compensation.sensor
     modes, reals = len(sensor.frequency_hz), len(sensor.real_hz)
     first, targets = len(base.sos) - modes - reals, target_poles(sensor, compensation.target)
 

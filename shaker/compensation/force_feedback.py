@@ -58,7 +58,7 @@ class FeedbackRun(Brief):
 
     time_s: FloatArray
     applied: FloatArray
-    told: FloatArray
+    indicated: FloatArray
     fed_back: FloatArray
     stable: bool
     tracking_error: float

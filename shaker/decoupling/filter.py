@@ -147,7 +147,7 @@ _REAL = 1e-9
 
 
 @dataclass(frozen=True, repr=False)
-class Target(Brief):
+class DecouplingTarget(Brief):
     """Wanted dynamics of every load: `frequency_hz` and `damping_ratio` of one oscillator each (D,), static gain 1."""
 
     frequency_hz: FloatArray
@@ -162,7 +162,7 @@ class Target(Brief):
 
 
 @dataclass(frozen=True, repr=False)
-class Recorded(Brief):
+class SignalLevels(Brief):
     """What a filter is designed for: noise (C,) of a sample of the outputs at `sample_rate_hz`, and loads (D,): the
     standard deviation of a sample of a white one. Their ratio rules how far the filter goes beyond the resonances."""
 
@@ -172,7 +172,7 @@ class Recorded(Brief):
 
 
 def design_decoupling(
-    model: MultiModel, target: Target, recorded: Recorded, delay: int | None = None
+    model: MultiModel, target: DecouplingTarget, recorded: SignalLevels, delay: int | None = None
 ) -> DecouplingFilter:
     """Return the stable filter D that brings D·H closest to the target T, delayed by `delay` samples.
 
@@ -254,7 +254,9 @@ def _smoother(plant: StateSpace, wanted: StateSpace, delay: int) -> _Gains:
     return _Gains(m, k, c, shown, gains, before - told, size)
 
 
-def _assembled(model: MultiModel, target: Target, recorded: Recorded, kalman: _Gains, lag: int) -> DecouplingFilter:
+def _assembled(
+    model: MultiModel, target: DecouplingTarget, recorded: SignalLevels, kalman: _Gains, lag: int
+) -> DecouplingFilter:
     """The filter as taps and poles: innovations up to the delay are written as outputs and the state before them.
 
     f(t) = z·x(t) + Σ_i G_i (y(t + i) - c·x(t + i)), x(t + i) = mⁱ x(t) + Σ_{l < i} m^{i - 1 - l} k y(t + l).

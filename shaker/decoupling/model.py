@@ -12,7 +12,7 @@ import numpy as np
 from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray, check_shape, check_shapes
 from shaker.labels import LOAD_COMPONENTS
 from shaker.lti.system import ModalModel, modal_poles
-from shaker.release.response import exponentials
+from shaker.release.load_response import exponentials
 
 # Poles that outputs and loads share.
 
@@ -93,11 +93,11 @@ class Poles(Brief):
         """Return these and one more real pole."""
         return replace(self, real_hz=np.append(self.real_hz, hz))
 
-    def without(self, place: int) -> Poles:
+    def without(self, index: int) -> Poles:
         """Return these without one: a mode, or counted behind them a real pole."""
-        if place < self.modes:
-            return Poles(np.delete(self.frequency_hz, place), np.delete(self.damping_ratio, place), self.real_hz)
-        return replace(self, real_hz=np.delete(self.real_hz, place - self.modes))
+        if index < self.modes:
+            return Poles(np.delete(self.frequency_hz, index), np.delete(self.damping_ratio, index), self.real_hz)
+        return replace(self, real_hz=np.delete(self.real_hz, index - self.modes))
 
     @cached_property
     def smooth(self) -> FloatArray:
@@ -128,9 +128,9 @@ class Poles(Brief):
                 slopes[i, m + place] = change.real
         return moments, slopes
 
-    def columns(self, place: int) -> list[int]:
+    def columns(self, index: int) -> list[int]:
         """Return the columns of a design that belong to one pole."""
-        return [place, place + self.modes] if place < self.modes else [place + self.modes]
+        return [index, index + self.modes] if index < self.modes else [index + self.modes]
 
 
 # A system with several outputs and several loads as a sum of modes that all its elements share.
@@ -348,7 +348,7 @@ def _pole(pole: complex, residue: ComplexArray | FloatArray, step_s: float) -> S
 _SEPARATE = 1e-3
 
 
-def in_order(components: Iterable[str]) -> tuple[str, ...]:
+def sort_components(components: Iterable[str]) -> tuple[str, ...]:
     """Return the load components that occur, once each, Fx first."""
     named = set(components)
     known = [name for name in LOAD_COMPONENTS if name in named]

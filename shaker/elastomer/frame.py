@@ -9,9 +9,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from shaker.arrays import Brief, FloatArray, IntArray, Notice, check_shape, check_shapes
-from shaker.elastomer.geometry import CrossBeams, Material, Section, beam_matrices, lumped
-from shaker.fitting import Residuals, Rules, levenberg_marquardt
+from shaker.arrays import Brief, FloatArray, IntArray, check_shape, check_shapes
+from shaker.elastomer.geometry import CrossBeams, ElasticMaterial, Section, beam_matrices, lump_mass
+from shaker.fitting import LMOptions, WhitenedResiduals, levenberg_marquardt
+from shakercal._common.notices import Notice
 
 # Rigid bodies of the element: the platform and what stands on it, as mass, height and inertia.
 
@@ -65,7 +66,7 @@ def pillar(density_kgm3: float, radius_m: float, length_m: float, foot_m: float)
     return RigidPart(mass, foot_m + 0.5 * length_m, np.array([across, across, 0.5 * mass * radius_m**2]))
 
 
-def joined(parts: Sequence[RigidPart]) -> RigidPart:
+def join_bodies(parts: Sequence[RigidPart]) -> RigidPart:
     """Return the one body that several make (Steiner's theorem)."""
     mass = sum(part.mass_kg for part in parts)
     if not mass > 0.0:
@@ -80,7 +81,7 @@ def joined(parts: Sequence[RigidPart]) -> RigidPart:
 
 
 @dataclass(frozen=True, repr=False)
-class Frame(Brief):
+class BeamFrame(Brief):
     """Beams between nodes: `node_m` (N, 3), `beam` (E, 2) node numbers, `section` of every beam.
 
     `rigid` (R,): nodes that move with a body whose point of reference is the origin; `clamped` (C,). Local z of every
@@ -90,7 +91,7 @@ class Frame(Brief):
     node_m: FloatArray
     beam: IntArray
     section: Sequence[Section]
-    material: Material
+    material: ElasticMaterial
     shear_factor: float
     rigid: IntArray
     clamped: IntArray
@@ -127,7 +128,7 @@ class Frame(Brief):
             along = self.node_m[ends[1]] - self.node_m[ends[0]]
             length = float(np.linalg.norm(along))
             elastic, inert = beam_matrices(self.material, section, length, self.shear_factor)
-            inert = inert if self.consistent else lumped(inert)
+            inert = inert if self.consistent else lump_mass(inert)
             x, z = along / length, np.array([0.0, 0.0, 1.0])
             turn = np.kron(np.eye(4), np.stack([x, np.cross(z, x), z]))
             stiffness[np.ix_(places, places)] += turn.T @ elastic @ turn
@@ -154,14 +155,14 @@ def rigid_motion(offset_m: FloatArray) -> FloatArray:
 
 # Natural frequencies and shapes, named after the motion of the moving parts that carries most of their mass.
 
-NAMES = ("Tx", "Ty", "Tz", "Rx", "Ry", "Rz")
+MODE_NAMES = ("Tx", "Ty", "Tz", "Rx", "Ry", "Rz")
 """Translations along and rotations about the axes."""
 EQUAL = 1e-4
 """Relative distance below which frequencies count as one, of a symmetric element's pairs."""
 
 
 @dataclass(frozen=True, repr=False)
-class Modes(Brief):
+class NamedModes(Brief):
     """The six modes that are named, in the order of `NAMES`.
 
     `frequency_hz` (6,). `participation` (6, 6): share of each rigid motion's mass that moves in each mode, modes down,
@@ -192,7 +193,7 @@ def dense_modes(stiffness: FloatArray, mass: FloatArray, count: int = 12) -> tup
 
 def named_modes(
     frequency_hz: FloatArray, shape: FloatArray, weigh: Callable[[FloatArray], FloatArray], rigid: FloatArray
-) -> Modes:
+) -> NamedModes:
     """Return modes (K,), (D, K) with the name each deserves: as a whole the assignment of the most mass.
 
     `weigh`: multiplies by the mass matrix. `rigid` (D, 6): translations, and turns about the centre of mass. Modes of
@@ -212,13 +213,13 @@ def named_modes(
             turn = polar(factor[group][:, axes])[0]
             shape[:, group] = shape[:, group] @ turn
             factor[group] = turn.T @ factor[group]
-    chosen = assigned(factor)
+    chosen = assign_names(factor)
     sign = np.where(factor[chosen, np.arange(6)] < 0.0, -1.0, 1.0)
     between = np.setdiff1d(np.arange(chosen.max() + 1), chosen)
-    return Modes(frequency_hz[chosen], factor[chosen] ** 2, shape[:, chosen] * sign, frequency_hz[between])
+    return NamedModes(frequency_hz[chosen], factor[chosen] ** 2, shape[:, chosen] * sign, frequency_hz[between])
 
 
-def assigned(factor: FloatArray) -> IntArray:
+def assign_names(factor: FloatArray) -> IntArray:
     """Return which mode deserves each name (N,), given how modes take part (K, N): the most mass as a whole."""
     from scipy.optimize import linear_sum_assignment
 
@@ -231,7 +232,7 @@ SAME_M = 1e-9
 """Nodes nearer than this are one."""
 
 
-def cross_frame(beams: CrossBeams, half_size_m: float, pieces: int = 6, consistent: bool = True) -> Frame:
+def cross_frame(beams: CrossBeams, half_size_m: float, pieces: int = 6, consistent: bool = True) -> BeamFrame:
     """Return the frame: arms from the faces of a platform of edge 2p to the axes of the compliant beams.
 
     The platform lies within the span: arms are l/2 - p long and begin at its faces, which move with it. `pieces`: into
@@ -263,7 +264,7 @@ def cross_frame(beams: CrossBeams, half_size_m: float, pieces: int = 6, consiste
             sections += [section] * (len(line) - 1)
         rigid.append(arm[0])
         clamped += [bar[0], bar[-1]]
-    return Frame(
+    return BeamFrame(
         node_m=np.array(nodes),
         beam=np.array(pairs),
         section=tuple(sections),
@@ -275,7 +276,7 @@ def cross_frame(beams: CrossBeams, half_size_m: float, pieces: int = 6, consiste
     )
 
 
-def platform_stiffness(frame: Frame) -> FloatArray:
+def platform_stiffness(frame: BeamFrame) -> FloatArray:
     """Return 1/C_ii (6,): load per displacement in its own direction, nothing else being held.
 
     Forces in N/m, moments in N·m/rad, at the origin, which is in the plane of the beams' axes.
@@ -301,8 +302,8 @@ STEP = 1e-3
 class FrameModel(Brief):
     """A solved frame: `frame`, `modes`, `stiffness` (6,) in N/m and N·m/rad as of `platform_stiffness`."""
 
-    frame: Frame
-    modes: Modes
+    frame: BeamFrame
+    modes: NamedModes
     stiffness: FloatArray
 
     def node_motion(self, mode: int) -> FloatArray:
@@ -326,7 +327,7 @@ def solve_frame(
     return FrameModel(frame, frame_modes(frame, platform), platform_stiffness(frame))
 
 
-def frame_modes(frame: Frame, platform: RigidPart, count: int = 12) -> Modes:
+def frame_modes(frame: BeamFrame, platform: RigidPart, count: int = 12) -> NamedModes:
     """Return the named modes, of the `count` lowest, of a frame whose body is a platform."""
     stiffness, mass = frame.matrices
     mass = mass.copy()
@@ -391,18 +392,18 @@ class PlatformFit(Brief):
     notices: tuple[Notice, ...]
 
 
-def fit_platform(beams: CrossBeams, half_size_m: float, wanted_hz: Mapping[str, float]) -> PlatformFit:
+def fit_platform(beams: CrossBeams, half_size_m: float, target_hz: Mapping[str, float]) -> PlatformFit:
     """Return mass, height and moments of inertia with which the frame has some frequencies in Hz, by name.
 
     Four unknowns for four distinct frequencies at every half-size: that they are met says nothing for the model, which
     a notice tells. Jx = Jy. Where no platform meets them, the one nearest in relative least squares.
     """
-    unknown = [name for name in wanted_hz if name not in NAMES]
-    if unknown or any(not any(name in wanted_hz for name in group) for group in NEEDED):
+    unknown = [name for name in target_hz if name not in MODE_NAMES]
+    if unknown or any(not any(name in target_hz for name in group) for group in NEEDED):
         expected = "Tz, Rz, one of Tx, Ty and one of Rx, Ry"
-        raise ValueError(f"wanted_hz: expected {expected}, found {', '.join(wanted_hz) or 'none'}")
+        raise ValueError(f"wanted_hz: expected {expected}, found {', '.join(target_hz) or 'none'}")
     frame = cross_frame(beams, half_size_m, PIECES)
-    targets = np.array([np.mean([wanted_hz[name] for name in group if name in wanted_hz]) for group in NEEDED])
+    targets = np.array([np.mean([target_hz[name] for name in group if name in target_hz]) for group in NEEDED])
 
     def platform(logarithms: FloatArray) -> RigidPart:
         """The platform of logarithms of mass, height, and two radii of gyration."""
@@ -411,15 +412,15 @@ def fit_platform(beams: CrossBeams, half_size_m: float, wanted_hz: Mapping[str, 
 
     def misfit(logarithms: FloatArray) -> FloatArray:
         hertz = frame_modes(frame, platform(logarithms), 8).frequency_hz
-        return np.asarray(np.log(np.maximum(hertz[[NAMES.index(group[0]) for group in NEEDED]] / targets, 1e-30)))
+        return np.asarray(np.log(np.maximum(hertz[[MODE_NAMES.index(group[0]) for group in NEEDED]] / targets, 1e-30)))
 
-    def point(logarithms: FloatArray) -> Residuals:
+    def point(logarithms: FloatArray) -> WhitenedResiduals:
         here, moves = misfit(logarithms), SMALL * np.eye(len(logarithms))
         slopes = [(misfit(logarithms + move) - here) / SMALL for move in moves]
-        return Residuals(logarithms, here, np.stack(slopes, axis=1))
+        return WhitenedResiduals(logarithms, here, np.stack(slopes, axis=1))
 
     start = point(_start(platform_stiffness(frame), targets))
-    fit = levenberg_marquardt(point, start, Rules(foretold_share=1e-14)).point
+    fit = levenberg_marquardt(point, start, LMOptions(predicted_decrease_share=1e-14)).point
     fitted, worst = platform(fit.parameters), float(np.max(np.abs(np.expm1(fit.residual))))
     where = f"platform of half-size {1e3 * half_size_m:g} mm"
     text = (
@@ -433,10 +434,10 @@ def fit_platform(beams: CrossBeams, half_size_m: float, wanted_hz: Mapping[str, 
 
 
 def platform_family(
-    beams: CrossBeams, half_sizes_m: Sequence[float], wanted_hz: Mapping[str, float]
+    beams: CrossBeams, half_sizes_m: Sequence[float], target_hz: Mapping[str, float]
 ) -> tuple[PlatformFit, ...]:
     """Return the fit at every half-size: the family between whose members the frequencies do not choose."""
-    return tuple(fit_platform(beams, half_size, wanted_hz) for half_size in half_sizes_m)
+    return tuple(fit_platform(beams, half_size, target_hz) for half_size in half_sizes_m)
 
 
 def _start(stiffness: FloatArray, targets: FloatArray) -> FloatArray:

@@ -10,7 +10,7 @@ from shaker.arrays import FloatArray
 
 
 @dataclass(frozen=True)
-class Material:
+class ElasticMaterial:
     """An isotropic elastic material: `youngs_modulus_pa` E, `poisson_ratio` ν, `density_kgm3`."""
 
     youngs_modulus_pa: float
@@ -70,7 +70,7 @@ class CrossBeams:
     `compliant_height_m` along z. `shear_factor`: K of K·G·A, 5/6 of a rectangle.
     """
 
-    material: Material
+    material: ElasticMaterial
     span_m: float
     beam_width_m: float
     beam_height_m: float
@@ -116,7 +116,7 @@ ALONG, TWIST = [0, 6], [3, 9]
 
 
 def beam_matrices(
-    material: Material, section: Section, length_m: float, shear_factor: float
+    material: ElasticMaterial, section: Section, length_m: float, shear_factor: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return stiffness and consistent mass (12, 12) over (ux uy uz rx ry rz) of the two ends, x along the beam.
 
@@ -148,7 +148,7 @@ def beam_matrices(
     return stiffness, mass
 
 
-def lumped(mass: FloatArray) -> FloatArray:
+def lump_mass(mass: FloatArray) -> FloatArray:
     """Return a diagonal mass (12, 12): half the beam's mass and twist at each end, turns as on its diagonal."""
     total = float(mass[np.ix_(ALONG, ALONG)].sum())
     twist = float(mass[np.ix_(TWIST, TWIST)].sum())

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from shaker.arrays import Brief, FloatArray, IntArray
-from shaker.elastomer.frame import NAMES, RigidPart, assigned, rigid_motion
+from shaker.elastomer.frame import MODE_NAMES, RigidPart, assign_names, rigid_motion
 from shaker.elastomer.geometry import CrossBeams
 
 PARITIES = {"vertical": (False, False), "sideways": (True, False), "turning": (True, True)}
@@ -82,16 +82,16 @@ def solve_solid(beams: CrossBeams, block: SolidBlock, refinement: int = 2) -> So
         frequency[name], stiffness[name] = frequency[like], stiffness[like]
         motion[name] = quarter.mirrored(motion[like]) * (1.0 if name == "Ty" else -1.0)
     return SolidModel(
-        frequency_hz=np.array([frequency[name] for name in NAMES]),
-        stiffness=np.array([stiffness[name] for name in NAMES]),
+        frequency_hz=np.array([frequency[name] for name in MODE_NAMES]),
+        stiffness=np.array([stiffness[name] for name in MODE_NAMES]),
         unknowns=12 * quarter.basis.N,
         vertex_m=np.ascontiguousarray(quarter.mesh.p.T),
         cell=np.ascontiguousarray(quarter.mesh.t.T),
-        motion=np.stack([motion[name] for name in NAMES]),
+        motion=np.stack([motion[name] for name in MODE_NAMES]),
     )
 
 
-def converged(models: tuple[SolidModel, ...]) -> FloatArray:
+def mesh_change(models: tuple[SolidModel, ...]) -> FloatArray:
     """Return the relative change (6,) of the frequencies from the last mesh but one to the last."""
     if len(models) < 2:
         raise ValueError(f"models: expected two meshes or more, found {len(models)}")
@@ -146,7 +146,7 @@ class _Quarter:
 
         stiffness, mass, geometry = self.matrices
         free = self._free(kind)
-        places = [NAMES.index(name) for name in NAMED[kind]]
+        places = [MODE_NAMES.index(name) for name in NAMED[kind]]
         rigid = np.concatenate([rigid_motion(place)[:3] for place in self.basis.doflocs.T])[:, places]
         weighed = geometry @ rigid
         mean = (weighed @ np.linalg.inv(rigid.T @ weighed))[free]
@@ -168,7 +168,7 @@ class _Quarter:
             v0=solver.solve(mean.sum(axis=1)),
         )
         factor = shape.T @ weigh(_apart(rigid[free], weigh))
-        chosen = assigned(factor)
+        chosen = assign_names(factor)
         sign = np.where(factor[chosen, np.arange(len(chosen))] < 0.0, -1.0, 1.0)
         whole = np.zeros((3 * self.basis.N, len(chosen)))
         whole[free] = shape[:, chosen] * sign

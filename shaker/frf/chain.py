@@ -12,7 +12,7 @@ import numpy as np
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shape, check_shapes
 from shaker.frf.spline import cubic_spline
 from shaker.labels import MOTION_UNITS
-from shaker.lti.system import paired
+from shaker.lti.system import pair_conjugates
 from shaker.sine.phasor import derivative_factor
 
 FilterKind = Literal["butterworth", "bessel", "resonance"]
@@ -97,7 +97,7 @@ class PoleModel:
     def __post_init__(self) -> None:
         check_shapes(self, (None,), "zeros", "poles")
         for name in ("zeros", "poles"):
-            paired(getattr(self, name), name)
+            pair_conjugates(getattr(self, name), name)
         if np.any(self.poles.real > 0.0):
             raise ValueError(f"poles: expected real parts of at most 0, found {self.poles.real.max():g}")
         if self.gain == 0.0:
@@ -216,7 +216,7 @@ def filters_of_delay(frequency_hz: FloatArray, delay_s: float) -> ComplexArray:
     return np.asarray(found)
 
 
-def product(responses: Sequence[ChainResponse]) -> ChainResponse:
+def cascade_responses(responses: Sequence[ChainResponse]) -> ChainResponse:
     """Return the response of elements one behind the other; their errors are independent of each other."""
     value = np.prod([response.value for response in responses], axis=0)
     errors = np.concatenate([response.errors for response in responses])

@@ -7,11 +7,12 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Notice
-from shaker.frf.random import Choice, Spectra, choose_estimator, ratio_of
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from shaker.frf.random import EstimatorChoice, Spectra, choose_estimator, ratio_of
 from shaker.frf.result import TransferFunction, TransferRecord, circular_covariance, pooled_scatter, share_of_reference
 from shaker.lines.spectrum import hann_window
 from shaker.sine.phasor import Phasors
+from shakercal._common.notices import Notice
 
 # Hits of an impact hammer in a force record: where they are, and which of them count.
 
@@ -148,7 +149,7 @@ def transfer_impact(
     averages = np.full(len(lines.frequency_hz), float(len(taken)))
     spectra = Spectra(np.mean(lines.value[:, :, :, None] * lines.value.conj()[:, :, None, :], axis=0), averages)
     few = len(taken) < _ENOUGH  # too few to tell where the noise is
-    choice = Choice("H1", 1.0, f"fewer than {_ENOUGH} hits, and the window keeps noise off the force")
+    choice = EstimatorChoice("H1", 1.0, f"fewer than {_ENOUGH} hits, and the window keeps noise off the force")
     if estimator != "auto" or not few:
         choice = choose_estimator(spectra, estimator, 1.0 if few else None, record.reference_name)
     ratio = ratio_of(spectra, choice)
@@ -301,7 +302,7 @@ def _covariance(
 
 
 def _notices(
-    record: TransferRecord, hits: list[Hit], choice: Choice, decay: float, lines: _Lines
+    record: TransferRecord, hits: list[Hit], choice: EstimatorChoice, decay: float, lines: _Lines
 ) -> tuple[Notice, ...]:
     """Return what the user should know about hits, windows and estimator."""
     count = len(lines.value)
@@ -313,7 +314,7 @@ def _notices(
             found.append(Notice("warning", text, record.reference_name))
     if decay > 0.0:
         text = f"exponential window exp(-{decay:.6g}/s·t): the transfer function is H(a + jω), fits take the window off"
-        found.append(Notice("info", text, record.reference_name))
+        found.append(Notice("note", text, record.reference_name))
     if count == 1:
         known = "is the noise before it" if lines.noise_dof else "is not known: too few samples before it"
         found.append(Notice("warning", f"a single hit: its uncertainty {known}", record.reference_name))

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Notice
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from shaker.frf.result import TransferFunction, TransferRecord, circular_covariance, excited_lines, pooled_scatter
 from shaker.sine.phasor import Phasors
+from shakercal._common.notices import Notice
 
 # Phasors of every period of a periodic signal, also where the period is no whole number of samples.
 
@@ -191,7 +192,7 @@ def period_notices(
         f"(u {period.u_samples / period.samples:.1e}), {value.shape[1]} lines: ratio of the means over periods, leaks "
         "nothing, not biased by noise on either channel"
     )
-    notices = [Notice("info", text, record.reference_name), *_reference_drift(value[:, :, 0], record.reference_name)]
+    notices = [Notice("note", text, record.reference_name), *_reference_drift(value[:, :, 0], record.reference_name)]
     for c, name in enumerate(record.channels):
         error = value[:, :, 1 + c] - ratio[:, c] * value[:, :, 0]
         notices += _unsettled(error, value[:, :, 1 + c], frequency[excited], name)
@@ -210,7 +211,7 @@ def _reference_drift(reference: ComplexArray, name: str) -> list[Notice]:
     if span < max(_GAIN, 6.0 * float(u_gain)):
         return []
     text = f"the excitation's amplitude changes by {100.0 * span:.2g} % between periods; the ratio does not suffer"
-    return [Notice("info", text, name)]
+    return [Notice("note", text, name)]
 
 
 def _unsettled(error: ComplexArray, response: ComplexArray, frequency: FloatArray, name: str) -> list[Notice]:

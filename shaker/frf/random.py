@@ -7,10 +7,11 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, IntArray, Notice, check_shape
+from shaker.arrays import ComplexArray, FloatArray, IntArray, check_shape
 from shaker.frf.result import TransferFunction, TransferRecord, circular_covariance, resolution_notices
 from shaker.lines.spectrum import hann_window
 from shaker.sine.phasor import Phasors
+from shakercal._common.notices import Notice
 
 _TOLERANCE = 0.3  # bias of an estimator, over its standard uncertainty, that is accepted
 _TELLING = 0.5  # coherence from which 1 - γ² is about the sum of the two noise-to-signal ratios
@@ -51,7 +52,7 @@ class Spectra:
 
 
 @dataclass(frozen=True)
-class Choice:
+class EstimatorChoice:
     """The estimator taken, the ratio of the noise powers that Hv uses, and why."""
 
     estimator: Literal["H1", "H2", "Hv"]
@@ -60,10 +61,10 @@ class Choice:
 
     def notice(self, where: str, averaged: str) -> Notice:
         """Return the notice that tells the choice."""
-        return Notice("info", f"{self.estimator} of {averaged}: {self.why}", where)
+        return Notice("note", f"{self.estimator} of {averaged}: {self.why}", where)
 
 
-def ratio_covariance(spectra: Spectra, ratio: ComplexArray, choice: Choice) -> FloatArray:
+def ratio_covariance(spectra: Spectra, ratio: ComplexArray, choice: EstimatorChoice) -> FloatArray:
     """Return the covariance (K, 2C, 2C) of a ratio (K, C) that `ratio_of` has found."""
     power, averages = spectra.power, spectra.averages
     if not np.all(averages > 1.0):
@@ -82,7 +83,7 @@ def ratio_covariance(spectra: Spectra, ratio: ComplexArray, choice: Choice) -> F
     return circular_covariance(hermitian)
 
 
-def ratio_of(spectra: Spectra, choice: Choice) -> ComplexArray:
+def ratio_of(spectra: Spectra, choice: EstimatorChoice) -> ComplexArray:
     """Return H (K, C) by the estimator chosen; Hv minimises the noise |n_x|² + |n_y|²/κ that explains the spectra."""
     cross, reference, responses = spectra.cross, spectra.reference[:, None], spectra.responses
     if choice.estimator == "H1":
@@ -97,10 +98,10 @@ def ratio_of(spectra: Spectra, choice: Choice) -> ComplexArray:
 
 def choose_estimator(
     spectra: Spectra,
-    wanted: Literal["auto", "H1", "H2", "Hv"],
+    requested: Literal["auto", "H1", "H2", "Hv"],
     noise_ratio: float | None,
     reference_name: str,
-) -> Choice:
+) -> EstimatorChoice:
     """Return the estimator to take: the one wanted, or the one whose bias stays below its uncertainty.
 
     The coherence tells noise on the reference from noise on a response, if both are about white over the band:
@@ -110,17 +111,17 @@ def choose_estimator(
         raise ValueError(f"noise_ratio: expected a positive number, found {noise_ratio}")
     on_reference, on_response, bias_h1, bias_h2 = _noise_shares(spectra)
     told = on_reference > 0.0 and on_response > 0.0
-    if wanted == "Hv" and noise_ratio is None and not told:
+    if requested == "Hv" and noise_ratio is None and not told:
         raise ValueError("noise_ratio: expected the ratio of the noise powers, found none and no noise to tell it by")
     kappa = noise_ratio or (on_response / on_reference if told else 1.0)
-    if wanted != "auto":
-        return Choice(wanted, kappa, "as asked")
+    if requested != "auto":
+        return EstimatorChoice(requested, kappa, "as asked")
     if bias_h1 <= _TOLERANCE:
-        return Choice("H1", kappa, f"noise on {reference_name} biases it by less than its uncertainty")
+        return EstimatorChoice("H1", kappa, f"noise on {reference_name} biases it by less than its uncertainty")
     if bias_h2 <= _TOLERANCE:
-        return Choice("H2", kappa, f"the noise is on {reference_name}, little on the responses")
+        return EstimatorChoice("H2", kappa, f"the noise is on {reference_name}, little on the responses")
     why = f"noise on {reference_name} and on the responses, powers in the ratio 1 : {kappa:.3g}"
-    return Choice("Hv", kappa, why)
+    return EstimatorChoice("Hv", kappa, why)
 
 
 def _noise_shares(spectra: Spectra) -> tuple[float, float, float, float]:

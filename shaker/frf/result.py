@@ -8,9 +8,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, check_shape
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shape
 from shaker.frf.chain import ratio_unit
 from shaker.sine.phasor import Phasors
+from shakercal._common.notices import Notice
 
 # What goes into the estimate of a transfer function, and what comes out.
 

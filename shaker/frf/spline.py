@@ -11,21 +11,21 @@ from shaker.arrays import ComplexArray, FloatArray
 Numbers = TypeVar("Numbers", FloatArray, ComplexArray)
 
 
-def cubic_spline(knots: FloatArray, values: Numbers, wanted: FloatArray) -> Numbers:
+def cubic_spline(knots: FloatArray, values: Numbers, position: FloatArray) -> Numbers:
     """Return the not-a-knot cubic spline through values (N,) at wanted places; a constant for one knot.
 
     The digits are those of `scipy.interpolate.CubicSpline`, whose package takes as long to import as to check a whole
     recording.
     """
     if len(knots) == 1:
-        return np.full(len(wanted), values[0])
+        return np.full(len(position), values[0])
     step = np.diff(knots)
     rise = np.diff(values) / step
     slope = _slopes(knots, step, rise)
     bend = (slope[:-1] + slope[1:] - 2.0 * rise) / step
     curve = (rise - slope[:-1]) / step - bend
-    piece = np.clip(np.searchsorted(knots, wanted, side="right") - 1, 0, len(step) - 1)
-    x = wanted - knots[piece]
+    piece = np.clip(np.searchsorted(knots, position, side="right") - 1, 0, len(step) - 1)
+    x = position - knots[piece]
     return np.asarray(values[piece] + slope[piece] * x + curve[piece] * (x * x) + (bend / step)[piece] * (x * x * x))
 
 

@@ -9,24 +9,26 @@ from typing import Literal
 import numpy as np
 
 from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, check_shape
-from shaker.fitting import Block, Changes, Rules, Separable, levenberg_marquardt
-from shaker.identification.measured import (
+from shaker.fitting import BlockJacobian, LinearBlock, LMOptions, SeparablePoint, levenberg_marquardt
+from shaker.identification.measured_curves import (
     CurveResidual,
     MeasuredCurve,
-    SeenNoise,
-    between_lines,
+    ResidualNoise,
+    estimate_residual_noise,
+    line_correlation_term,
     rational_poles,
-    seen_noise,
-    whitening_of,
+    whitening_matrices,
 )
 from shaker.mechanics import laplace
 
-Kind = Literal["transmissibility", "receptance", "mobility", "accelerance"]
+ResonanceKind = Literal["transmissibility", "receptance", "mobility", "accelerance"]
 
 _OSCILLATOR = ("frequency_hz", "damping_ratio", "gain_re", "gain_im")
 _OTHERS = ("mass_line_re", "mass_line_im", "constant_re", "constant_im")
 _ORDER: dict[str, int] = {"transmissibility": 0, "receptance": 0, "mobility": 1, "accelerance": 2}
-_RULES = Rules(foretold=1e-13, foretold_share=0.0, steps=60, tries=13, first=1e-6)
+_RULES = LMOptions(
+    predicted_decrease=1e-13, predicted_decrease_share=0.0, max_steps=60, max_dampings=13, initial_damping=1e-6
+)
 """A fit has converged where the whitened model would change by 3e-7, or where no damping up to 1e6 helps."""
 _NOISE_ROUNDS = 5
 _EVEN = 0.01  # relative spread over the lines of what their covariances change by, at which weights have settled
@@ -43,7 +45,7 @@ class Resonance(Brief):
     `dof` in the mean. The covariance is enlarged by χ²/dof where that exceeds one.
     """
 
-    kind: Kind
+    kind: ResonanceKind
     frequency_hz: float
     damping_ratio: float
     gain: complex
@@ -79,7 +81,9 @@ class Resonance(Brief):
         return 0.5 / self.damping_ratio
 
 
-def fit_resonance(curve: MeasuredCurve, kind: Kind, *, delay: bool = False, residual_terms: bool = False) -> Resonance:
+def fit_resonance(
+    curve: MeasuredCurve, kind: ResonanceKind, *, delay: bool = False, residual_terms: bool = False
+) -> Resonance:
     """Fit one resonance to a measured curve (K lines).
 
     With p = s/ω₀, s = a + jω and D = 1 + 2ζp + p²: transmissibility G·(1 + 2ζp)/D (base excitation), receptance G/D,
@@ -106,7 +110,7 @@ def fit_resonance(curve: MeasuredCurve, kind: Kind, *, delay: bool = False, resi
     root = np.linalg.inv(np.linalg.qr(flat / scale, mode="r"))
     inverse = root @ root.T
     columns = (jacobian[:, 0] + 1j * jacobian[:, 1]) / scale
-    inverse = inverse + inverse @ between_lines(curve.frequency_hz, columns, curve.line_correlation) @ inverse
+    inverse = inverse + inverse @ line_correlation_term(curve.frequency_hz, columns, curve.line_correlation) @ inverse
     fitted = dict(zip(names, vector.tolist(), strict=True))
     low, high = (complex(fitted.get(f"{n}_re", 0.0), fitted.get(f"{n}_im", 0.0)) for n in ("mass_line", "constant"))
     return Resonance(
@@ -124,7 +128,7 @@ def fit_resonance(curve: MeasuredCurve, kind: Kind, *, delay: bool = False, resi
 
 
 def _evaluate(
-    kind: Kind, names: tuple[str, ...], s: ComplexArray, vector: FloatArray
+    kind: ResonanceKind, names: tuple[str, ...], s: ComplexArray, vector: FloatArray
 ) -> tuple[ComplexArray, ComplexArray]:
     """Return H (K,) and its derivatives (K, P) by the parameters named."""
     fitted = dict(zip(names, vector, strict=True))
@@ -157,9 +161,11 @@ def _real(whitening: FloatArray, columns: ComplexArray) -> FloatArray:
     return np.asarray(whitening @ np.stack([columns.real, columns.imag], axis=1))
 
 
-def _weighed(curve: MeasuredCurve, kind: Kind, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray, SeenNoise]:
+def _weighed(
+    curve: MeasuredCurve, kind: ResonanceKind, names: tuple[str, ...]
+) -> tuple[FloatArray, FloatArray, ResidualNoise]:
     """Return the parameters, the derivatives (K, 2, P) whitened by the noise seen in the lines, and that noise."""
-    s, whitening = laplace(curve.frequency_hz, curve.added_decay_per_s), whitening_of(curve.covariance)
+    s, whitening = laplace(curve.frequency_hz, curve.added_decay_per_s), whitening_matrices(curve.covariance)
     dof = np.full(len(s), np.inf) if curve.dof is None else curve.dof
     size, noise = np.abs(s ** _ORDER[kind]), np.sqrt(0.5 * np.trace(curve.covariance, axis1=1, axis2=2))
     response, lowest = curve.value / s ** _ORDER[kind], -2 if "mass_line_re" in names else 0
@@ -172,7 +178,7 @@ def _weighed(curve: MeasuredCurve, kind: Kind, names: tuple[str, ...]) -> tuple[
         weighed = whitening / np.sqrt(factor)[:, None, None]
         vector, residual, jacobian = _adjusted(kind, names, s, curve.value, weighed, vector)
         length = np.sum(residual**2, axis=1) * factor
-        seen = seen_noise([CurveResidual(length, dof, residual.shape[1])], float(len(names)))
+        seen = estimate_residual_noise([CurveResidual(length, dof, residual.shape[1])], float(len(names)))
         before, factor = factor, seen.lines[0]
         if np.ptp(factor / before) <= _EVEN * np.max(factor / before):
             break
@@ -180,13 +186,18 @@ def _weighed(curve: MeasuredCurve, kind: Kind, names: tuple[str, ...]) -> tuple[
 
 
 def _adjusted(
-    kind: Kind, names: tuple[str, ...], s: ComplexArray, value: ComplexArray, whitening: FloatArray, start: FloatArray
+    kind: ResonanceKind,
+    names: tuple[str, ...],
+    s: ComplexArray,
+    value: ComplexArray,
+    whitening: FloatArray,
+    start: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the parameters of least squares, the whitened residuals (K, 2) and derivatives (K, 2, P) there."""
     linear = np.array([name.endswith(("_re", "_im")) for name in names])
     measured = _real(whitening, value[:, None]).reshape(-1, 1)
 
-    def point(parameters: FloatArray) -> Separable | None:
+    def point(parameters: FloatArray) -> SeparablePoint | None:
         """Gain and residual terms are linear and follow frequency, damping and delay."""
         if min(parameters[:2]) <= 0.0:
             return None
@@ -194,12 +205,12 @@ def _adjusted(
         vector[~linear] = parameters
         design = _real(whitening, _evaluate(kind, names, s, vector)[1][:, linear]).reshape(len(measured), -1)
 
-        def changes(coefficients: FloatArray) -> Changes:
+        def changes(coefficients: FloatArray) -> BlockJacobian:
             vector[linear] = coefficients[:, 0]
             slopes = _real(whitening, _evaluate(kind, names, s, vector)[1][:, ~linear])
-            return Changes(np.arange(len(parameters)), slopes.reshape(len(measured), -1, 1))
+            return BlockJacobian(np.arange(len(parameters)), slopes.reshape(len(measured), -1, 1))
 
-        return Separable(parameters, [Block(design, measured, changes)])
+        return SeparablePoint(parameters, [LinearBlock(design, measured, changes)])
 
     first = point(start[~linear])
     assert first is not None
@@ -334,12 +345,12 @@ def _angle_model(frequency_hz: FloatArray, f0: float, zeta: float) -> tuple[Floa
 
 # Where |H| of one resonance is largest and where it has fallen to a given share of that, between the lines.
 
-Width = Literal["half_power", "half_amplitude"]
-LEVELS: dict[Width, float] = {"half_power": 2.0, "half_amplitude": 4.0}  # of 1/|H|², relative to the maximum
+PeakWidth = Literal["half_power", "half_amplitude"]
+LEVELS: dict[PeakWidth, float] = {"half_power": 2.0, "half_amplitude": 4.0}  # of 1/|H|², relative to the maximum
 
 
 @dataclass(frozen=True, repr=False)
-class Place(Brief):
+class PeakPoint(Brief):
     """A frequency read from a curve, 1/|H|² there, and their gradients (K,) by 1/|H|² of every line; NaN: not found."""
 
     frequency_hz: float
@@ -348,13 +359,13 @@ class Place(Brief):
     inverse_by_line: FloatArray
 
 
-def _nowhere(curve: MeasuredCurve) -> Place:
+def _nowhere(curve: MeasuredCurve) -> PeakPoint:
     """Return the place that was not found."""
     nothing = np.full(len(curve.frequency_hz), np.nan)
-    return Place(np.nan, np.nan, nothing, nothing)
+    return PeakPoint(np.nan, np.nan, nothing, nothing)
 
 
-def read_shape(curve: MeasuredCurve) -> tuple[Place, dict[Width, tuple[Place, Place]]]:
+def read_shape(curve: MeasuredCurve) -> tuple[PeakPoint, dict[PeakWidth, tuple[PeakPoint, PeakPoint]]]:
     """Return the maximum and the crossings below and above it for both widths.
 
     1/|H|² of one base-excited oscillator is a parabola over f², but for a factor 1 + 4ζ²f²/f₀². The maximum is the
@@ -374,7 +385,7 @@ def read_shape(curve: MeasuredCurve) -> tuple[Place, dict[Width, tuple[Place, Pl
     reach = float(np.min(np.abs(curve.frequency_hz[ends] - frequency))) if ends else float(np.ptp(curve.frequency_hz))
     low, high = frequency - reach, frequency + reach
     top = _nowhere(curve)
-    crossings: dict[Width, tuple[Place, Place]] = {}
+    crossings: dict[PeakWidth, tuple[PeakPoint, PeakPoint]] = {}
     for _ in range(_PASSES):
         width = high - low
         top = _top(curve, frequency, 0.5 * width)
@@ -425,7 +436,7 @@ def _parabola(
     return coefficients, by_line, place
 
 
-def _top(curve: MeasuredCurve, frequency_hz: float, reach_hz: float) -> Place:
+def _top(curve: MeasuredCurve, frequency_hz: float, reach_hz: float) -> PeakPoint:
     """Return the vertex of the parabola of the lines around a maximum."""
     (c0, c1, c2), by_line, place = _parabola(curve, frequency_hz, reach_hz, 3)
     u = -0.5 * c1 / c2 if c2 > 0.0 else np.nan
@@ -433,10 +444,10 @@ def _top(curve: MeasuredCurve, frequency_hz: float, reach_hz: float) -> Place:
     if not (abs(u) < 2.0 and inverse > 0.0):
         return _nowhere(curve)
     frequency, frequency_by_line = place(u, (c1 / c2 * by_line[2] - by_line[1]) / (2.0 * c2))
-    return Place(frequency, float(inverse), frequency_by_line, np.array([1.0, u, u * u]) @ by_line)
+    return PeakPoint(frequency, float(inverse), frequency_by_line, np.array([1.0, u, u * u]) @ by_line)
 
 
-def _crossing(curve: MeasuredCurve, top: Place, level: float, frequency_hz: float, reach_hz: float) -> Place:
+def _crossing(curve: MeasuredCurve, top: PeakPoint, level: float, frequency_hz: float, reach_hz: float) -> PeakPoint:
     """Return where the parabola of the lines around a flank has `level` times the 1/|H|² of the maximum."""
     if not curve.frequency_hz[0] <= frequency_hz <= curve.frequency_hz[-1]:
         return _nowhere(curve)
@@ -448,7 +459,7 @@ def _crossing(curve: MeasuredCurve, top: Place, level: float, frequency_hz: floa
     if not abs(u) < 3.0:
         return _nowhere(curve)
     frequency, frequency_by_line = place(u, (by_target - np.array([1.0, u, u * u]) @ by_line) / slope)
-    return Place(frequency, target, frequency_by_line, by_target)
+    return PeakPoint(frequency, target, frequency_by_line, by_target)
 
 
 def uncertainties(curve: MeasuredCurve, *by_inverse: FloatArray) -> FloatArray:
@@ -458,7 +469,7 @@ def uncertainties(curve: MeasuredCurve, *by_inverse: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.diag(curve.propagated(gradient))))
 
 
-def wandering_hz2(curve: MeasuredCurve, top: Place, width_hz: float) -> float:
+def wandering_hz2(curve: MeasuredCurve, top: PeakPoint, width_hz: float) -> float:
     """Return the variance of the line of the largest |H| that comes from noise: which line wins, all equally spaced.
 
     The lines above half power are independent and normal about |H| of the oscillator; each wins with the probability
@@ -574,7 +585,9 @@ def transmissibility_levels(damping_ratio: float, level: float = 2.0) -> tuple[f
     return float(np.sqrt(highest)), float(np.sqrt(max(0.0, middle - root))), float(np.sqrt(middle + root))
 
 
-def _by_width(method: Width, curve: MeasuredCurve, top: Place, low: Place, high: Place, note: str) -> PeakReading:
+def _by_width(
+    method: PeakWidth, curve: MeasuredCurve, top: PeakPoint, low: PeakPoint, high: PeakPoint, note: str
+) -> PeakReading:
     """Return what a maximum and the width at a level tell.
 
     Half power: the f₀ and ζ of which the oscillator has its maximum and its half-power points where they were read.

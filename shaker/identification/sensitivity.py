@@ -8,11 +8,17 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import Brief, ComplexArray, FloatArray, Notice, check_shape
-from shaker.fitting import Residuals, Rules, levenberg_marquardt
-from shaker.identification.measured import MeasuredSensitivity, NamedUnknown, ParameterEstimate, whitening_of
-from shaker.identification.sensor import CHAIN_PARAMETERS, Chain, ChainKind, SensorModel
+from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape
+from shaker.fitting import LMOptions, WhitenedResiduals, levenberg_marquardt
+from shaker.identification.measured_curves import (
+    MeasuredSensitivity,
+    NamedUnknown,
+    ParameterEstimate,
+    whitening_matrices,
+)
+from shaker.identification.sensor import CHAIN_PARAMETERS, ChainKind, ChainModel, SensorModel
 from shaker.mechanics import laplace
+from shakercal._common.notices import Notice
 
 
 @dataclass(frozen=True)
@@ -59,7 +65,7 @@ LABELS = {
     "damping_ratio": "damping ratio of the chain",
 }
 """The parameters of a `SensitivityFit` in words."""
-_RULES = Rules(foretold=1e-12, foretold_share=1e-12, steps=200)
+_RULES = LMOptions(predicted_decrease=1e-12, predicted_decrease_share=1e-12, max_steps=200)
 _SMALLEST_TURN = 0.01  # rad at the highest line with which a lag starts, lest it be the same as a delay
 
 
@@ -77,7 +83,7 @@ class SensitivityFit(Brief):
 
     sensitivity: float
     spring_time_s: float
-    chain: Chain
+    chain: ChainModel
     unit: str
     parameters: tuple[str, ...]
     covariance: FloatArray
@@ -197,14 +203,14 @@ class _Problem:
         known += [(len(names) + number, 0.0, 1.0) for number in range(len(measured.errors))]
         relative = [np.empty((len(measured.value), 0)), *(error.relative for error in measured.errors)]
         time_s = 0.0 if spring is None else spring.time_s
-        whitening = whitening_of(measured.covariance)
+        whitening = whitening_matrices(measured.covariance)
         return _Problem(measured, kind, names, time_s, tuple(known), np.concatenate(relative, axis=1), whitening)
 
-    def split(self, x: FloatArray) -> tuple[float, float, Chain]:
+    def split(self, x: FloatArray) -> tuple[float, float, ChainModel]:
         """Return S₀, τ and the chain of the unknowns."""
         time = float(x[1]) if "spring_time_s" in self.names else self.time_s
         end = len(self.names)
-        return float(x[0]), time, Chain(self.kind, np.array(x[end - len(CHAIN_PARAMETERS[self.kind]) : end]))
+        return float(x[0]), time, ChainModel(self.kind, np.array(x[end - len(CHAIN_PARAMETERS[self.kind]) : end]))
 
     def curve(self, x: FloatArray) -> ComplexArray:
         """Return the sensitivity (K,) with common errors."""
@@ -212,7 +218,7 @@ class _Problem:
         hertz, errors = self.measured.frequency_hz, np.exp(self.relative @ x[len(self.names) :])
         return np.asarray(scale / (1.0 + laplace(hertz) * time) * chain.response(hertz) * errors)
 
-    def point(self, x: FloatArray) -> Residuals:
+    def point(self, x: FloatArray) -> WhitenedResiduals:
         """Return measured less curve, whitened, then what is known beforehand: the sum of their squares is χ²."""
         _, time, chain = self.split(x)
         s, curve = laplace(self.measured.frequency_hz), self.curve(x)
@@ -224,7 +230,7 @@ class _Problem:
         unit = np.eye(len(x))
         rows = [np.append(x[place] - value, unit[place]) / u for place, value, u in self.known]
         both = np.vstack([lines, *rows])
-        return Residuals(x, both[:, 0], both[:, 1:])
+        return WhitenedResiduals(x, both[:, 0], both[:, 1:])
 
     def start(self) -> FloatArray:
         """Return starting values: sign and delay from the phases, the rest from the magnitudes.

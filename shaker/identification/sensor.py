@@ -7,11 +7,12 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import Brief, ComplexArray, FloatArray, Notice, check_shape
+from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape
 from shaker.fitting import covariance_root
 from shaker.frf.chain import ChainResponse, common_covariance, split_ratio
 from shaker.mechanics import laplace
 from shaker.sine.phasor import Phasors
+from shakercal._common.notices import Notice
 
 # Shapes that a measuring chain can give the sensitivity: delay, lag, low-pass of second order.
 
@@ -29,7 +30,7 @@ CHAIN_PARAMETERS: dict[ChainKind, tuple[str, ...]] = {
 
 
 @dataclass(frozen=True, repr=False)
-class Chain(Brief):
+class ChainModel(Brief):
     """exp(−sD) / (1 + a₁s + a₂s²), s = jω, with the terms that `kind` has.
 
     `parameters` (P,) in the order of `CHAIN_PARAMETERS`: D `delay_s`, a₁ `lag_s`, a₂ `square_s2`. A low-pass of
@@ -100,13 +101,13 @@ class Chain(Brief):
         return np.asarray(1.0 + self.lag_s * s + self.square_s2 * s * s)
 
 
-NO_CHAIN = Chain("none", np.empty(0))
+NO_CHAIN = ChainModel("none", np.empty(0))
 """A chain that passes everything as it is."""
 
 
 # The sensor as a whole: what it puts out for the force on its load.
 
-Drive = Literal["base", "force"]
+SensorExcitation = Literal["base", "force"]
 
 SENSOR_PARAMETERS = ("sensitivity", "stiffness", "damping", "internal_mass")
 
@@ -123,7 +124,7 @@ class Load:
     """
 
     mass: float
-    drive: Drive
+    drive: SensorExcitation
     u_mass: float = 0.0
 
     def __post_init__(self) -> None:
@@ -146,7 +147,7 @@ class SensorModel(Brief):
     stiffness: float
     damping: float
     internal_mass: float
-    chain: Chain
+    chain: ChainModel
     covariance: FloatArray
     unit: str
 
@@ -322,7 +323,7 @@ class CorrectedRecord(Brief):
     sample_rate_hz: float
     band_hz: float
     settling: int
-    beyond: float
+    removed_rms: float
     notices: tuple[Notice, ...]
 
     def __post_init__(self) -> None:

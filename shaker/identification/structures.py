@@ -10,13 +10,13 @@ from typing import Protocol
 import numpy as np
 
 from shaker.arrays import FloatArray
-from shaker.identification.measured import MeasuredTransfer
+from shaker.identification.measured_curves import MeasuredTransfer
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, mechanical_units
 from shaker.mechanics import Mechanics, chain_terms, check_stages
 
 
 @dataclass(frozen=True)
-class Parameter:
+class StructureParameter:
     """One number of a structure: `name` for files, e.g. "stiffness_z", `label` for readers, `unit`."""
 
     name: str
@@ -24,11 +24,11 @@ class Parameter:
     unit: str
 
 
-class Structure(Protocol):
+class MechanicalStructure(Protocol):
     """What is fitted: named parameters, what they mean in a recording, and where a fit may start."""
 
     @property
-    def parameters(self) -> tuple[Parameter, ...]:
+    def parameters(self) -> tuple[StructureParameter, ...]:
         """Parameters (P,); "stiffness_…" and "damping_…" with one ending belong together."""
 
     @property
@@ -42,20 +42,20 @@ class Structure(Protocol):
         """Return starting values (S, P), the right order of magnitude; the best of what they lead to is taken."""
 
 
-def _spring_and_damper(component: int, ending: str, words: str) -> tuple[Parameter, Parameter]:
+def _spring_and_damper(component: int, ending: str, words: str) -> tuple[StructureParameter, StructureParameter]:
     """Return stiffness and damping along or about a component."""
     units = mechanical_units(LOAD_COMPONENTS[component])
-    stiffness = Parameter(f"stiffness_{ending}", f"stiffness k, {words}", units.stiffness)
-    return stiffness, Parameter(f"damping_{ending}", f"damping b, {words}", units.damping)
+    stiffness = StructureParameter(f"stiffness_{ending}", f"stiffness k, {words}", units.stiffness)
+    return stiffness, StructureParameter(f"damping_{ending}", f"damping b, {words}", units.damping)
 
 
-def _internal(component: int) -> Parameter:
+def _internal(component: int) -> StructureParameter:
     """Return what moves with the load inside the sensor: a mass, or a moment of inertia about an axis."""
     unit = mechanical_units(LOAD_COMPONENTS[component]).inertia
     if component < 3:
-        return Parameter("internal_mass", "internal mass m_i", unit)
+        return StructureParameter("internal_mass", "internal mass m_i", unit)
     axis = MOTION_COMPONENTS[component]
-    return Parameter(f"internal_inertia_{axis}", f"internal moment of inertia, {axis}", unit)
+    return StructureParameter(f"internal_inertia_{axis}", f"internal moment of inertia, {axis}", unit)
 
 
 def _seen(record: MeasuredTransfer, body: FloatArray, matrices: FloatArray, forcing: FloatArray) -> Mechanics:
@@ -75,7 +75,7 @@ _DAMPING_RATIO = 0.01  # where a fit starts
 
 
 @dataclass(frozen=True)
-class Suspension:
+class SpringSuspension:
     """Load on springs k and dampers b along `components` (indices into x y z rx ry rz), rigid along all others.
 
     The base moves as a rigid body along `record.drive` = d, the load with it and by p along the free components F:
@@ -94,14 +94,14 @@ class Suspension:
             raise ValueError(f"components: expected different ones of 0 to 5, found {chosen}")
 
     @property
-    def parameters(self) -> tuple[Parameter, ...]:
+    def parameters(self) -> tuple[StructureParameter, ...]:
         """Stiffness and damping of each free component, then internal mass and moments of inertia."""
         axes = [(c, MOTION_COMPONENTS[c]) for c in self.components]
         springs, dampers = zip(*(_spring_and_damper(c, axis, axis) for c, axis in axes), strict=True)
         return (*springs, *dampers, *(parameter for parameter, _ in self._internal))
 
     @property
-    def _internal(self) -> list[tuple[Parameter, FloatArray]]:
+    def _internal(self) -> list[tuple[StructureParameter, FloatArray]]:
         """What moves with the load inside the sensor, and its mass matrix (6, 6) per unit."""
         masses = [(_internal(0), np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]))] if min(self.components) < 3 else []
         return masses + [(_internal(c), np.diag(np.eye(6)[c])) for c in self.components if c >= 3]
@@ -145,7 +145,7 @@ class Stage:
     """A stage whose spring and damper are sought; `own_mass`: whether it has an unknown mass besides the load."""
 
     name: str
-    own_mass: bool = True
+    has_mass: bool = True
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,7 @@ class ChainStructure:
             raise ValueError(f"component: expected one of 0 to 5, found {self.component}")
 
     @property
-    def parameters(self) -> tuple[Parameter, ...]:
+    def parameters(self) -> tuple[StructureParameter, ...]:
         """Stiffness of every stage, damping of every stage, masses of their own."""
         axis, pairs, masses = MOTION_COMPONENTS[self.component], [], []
         for stage in self.stages:
@@ -179,7 +179,7 @@ class ChainStructure:
                 own = replace(own, name=f"mass_{name}", label=f"mass, {name}")
             elif name != SENSOR:
                 own = replace(own, name=f"inertia_{ending}", label=f"moment of inertia, {words}")
-            masses += [own] if stage.own_mass else []
+            masses += [own] if stage.has_mass else []
         springs, dampers = zip(*pairs, strict=True)
         return (*springs, *dampers, *masses)
 
@@ -194,7 +194,7 @@ class ChainStructure:
         matrices, forcing = chain_terms(count)
         mass = slice(1, 1 + count)
         spring, damper = (matrices[1 + shift : 1 + shift + count] for shift in (count, 2 * count))
-        own = [place for place, stage in enumerate(self.stages) if stage.own_mass]
+        own = [place for place, stage in enumerate(self.stages) if stage.has_mass]
         loads = [record.mass_matrix, *(error.change for error in record.inertia_errors)]
         load = np.array([matrix[self.component, self.component] for matrix in loads])[:, None, None, None]
         push = np.array([matrix[self.component] @ record.drive for matrix in loads])[:, None]
@@ -207,7 +207,7 @@ class ChainStructure:
     def starts(self, records: Sequence[MeasuredTransfer]) -> FloatArray:
         """Return starting values (S, P): the measured poles in every order to the springs, as if each bore the load."""
         load = records[0].mass_matrix[self.component, self.component]
-        masses = [0.1 * load for stage in self.stages if stage.own_mass]
+        masses = [0.1 * load for stage in self.stages if stage.has_mass]
         starts = []
         for order in permutations(records[0].poles(len(self.stages))):
             pole = np.array(order)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
 
-from shaker.io.channel import RawChannel, reading
+from shaker.io.channel import RawChannel, convert_read_errors
 
 _READERS = {
     ".h5": "binary.read_hdf5",
@@ -40,7 +40,7 @@ _EXPORTS = {
 }
 
 
-def refused_suffix(path: Path) -> tuple[str, str] | None:
+def unsupported_suffix(path: Path) -> tuple[str, str] | None:
     """Return what is expected instead of a file that no reader takes, and what it is; None where one takes it."""
     suffix = path.suffix.lower()
     if suffix in _READERS:
@@ -68,10 +68,10 @@ def read_channels(
     {'Fz': RawChannel(3 samples at 10 Hz from 0 s, unit N)}
     """
     path = Path(path)
-    wrong = refused_suffix(path)
+    wrong = unsupported_suffix(path)
     if wrong is not None:
         raise ValueError(f"{path}: expected {wrong[0]}, found {wrong[1]}")
     module, _, name = _READERS[path.suffix.lower()].partition(".")
     read: Callable[..., dict[str, RawChannel]] = getattr(import_module(f"shaker.io.{module}"), name)
-    with reading(path):
+    with convert_read_errors(path):
         return read(path, names, sample_rate_hz)

@@ -14,17 +14,17 @@ from numpy.typing import NDArray
 
 from shaker.arrays import FloatArray
 from shaker.io.channel import (
-    DEEPEST,
-    Column,
+    MAX_NESTING,
+    DatasetColumn,
     RawChannel,
+    as_sample_array,
     check_stored,
-    chosen,
     columns_of,
     is_time,
-    most_bytes,
-    numbers,
-    opened_hdf5,
+    max_sample_bytes,
+    open_hdf5,
     read_datasets,
+    select_names,
 )
 from shaker.io.mat5 import check_mat5
 from shaker.io.times import SampleTimes, agreed_rate, times_of_stamps
@@ -71,7 +71,7 @@ class _Stated:
 def _put_together(
     path: Path,
     datasets: Mapping[str, Any],
-    columns: Mapping[str, Column],
+    columns: Mapping[str, DatasetColumn],
     wanted: Mapping[str, _Stated],
     sample_rate_hz: float | None,
 ) -> dict[str, RawChannel]:
@@ -83,7 +83,7 @@ def _put_together(
         stamps = None if stated.times is None else values[stated.times]
         samples = values[name] if stated.packing is None else stated.packing.unpacked(values[name])
         sampled = _sampled(path, f'channel "{name}"', stated, stamps, sample_rate_hz)
-        result[name] = RawChannel.at(sampled, numbers(path, name, samples), stated.unit)
+        result[name] = RawChannel.from_times(sampled, as_sample_array(path, name, samples), stated.unit)
     return result
 
 
@@ -124,12 +124,12 @@ def read_hdf5(path: Path, names: Sequence[str] | None, sample_rate_hz: float | N
     """
     import h5py
 
-    with opened_hdf5(path, links=True) as file:
-        columns: dict[str, Column] = {}
+    with open_hdf5(path, links=True) as file:
+        columns: dict[str, DatasetColumn] = {}
 
         def add(name: str, node: Any) -> None:
-            if name.count("/") > DEEPEST:
-                raise ValueError(f"groups in {DEEPEST} others")
+            if name.count("/") > MAX_NESTING:
+                raise ValueError(f"groups in {MAX_NESTING} others")
             columns.update(columns_of(name, node))
 
         file.visititems(add)  # follows no links
@@ -138,7 +138,7 @@ def read_hdf5(path: Path, names: Sequence[str] | None, sample_rate_hz: float | N
                 raise ValueError(f'{path}: channel "{name}": expected samples in this file, found a link to another')
         present = columns if names is not None else [name for name in columns if not is_time(name.rsplit("/", 1)[-1])]
         wanted = {}
-        for name in chosen(path, names, present):
+        for name in select_names(path, names, present):
             node, index, where = file[columns[name].dataset], columns[name].index, f'{path}: channel "{name}"'
             rate, start = (_number(where, _attribute(node, keys), index) for keys in (_RATES, _STARTS))
             times = _time_beside(name, columns)
@@ -183,7 +183,7 @@ def _packing(where: str, node: Any, index: int | None) -> _Packing | None:
     return _Packing(1.0 if factor is None else factor, addend or 0.0, missing)
 
 
-def _time_beside(name: str, columns: Mapping[str, Column]) -> str | None:
+def _time_beside(name: str, columns: Mapping[str, DatasetColumn]) -> str | None:
     """Return the dataset or field `time` beside a channel (or beside its table) and of its length."""
     group = name.rpartition("/")[0]
     for other, column in columns.items():
@@ -229,7 +229,7 @@ def read_matlab(path: Path, names: Sequence[str] | None, sample_rate_hz: float |
     # Version 7.3 is HDF5 behind a user block of 512 bytes (or none).
     if _HDF5_SIGNATURE not in (head[:8], head[512:]):
         return _channels(path, _classic(path, names), names, sample_rate_hz)
-    with opened_hdf5(path) as file:
+    with open_hdf5(path) as file:
         return _channels(path, dict(_hdf5_leaves("", file)), names, sample_rate_hz)
 
 
@@ -237,7 +237,7 @@ def _channels(
     path: Path, variables: Mapping[str, Any], names: Sequence[str] | None, sample_rate_hz: float | None
 ) -> dict[str, RawChannel]:
     """Return the channels among the variables of a file: arrays of numbers, texts, and `_Unreadable` ones."""
-    columns: dict[str, Column] = {}
+    columns: dict[str, DatasetColumn] = {}
     for name, variable in variables.items():
         if not isinstance(variable, str) and variable.size > 1:
             columns |= columns_of(name, variable)
@@ -246,7 +246,7 @@ def _channels(
             raise ValueError(f'{path}: channel "{name}": expected a vector of numbers, found {kind}')
     present = columns if names is not None else [n for n in columns if n.rpartition(".")[2] not in _TIMES]
     wanted = {}
-    for name in chosen(path, names, present):
+    for name in select_names(path, names, present):
         (rate_key, rate), (_, start) = (_scalar(path, variables, name, keys) for keys in (_MATLAB_RATES, _STARTS))
         near = [columns[other] for other in _beside(name, _TIMES) if other in columns and other != name]
         times = next((own.dataset for own in near if own.length == columns[name].length), None)
@@ -279,8 +279,8 @@ def _scalar(path: Path, variables: Mapping[str, Any], name: str, keys: Sequence[
 
 def _hdf5_leaves(prefix: str, group: Any) -> Iterator[tuple[str, Any]]:
     """Yield the variables of a version 7.3 file; arrays stay in the file."""
-    if prefix.count(".") > DEEPEST:
-        raise ValueError(f"structs in {DEEPEST} others")
+    if prefix.count(".") > MAX_NESTING:
+        raise ValueError(f"structs in {MAX_NESTING} others")
     for key, node in group.items():
         if key.startswith("#"):
             continue
@@ -306,7 +306,7 @@ def _classic(path: Path, names: Sequence[str] | None) -> dict[str, Any]:
     """Return the variables of an older file, where only some channels are asked for those that matter to them."""
     from scipy.io import loadmat, whosmat
 
-    check_mat5(path, most_bytes(path), _MOST_ARRAYS)
+    check_mat5(path, max_sample_bytes(path), _MOST_ARRAYS)
     roots = None
     if names is not None:
         roots = {re.split("[./]", name)[0] for name in names}
@@ -361,6 +361,6 @@ def read_wave(path: Path, names: Sequence[str] | None, sample_rate_hz: float | N
         except wavfile.WavFileWarning as error:
             raise ValueError(f"{path}: expected a complete WAV file, found its end too early") from error
     columns = samples.reshape(len(samples), -1)
-    wanted = chosen(path, names, [str(i + 1) for i in range(columns.shape[1])])
+    wanted = select_names(path, names, [str(i + 1) for i in range(columns.shape[1])])
     rate_hz = agreed_rate(path, "the record", float(rate), sample_rate_hz)
-    return {name: RawChannel(numbers(path, name, columns[:, int(name) - 1]), rate_hz) for name in wanted}
+    return {name: RawChannel(as_sample_array(path, name, columns[:, int(name) - 1]), rate_hz) for name in wanted}

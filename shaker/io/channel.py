@@ -48,7 +48,7 @@ class RawChannel:
             check_shape("stamp_s", self.stamp_s, self.samples.shape)
 
     @staticmethod
-    def at(times: SampleTimes, samples: FloatArray, unit: str) -> RawChannel:
+    def from_times(times: SampleTimes, samples: FloatArray, unit: str) -> RawChannel:
         """Return samples (S,) taken at these times."""
         return RawChannel(samples, times.rate_hz, times.start_s, unit, times.stamp_s)
 
@@ -76,12 +76,12 @@ class RawChannel:
 BLOCK = 1 << 20  # bytes read at a time
 MOST_CHANNELS = 10_000  # of a table
 LONGEST_LINE = 16 << 20  # bytes of a line of text
-DEEPEST = 64  # groups or structs inside one another
+MAX_NESTING = 64  # groups or structs inside one another
 _FREE, _EXPANSION = 512 << 20, 100  # bytes of samples that any file may have, and how many more for each of its own
 
 
 @contextmanager
-def reading(path: Path) -> Iterator[None]:
+def convert_read_errors(path: Path) -> Iterator[None]:
     """Turn whatever goes wrong with a file into `OSError` or `ValueError`: one sentence that begins with its path.
 
     What is no file is refused before it is opened: a pipe would wait for ever, a device may have no end.
@@ -108,7 +108,7 @@ def reading(path: Path) -> Iterator[None]:
         raise ValueError(f"{path}: expected a readable {kind} file, found a damaged one ({cause})") from error
 
 
-def most_bytes(path: Path) -> int:
+def max_sample_bytes(path: Path) -> int:
     """Return how many bytes of samples a file of that length can hold.
 
     Compression makes measured samples a few times smaller, a trigger between its edges perhaps a hundred times.
@@ -118,34 +118,34 @@ def most_bytes(path: Path) -> int:
 
 def check_size(path: Path, what: str, size: int) -> None:
     """Raise `ValueError` where a file of that length cannot hold what it declares, `size` bytes once read."""
-    most = most_bytes(path)
+    most = max_sample_bytes(path)
     if size > most:
         found = f"{size / 1e6:.0f} MB declared in a file of {path.stat().st_size / 1e6:.3g} MB"
         raise ValueError(f"{path}: {what}: expected at most {most / 1e6:.0f} MB of samples, found {found}")
 
 
-def chosen(path: Path, names: Sequence[str] | None, present: Iterable[str]) -> list[str]:
+def select_names(path: Path, names: Sequence[str] | None, present: Iterable[str]) -> list[str]:
     """Return the names wanted (all present ones for None), or raise `ValueError` naming those present."""
     available = dict.fromkeys(present)
     if names is None:
         return list(available)
     for name in names:
         if name not in available:
-            raise ValueError(f'{path}: expected a channel "{name}", found {listed(list(available))}')
+            raise ValueError(f'{path}: expected a channel "{name}", found {format_names(list(available))}')
     return list(names)
 
 
-def chosen_by_either(
+def select_by_either_name(
     path: Path, names: Sequence[str] | None, present: Mapping[str, T], short: Sequence[str]
 ) -> dict[str, T]:
     """Return what belongs to the names wanted (None: all present); who has a `short` name alone answers to it, too."""
     count = Counter(short)
     alone = {own: item for own, item in zip(short, present.values(), strict=True) if count[own] == 1}
     known = {**present, **alone, **present}
-    return {name: known[name] for name in (present if names is None else chosen(path, names, known))}
+    return {name: known[name] for name in (present if names is None else select_names(path, names, known))}
 
 
-def listed(names: Sequence[str], most: int = 12) -> str:
+def format_names(names: Sequence[str], most: int = 12) -> str:
     """Return names as a readable list."""
     if not names:
         return "no channels"
@@ -158,7 +158,7 @@ def is_time(name: str) -> bool:
     return name.strip().lower() == "time"
 
 
-def numbers(path: Path, name: str, samples: object) -> FloatArray:
+def as_sample_array(path: Path, name: str, samples: object) -> FloatArray:
     """Return samples as float64 (S,), or raise `ValueError` naming the channel."""
     array = np.asarray(samples)
     if array.ndim != 1 or array.dtype.kind not in "biuf":
@@ -177,7 +177,7 @@ _SLENDER = 4  # a table has at least that many times more samples than channels;
 
 
 @dataclass(frozen=True)
-class Column:
+class DatasetColumn:
     """Where a channel's `length` samples stand: along `axis` of a dataset, at `index` across it, or in a `field`."""
 
     dataset: str
@@ -187,7 +187,7 @@ class Column:
     field: str | None = None
 
 
-def columns_of(name: str, dataset: Any) -> dict[str, Column]:
+def columns_of(name: str, dataset: Any) -> dict[str, DatasetColumn]:
     """Return the channels of a dataset by name, none where it holds no series of numbers.
 
     A table (S, C) or (C, S) has the channels `name/1`, `name/2`, … across its longer side, a dataset of records
@@ -197,20 +197,20 @@ def columns_of(name: str, dataset: Any) -> dict[str, Column]:
         return {}
     if dataset.dtype.names and dataset.ndim == 1:
         fields = [field for field in dataset.dtype.names if dataset.dtype[field].kind in _NUMBERS]
-        return {f"{name}/{field}": Column(name, dataset.size, field=field) for field in fields}
+        return {f"{name}/{field}": DatasetColumn(name, dataset.size, field=field) for field in fields}
     if dataset.dtype.kind in _NUMBERS and dataset.ndim == 1:
-        return {name: Column(name, dataset.size)}
+        return {name: DatasetColumn(name, dataset.size)}
     count, length = min(dataset.shape, default=0), max(dataset.shape, default=0)
     if dataset.dtype.kind not in _NUMBERS or length == count or (count > 1 and length < _SLENDER * count):
         return {}
     if count > MOST_CHANNELS:
         return {}
     axis = dataset.shape.index(length)
-    return {f"{name}/{i + 1}" if count > 1 else name: Column(name, length, axis, i) for i in range(count)}
+    return {f"{name}/{i + 1}" if count > 1 else name: DatasetColumn(name, length, axis, i) for i in range(count)}
 
 
 @contextmanager
-def opened_hdf5(path: Path, *, links: bool = False) -> Iterator[Any]:
+def open_hdf5(path: Path, *, links: bool = False) -> Iterator[Any]:
     """Open an HDF5 file for reading, the one way for all; with `links` to other files for who follows none himself.
 
     Whether the samples of a dataset stand in the file is asked of `check_inside` and `check_stored`.
@@ -235,8 +235,8 @@ def check_links(path: Path, group: Any, *, soft: bool = True) -> None:
     own = (h5py.h5l.TYPE_HARD, h5py.h5l.TYPE_SOFT)[: 1 + soft]
 
     def wrong(name: bytes, link: Any) -> str | None:
-        if name.count(b"/") > DEEPEST:
-            return f"groups in {DEEPEST} others"
+        if name.count(b"/") > MAX_NESTING:
+            return f"groups in {MAX_NESTING} others"
         told = f'"{full_name(group, name)}": expected samples in this file, found a link to another'
         return None if link.type in own else told
 
@@ -264,21 +264,21 @@ def check_stored(path: Path, name: str, dataset: Any) -> None:
 
 
 def read_datasets(
-    path: Path, datasets: Mapping[str, Any], wanted: Mapping[str, Column], exact: Collection[str] = ()
+    path: Path, datasets: Mapping[str, Any], requested: Mapping[str, DatasetColumn], exact: Collection[str] = ()
 ) -> dict[str, NDArray[Any]]:
     """Return the samples (S,) of channels by name, as float64, those of `exact` names in the type that is stored.
 
     Each dataset is read once, in blocks of whole chunks.
     """
     total = 0
-    for name in {column.dataset for column in wanted.values()}:
+    for name in {column.dataset for column in requested.values()}:
         check_stored(path, name, datasets[name])
-    for name, column in wanted.items():
+    for name, column in requested.items():
         total += 8 * column.length
         check_size(path, f'channel "{name}"', total)
     results: dict[str, NDArray[Any]] = {}
-    for name in dict.fromkeys(column.dataset for column in wanted.values()):
-        own = {key: column for key, column in wanted.items() if column.dataset == name}
+    for name in dict.fromkeys(column.dataset for column in requested.values()):
+        own = {key: column for key, column in requested.items() if column.dataset == name}
         dataset, first_own = datasets[name], next(iter(own.values()))
         length, axis = first_own.length, first_own.axis
         for key, column in own.items():

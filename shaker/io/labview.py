@@ -13,8 +13,8 @@ from typing import BinaryIO
 import numpy as np
 
 from shaker.arrays import FloatArray
-from shaker.io.channel import MOST_CHANNELS, RawChannel, chosen
-from shaker.io.text import TextLayout, decoded, digit_of, find_bytes, last_digit, read_columns, whole_lines
+from shaker.io.channel import MOST_CHANNELS, RawChannel, select_names
+from shaker.io.text import TextLayout, decode_text, digit_of, find_bytes, last_digit, read_columns, whole_lines
 from shaker.io.times import SampleTimes, Segment, agreed_rate, times_of_segments, times_of_stamps
 
 _END, _CHANNELS = b"***End_of_Header***", b"\nChannels"
@@ -61,7 +61,7 @@ def read_labview(path: Path, names: Sequence[str] | None, sample_rate_hz: float 
     """
     with path.open("rb") as stream:
         segments = list(_segments(path, stream))
-    wanted = chosen(path, names, _channel_columns(segments[0].titles))
+    wanted = select_names(path, names, _channel_columns(segments[0].titles))
     parts: dict[str, list[_Part]] = {name: [] for name in wanted}
     for segment in segments:
         for name, part in _read_segment(path, segment, wanted).items():
@@ -79,7 +79,7 @@ def _segments(path: Path, stream: BinaryIO) -> Iterator[_Segment]:
     comma = file_header.get("Decimal_Separator", ["."])[0] == "," and separator != ","
     while place < size:
         header, place, line = _header(path, stream, place, size, line, separator)
-        titles = [title.strip() for title in decoded(stream.readline()).rstrip("\r\n").split(separator)]
+        titles = [title.strip() for title in decode_text(stream.readline()).rstrip("\r\n").split(separator)]
         if titles == [""]:
             raise ValueError(f"{path}: line {line}: expected column titles after the header, found none")
         if len(titles) > MOST_CHANNELS:
@@ -109,7 +109,7 @@ def _header(
         raise ValueError(f"{path}: line {line}: expected ***End_of_Header***, found the end of the file")
     stream.seek(start)
     raw = stream.read(end - start) + stream.readline()
-    texts = decoded(raw).splitlines()
+    texts = decode_text(raw).splitlines()
     own = next((text[len(_SEPARATOR)] for text in texts if text.startswith(_SEPARATOR) and text != _SEPARATOR), "\t")
     entries: dict[str, list[str]] = {}
     special = False
@@ -161,7 +161,7 @@ def _joined(path: Path, parts: Sequence[_Part], sample_rate_hz: float | None) ->
     times = [_times(path, part, sample_rate_hz) for part in parts]
     unit = _cell(parts[0].segment, "Y_Unit_Label", parts[0].column)
     if len(parts) == 1:
-        return RawChannel.at(times[0], parts[0].samples, unit)
+        return RawChannel.from_times(times[0], parts[0].samples, unit)
     segments = []
     for part, own in zip(parts, times, strict=True):
         if own.stamp_s is not None:
@@ -169,7 +169,7 @@ def _joined(path: Path, parts: Sequence[_Part], sample_rate_hz: float | None) ->
         start = own.start_s + _stamp(part) - _stamp(parts[0])
         segments.append(Segment(start, len(part.samples), 1.0 / own.rate_hz))
     joined = times_of_segments(path, f"line {parts[-1].segment.line - 1}", segments)
-    return RawChannel.at(joined, np.concatenate([part.samples for part in parts]), unit)
+    return RawChannel.from_times(joined, np.concatenate([part.samples for part in parts]), unit)
 
 
 def _cell(segment: _Segment, key: str, column: int) -> str:

@@ -31,11 +31,11 @@ from numpy.typing import NDArray
 from shaker.arrays import FloatArray
 from shaker.io.channel import (
     RawChannel,
+    as_sample_array,
     check_size,
-    chosen,
-    chosen_by_either,
     is_time,
-    numbers,
+    select_by_either_name,
+    select_names,
 )
 from shaker.io.times import SampleTimes, agreed_rate, times_of_stamps
 
@@ -118,7 +118,7 @@ def read_mdf(
 
             return read
 
-        wanted = chosen_by_either(path, names, present, short)
+        wanted = select_by_either_name(path, names, present, short)
         return _dated(path, {key: samples(place) for key, place in wanted.items()}, names, sample_rate_hz)
 
 
@@ -172,7 +172,7 @@ def dewesoft_process(file: str, out: str, names: str, longest_s: str) -> None:
 
             for name, channel in present.items():
                 check_size(path, f'channel "{name}"', 16 * channel.number_of_samples)
-            wanted = {name: samples(present[name]) for name in chosen(path, wanted_names, present)}
+            wanted = {name: samples(present[name]) for name in select_names(path, wanted_names, present)}
             result = _dated(path, wanted, wanted_names, None)
     except Exception as error:  # the library's own, of every kind
         result = str(error).removeprefix(file) or type(error).__name__
@@ -206,7 +206,7 @@ def read_parquet(
     check_size(path, f"{rows} rows", 16 * rows)
     fields = {field.name: field for field in table.schema_arrow}
     times = next((name for name in fields if is_time(name)), None)
-    wanted = chosen(path, names, [name for name in fields if name != times])
+    wanted = select_names(path, names, [name for name in fields if name != times])
 
     def column(name: str) -> NDArray[Any]:
         return np.asarray(table.read(columns=[name]).column(0).to_numpy())
@@ -237,7 +237,7 @@ def _dated(
         where = f'channel "{name}"'
         try:
             stamps, samples, unit = read()
-            values = numbers(path, name, samples)
+            values = as_sample_array(path, name, samples)
             if stamps is None:
                 times = SampleTimes(agreed_rate(path, where, None, sample_rate_hz))
             else:
@@ -251,7 +251,7 @@ def _dated(
             if names is not None:
                 raise refusals[0] from error
             continue
-        channels[name] = RawChannel.at(times, values, unit)
+        channels[name] = RawChannel.from_times(times, values, unit)
     if not channels:
         raise refusals[0] if refusals else ValueError(f"{path}: expected channels of numbers over time, found none")
     first = min(channel.start_s for channel in channels.values())

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shaker.arrays import FloatArray
-from shaker.io.channel import BLOCK, RawChannel, chosen_by_either, is_time
+from shaker.io.channel import BLOCK, RawChannel, is_time, select_by_either_name
 from shaker.io.times import SampleTimes, Segment, agreed_rate, times_of_segments, times_of_stamps
 
 # Where the values of every channel stand in a TDMS file (NI, "TDMS file format internal structure", version 2.0).
@@ -55,7 +55,7 @@ class Field:
 
 
 @dataclass(frozen=True)
-class Region:
+class TdmsRegion:
     """Records of `stride` bytes, `repeats` of them, from byte `position` of the file on."""
 
     position: int
@@ -105,7 +105,7 @@ class TdmsIndex:
     """
 
     properties: dict[str, dict[str, Any]]
-    regions: tuple[Region, ...]
+    regions: tuple[TdmsRegion, ...]
     dated: dict[str, tuple[Dated, ...]]
 
     @cached_property
@@ -141,7 +141,7 @@ def read_index(path: Path, stream: BinaryIO) -> TdmsIndex:
     properties: dict[str, dict[str, Any]] = {}
     known: dict[str, _Raw] = {}
     active: dict[str, bool] = {}
-    regions: list[Region] = []
+    regions: list[TdmsRegion] = []
     dated: dict[str, list[Dated]] = {}
     counts: dict[str, int] = {}
     position = 0
@@ -292,7 +292,7 @@ def _card_raw(cursor: _Cursor, path: str, kind: int) -> _Raw:
     return _Raw(count, np.dtype("f8"), 0, tuple(places), widths)
 
 
-def _regions(path: Path, chunk: Mapping[str, _Raw], interleaved: bool, position: int, size: int) -> list[Region]:
+def _regions(path: Path, chunk: Mapping[str, _Raw], interleaved: bool, position: int, size: int) -> list[TdmsRegion]:
     if any(raw.widths for raw in chunk.values()):
         return _card_regions(path, chunk, position, size)
     if not size or not any(raw.size for raw in chunk.values()):
@@ -308,10 +308,10 @@ def _regions(path: Path, chunk: Mapping[str, _Raw], interleaved: bool, position:
         length += raw.size
     if size % length:
         raise _cut_off(path)
-    return [Region(position, length, size // length, tuple(fields))]
+    return [TdmsRegion(position, length, size // length, tuple(fields))]
 
 
-def _card_regions(path: Path, chunk: Mapping[str, _Raw], position: int, size: int) -> list[Region]:
+def _card_regions(path: Path, chunk: Mapping[str, _Raw], position: int, size: int) -> list[TdmsRegion]:
     """Return the regions of a segment of cards: in every chunk one buffer of rows after another."""
     widths = next(iter(chunk.values())).widths
     if any(raw.widths != widths for raw in chunk.values()):
@@ -322,7 +322,7 @@ def _card_regions(path: Path, chunk: Mapping[str, _Raw], position: int, size: in
     if len(widths) == 1:
         if not widths[0] or size % widths[0]:
             raise _cut_off(path)
-        return [Region(position, widths[0], size // widths[0], fields[0])]
+        return [TdmsRegion(position, widths[0], size // widths[0], fields[0])]
     length = sum(row * width for row, width in zip(rows, widths, strict=True))
     if not length or size % length or size // length > _MOST_CHUNKS:
         raise _cut_off(path)
@@ -330,7 +330,7 @@ def _card_regions(path: Path, chunk: Mapping[str, _Raw], position: int, size: in
     for start in range(position, position + size, length):
         place = start
         for row, width, own in zip(rows, widths, fields, strict=True):
-            regions.append(Region(place, width, row, own))
+            regions.append(TdmsRegion(place, width, row, own))
             place += row * width
     return regions
 
@@ -395,7 +395,7 @@ def read_tdms(path: Path, names: Sequence[str] | None, sample_rate_hz: float | N
         filled = {name for (name, _), length in index.lengths.items() if length}
         series = [name for name, dtype in index.types.items() if dtype.kind in "biuf" and name in filled]
         present = {"/".join(path_parts(name)): name for name in series}
-        paths = chosen_by_either(path, names, present, [path_parts(name)[-1] for name in present.values()])
+        paths = select_by_either_name(path, names, present, [path_parts(name)[-1] for name in present.values()])
         times = {name: _time_of(name, index) for name in paths.values()}
         wanted = {*paths.values(), *(time for time in times.values() if time)}
         values = _values(path, stream, index, wanted)
@@ -413,7 +413,7 @@ def read_tdms(path: Path, names: Sequence[str] | None, sample_rate_hz: float | N
             stamped = times_of_stamps(path, at, stamps, time_unit, given_hz=given)
             sampled = stamped if sampled is None or sampled.stamp_s is None else sampled
         assert sampled is not None
-        result[name] = RawChannel.at(
+        result[name] = RawChannel.from_times(
             replace(sampled, start_s=sampled.start_s + starts.get(time or own, 0.0)), values[own], unit
         )
     return result
@@ -471,7 +471,7 @@ def _values(path: Path, stream: BinaryIO, index: TdmsIndex, wanted: set[str]) ->
 
 
 def _read_region(
-    path: Path, stream: BinaryIO, region: Region, fields: Sequence[Field], sinks: Mapping[_Key, _Sink]
+    path: Path, stream: BinaryIO, region: TdmsRegion, fields: Sequence[Field], sinks: Mapping[_Key, _Sink]
 ) -> None:
     """Read a region block by block into the channels' arrays."""
     if region.stride > BLOCK:  # a record larger than a block: its channels one by one, in pieces

@@ -38,10 +38,10 @@ from shaker.io.channel import (
     BLOCK,
     LONGEST_LINE,
     RawChannel,
-    chosen,
-    chosen_by_either,
+    convert_read_errors,
     is_time,
-    reading,
+    select_by_either_name,
+    select_names,
 )
 from shaker.io.times import SampleTimes, agreed_rate, times_of_stamps
 
@@ -66,17 +66,17 @@ class TextLayout:
     remarks: bool = False
 
 
-def read_columns(layout: TextLayout, start: int, stop: int, line: int, wanted: Sequence[int]) -> dict[int, FloatArray]:
-    """Return the columns wanted by their places, each (S,), of rows in bytes `start` to `stop`, the first in `line`.
+def read_columns(layout: TextLayout, start: int, stop: int, line: int, numbers: Sequence[int]) -> dict[int, FloatArray]:
+    """Return columns by their numbers, each (S,), of rows in bytes `start` to `stop`, the first in `line`.
 
     Empty cells are NaN; empty lines and lines that begin with # are passed over. Memory: the result and one block.
     """
-    columns = [np.empty(0) for _ in wanted]
+    columns = [np.empty(0) for _ in numbers]
     filled = 0
     with layout.path.open("rb") as stream:
         for place, block in whole_lines(stream, start, stop):
             rows = _whole_block(layout, block)
-            rows = _line_by_line(layout, block, line, wanted) if rows is None else rows[:, list(wanted)]
+            rows = _line_by_line(layout, block, line, numbers) if rows is None else rows[:, list(numbers)]
             line += block.count(b"\n")
             if columns and filled + len(rows) > len(columns[0]):
                 share = (place - start) / (stop - start)
@@ -90,7 +90,7 @@ def read_columns(layout: TextLayout, start: int, stop: int, line: int, wanted: S
         column.resize(filled, refcheck=False)
     if not filled:
         raise ValueError(f"{layout.path}: line {line}: expected rows of numbers, found none")
-    return dict(zip(wanted, columns, strict=True))
+    return dict(zip(numbers, columns, strict=True))
 
 
 def last_digit(layout: TextLayout, start: int, stop: int, column: int) -> float:
@@ -103,7 +103,7 @@ def last_digit(layout: TextLayout, start: int, stop: int, column: int) -> float:
     with layout.path.open("rb") as stream:
         for first, last in ((start, min(start + _SAMPLE, stop)), (max(start, stop - _SAMPLE), stop)):
             stream.seek(first)
-            lines = decoded(stream.read(last - first)).splitlines()[first > start : None if last == stop else -1]
+            lines = decode_text(stream.read(last - first)).splitlines()[first > start : None if last == stop else -1]
             rows = (line.split(layout.delimiter or None) for line in lines if not line.startswith(_COMMENT))
             cells = [row[column].strip().strip('"') for row in rows if len(row) > column]
             digits.append(min((digit_of(cell, layout.comma) for cell in cells if cell), default=0.0))
@@ -125,7 +125,7 @@ def find_bytes(stream: BinaryIO, text: bytes, start: int, stop: int) -> int:
         return mapped.find(text, start, stop)
 
 
-def decoded(raw: bytes) -> str:
+def decode_text(raw: bytes) -> str:
     """Return text that is UTF-8, with or without mark, or else Latin-1."""
     try:
         return raw.decode("utf-8-sig")
@@ -186,7 +186,7 @@ def plain_rows(block: bytes, delimiter: str) -> FloatArray | None:
 def _line_by_line(layout: TextLayout, block: bytes, line: int, wanted: Sequence[int]) -> FloatArray:
     """Return the columns wanted (S, W) of a block, or raise `ValueError` naming the line; others may hold texts."""
     rows = []
-    for number, text in enumerate(decoded(block.replace(b"\r\n", b"\n")).split("\n"), line):
+    for number, text in enumerate(decode_text(block.replace(b"\r\n", b"\n")).split("\n"), line):
         if not text.strip() or text.startswith(_COMMENT):
             continue
         cells = text.split(layout.delimiter or None)
@@ -255,7 +255,7 @@ def read_table(path: Path, names: Sequence[str] | None, sample_rate_hz: float | 
     head = _head(path)
     time = next((i for i, name in enumerate(head.short) if is_time(name)), None)
     present = {name: i for i, name in enumerate(head.names) if i != time}
-    places = chosen_by_either(path, names, present, [name for i, name in enumerate(head.short) if i != time])
+    places = select_by_either_name(path, names, present, [name for i, name in enumerate(head.short) if i != time])
     columns = head.columns(sorted({*places.values(), *([] if time is None else [time])}))
     if time is None:
         times = SampleTimes(agreed_rate(path, 'a table without a column "time"', None, sample_rate_hz))
@@ -264,21 +264,21 @@ def read_table(path: Path, names: Sequence[str] | None, sample_rate_hz: float | 
         digit = last_digit(head.layout, head.start, size, time)
         stamps, unit = columns.pop(time), head.units[time]
         times = times_of_stamps(path, where, stamps, unit, digit=digit, given_hz=sample_rate_hz)
-    return {name: RawChannel.at(times, columns[i], head.units[i]) for name, i in places.items()}
+    return {name: RawChannel.from_times(times, columns[i], head.units[i]) for name, i in places.items()}
 
 
 def table_units(path: Path) -> dict[str, str]:
     """Return the columns of a text table, named without their units, and the unit of each."""
-    with reading(path):
+    with convert_read_errors(path):
         head = _head(path)
         return dict(zip(head.plain, head.units, strict=True))
 
 
 def read_table_columns(path: Path, names: Sequence[str]) -> FloatArray:
     """Read columns, named as `table_units` does, of a text table whose rows need no times, as (S, len(names))."""
-    with reading(path):
+    with convert_read_errors(path):
         head = _head(path)
-        places = [head.plain.index(name) for name in chosen(path, names, head.plain)]
+        places = [head.plain.index(name) for name in select_names(path, names, head.plain)]
         columns = head.columns(sorted(set(places)))
         return np.stack([columns[place] for place in places], axis=1)
 
@@ -321,7 +321,7 @@ def _next_line(stream: BinaryIO, line: int) -> tuple[int, int, str]:
         start, raw = stream.tell(), stream.readline(LONGEST_LINE + 1)
         check_line(raw)
         line += 1
-        text = decoded(raw).rstrip("\r\n")
+        text = decode_text(raw).rstrip("\r\n")
         if not raw or (text.strip() and not text.startswith(_COMMENT)):
             return start, line, text
 
@@ -354,7 +354,7 @@ _PLAIN = bytes.maketrans(b",;", b". ")  # decimal comma to point, semicolon to b
 
 
 @dataclass(frozen=True)
-class Scan:
+class VibrometerScan:
     """A scan: `point_m` (P, 3), `samples` (B blocks, P points, S), taken point after point, each from time zero."""
 
     point_m: FloatArray
@@ -365,7 +365,7 @@ class Scan:
         check_shape("point_m", self.point_m, (None, 3))
         check_shape("samples", self.samples, (None, len(self.point_m), None))
 
-    def take(self, point: int) -> dict[str, RawChannel]:
+    def channels_at(self, point: int) -> dict[str, RawChannel]:
         """Return what was recorded at one scan point: block numbers "1", "2", … to channels."""
         return {
             str(block + 1): RawChannel(self.samples[block, point], self.sample_rate_hz)
@@ -373,9 +373,9 @@ class Scan:
         }
 
 
-def read_scan_asc(path: Path) -> Scan:
+def read_scan_asc(path: Path) -> VibrometerScan:
     """Read a scanning vibrometer's text; every scan point is a take of its own."""
-    with reading(path), path.open("rb") as stream:
+    with convert_read_errors(path), path.open("rb") as stream:
         for _ in range(_FIRST_POINT - 1):
             check_line(stream.readline(LONGEST_LINE + 1))
         points = []
@@ -400,7 +400,7 @@ def read_scan_asc(path: Path) -> Scan:
             )
         by_rows = count > 1 and widths == {count}
         shaped = values.reshape(-1, samples, count).swapaxes(1, 2) if by_rows else values.reshape(-1, count, samples)
-        return Scan(np.array(points), np.ascontiguousarray(shaped), 1.0 / interval)
+        return VibrometerScan(np.array(points), np.ascontiguousarray(shaped), 1.0 / interval)
 
 
 def read_scan_channels(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
@@ -410,11 +410,11 @@ def read_scan_channels(path: Path, names: Sequence[str] | None, sample_rate_hz: 
     present = {
         f"{block}/{point + 1}": channel
         for point in range(len(scan.point_m))
-        for block, channel in scan.take(point).items()
+        for block, channel in scan.channels_at(point).items()
     }
     if len(scan.point_m) == 1:
-        present |= scan.take(0)
-    return {name: present[name] for name in chosen(path, names, present)}
+        present |= scan.channels_at(0)
+    return {name: present[name] for name in select_names(path, names, present)}
 
 
 def _numbers(line: bytes) -> list[float]:

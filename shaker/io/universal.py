@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shaker.arrays import ComplexArray, FloatArray, IntArray, check_shape
-from shaker.io.channel import BLOCK, LONGEST_LINE, RawChannel, chosen, numbers, reading
+from shaker.io.channel import BLOCK, LONGEST_LINE, RawChannel, as_sample_array, convert_read_errors, select_names
 from shaker.io.text import plain_rows
 from shaker.io.times import SampleTimes, agreed_rate, seconds_of, times_of_stamps
 
@@ -46,7 +46,7 @@ class DataSet:
 
 
 @dataclass(frozen=True)
-class Axis:
+class UniversalAxis:
     """What an axis of a function shows: its label and unit (empty where not stated)."""
 
     label: str
@@ -67,9 +67,9 @@ class FunctionHeader:
     even: bool
     start: float
     step: float
-    abscissa: Axis
-    ordinate: Axis
-    denominator: Axis
+    abscissa: UniversalAxis
+    ordinate: UniversalAxis
+    denominator: UniversalAxis
 
     @property
     def is_complex(self) -> bool:
@@ -149,7 +149,7 @@ def function_header(path: Path, records: Sequence[bytes], line: int) -> Function
         numbers[2] == 1,
         _real(form[30:43]),
         _real(form[43:56]),
-        *(Axis(_name(text[26:46]), _name(text[47:67])) for text in texts[7:10]),
+        *(UniversalAxis(_name(text[26:46]), _name(text[47:67])) for text in texts[7:10]),
     )
 
 
@@ -317,7 +317,7 @@ def read_universal_shapes(path: str | Path) -> tuple[UniversalShape, ...]:
     """
     path = Path(path)
     shapes = []
-    with reading(path), path.open("rb") as stream:
+    with convert_read_errors(path), path.open("rb") as stream:
         for data in list(data_sets(path, stream)):
             if data.kind == 55:
                 stream.seek(data.start)
@@ -431,7 +431,7 @@ def read_universal(path: Path, names: Sequence[str] | None, sample_rate_hz: floa
     present = {name: item for name, item in _named(headers).items() if item[1].kind == _TIME_RESPONSE}
     result = {}
     with path.open("rb") as stream:
-        for name in chosen(path, names, present):
+        for name in select_names(path, names, present):
             data, head = present[name]
             times, values = function_values(path, stream, data, head)
             where = f'channel "{name}"'
@@ -444,7 +444,7 @@ def read_universal(path: Path, names: Sequence[str] | None, sample_rate_hz: floa
             else:
                 digit = None if data.more[:1].lower() == b"b" else _DIGIT * float(np.max(np.abs(times)))
                 sampled = times_of_stamps(path, axis, times, unit, digit=digit, given_hz=sample_rate_hz)
-            result[name] = RawChannel.at(sampled, numbers(path, name, values), head.ordinate.unit)
+            result[name] = RawChannel.from_times(sampled, as_sample_array(path, name, values), head.ordinate.unit)
     return result
 
 
@@ -455,7 +455,7 @@ def read_universal_functions(path: str | Path) -> tuple[UniversalFunction, ...]:
     >>> entries = read_universal_functions("modes.unv")  # doctest: +SKIP
     """
     path = Path(path)
-    with reading(path):
+    with convert_read_errors(path):
         headers = _headers(path)
         with path.open("rb") as stream:
             functions = []

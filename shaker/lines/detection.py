@@ -9,9 +9,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from shaker.arrays import BoolArray, FloatArray, Notice, Stacked, check_shape, check_shapes
-from shaker.lines.peaks import MOST_LINES, Floored, Peaks, find_peaks
-from shaker.sine.aliasing import CAPTURE, alias_frequency, unfolded
+from shaker.arrays import BoolArray, FloatArray, Stacked, check_shape, check_shapes
+from shaker.lines.peaks import MOST_LINES, FloorSpectrum, Peaks, find_peaks
+from shaker.sine.aliasing import CAPTURE, alias_frequency, frequency_of_alias
+from shakercal._common.notices import Notice
 
 # What a line most likely is: fundamental, multiple or part of one, combination, mains, side band, or unexplained.
 
@@ -46,7 +47,7 @@ _PERHAPS = 0.1  # expected number of chance coincidences from which a name is do
 
 
 @dataclass(frozen=True)
-class Origin:
+class LineOrigin:
     """What a line is: kind, the words for it, fundamental it belongs to (Hz, NaN where none), and its multiple."""
 
     kind: Kind
@@ -55,11 +56,11 @@ class Origin:
     multiple: int = 0
 
 
-UNEXPLAINED = Origin("unexplained", "unexplained")
+UNEXPLAINED = LineOrigin("unexplained", "unexplained")
 
 
 @dataclass(frozen=True)
-class LineList:
+class DetectedLines:
     """Lines to be explained: `frequency_hz`, `u_hz`, `strength` (L,) relative to the strongest, and their sampling."""
 
     frequency_hz: FloatArray
@@ -73,9 +74,9 @@ class LineList:
 class _State:
     """Names found so far, and the fundamentals they rest on: in Hz, with uncertainty and strength, strongest first."""
 
-    lines: LineList
+    lines: DetectedLines
     fundamentals: FloatArray = field(default_factory=lambda: np.empty((3, 0)))
-    origins: dict[int, Origin] = field(default_factory=dict)
+    origins: dict[int, LineOrigin] = field(default_factory=dict)
     mains: dict[float, tuple[float, float]] = field(default_factory=dict)  # by nominal: as found, with uncertainty
 
     def accept(self, frequency: float, u: float, strength: float) -> None:
@@ -106,7 +107,7 @@ class _State:
         return "perhaps " if chance > _PERHAPS else ""
 
 
-def name_lines(lines: LineList, fundamental_hz: FloatArray | None = None) -> tuple[Origin, ...]:
+def name_lines(lines: DetectedLines, fundamental_hz: FloatArray | None = None) -> tuple[LineOrigin, ...]:
     """Return what each line is, with the fundamentals given, or with those that explain the most.
 
     Without any given, lines are taken in the order of their strength. One that no fundamental so far explains becomes
@@ -147,7 +148,7 @@ def _accept(state: _State, frequency: float, index: int | None = None) -> None:
         above = f" {frequency:.6g} Hz, read at {seen:.6g} Hz" if frequency > state.lines.rate_hz / 2.0 else ""
         mains = next((m for m in MAINS_HZ if abs(frequency - m) <= _MAINS_TOLERANCE * m), None)
         doubt = f" (or mains hum, {mains:g} Hz)" if mains else ""
-        state.origins[index] = Origin("fundamental", f"fundamental{above}{doubt}", frequency, 1)
+        state.origins[index] = LineOrigin("fundamental", f"fundamental{above}{doubt}", frequency, 1)
 
 
 def _lowest(state: _State, i: int) -> int:
@@ -164,7 +165,7 @@ def _lowest(state: _State, i: int) -> int:
     return i
 
 
-def _explain(state: _State, i: int) -> Origin | None:
+def _explain(state: _State, i: int) -> LineOrigin | None:
     """Return the simplest explanation of a line, None where there is none; with a low folded harmonic as another."""
     plain = _harmonic(state, i) or _mains(state, i, range(1, 2))
     if plain is not None:
@@ -183,7 +184,7 @@ def _explain(state: _State, i: int) -> Origin | None:
     return replace(found, text=found.text + other)
 
 
-def _harmonic(state: _State, i: int) -> Origin | None:
+def _harmonic(state: _State, i: int) -> LineOrigin | None:
     """Explain a line as a multiple of a fundamental, the lowest there is."""
     f, u, strength = state.fundamentals
     m = np.round(state.lines.frequency_hz[i] / f)
@@ -192,10 +193,10 @@ def _harmonic(state: _State, i: int) -> Origin | None:
         return None
     best = int(np.argmin(np.where(fits, m, np.inf)))
     text = f"harmonic {m[best]:.0f} of {f[best]:.6g} Hz, {state.lines.strength[i] / strength[best]:.2g} of it"
-    return Origin("harmonic", text, float(f[best]), int(m[best]))
+    return LineOrigin("harmonic", text, float(f[best]), int(m[best]))
 
 
-def _mains(state: _State, i: int, multiples: range) -> Origin | None:
+def _mains(state: _State, i: int, multiples: range) -> LineOrigin | None:
     """Explain a line by the grid; once one of its lines is found, the others must be multiples of that one's."""
     f, u = float(state.lines.frequency_hz[i]), float(state.lines.u_hz[i])
     for mains in MAINS_HZ if state.lines.strength[i] < _HUM else ():
@@ -208,11 +209,11 @@ def _mains(state: _State, i: int, multiples: range) -> Origin | None:
         if alone or (found is not None and state.fits(i, m * found, m * u_found)):
             state.mains.setdefault(mains, (f / m, u / m))
             text = f"mains hum ({mains:g} Hz)" if m == 1 else f"mains hum (harmonic {m} of {mains:g} Hz)"
-            return Origin("mains", text, mains, m)
+            return LineOrigin("mains", text, mains, m)
     return None
 
 
-def _sub_harmonic(state: _State, i: int) -> Origin | None:
+def _sub_harmonic(state: _State, i: int) -> LineOrigin | None:
     """Explain a line as a half or a third of a fundamental, or, where that is there, as a multiple of it."""
     f, u, strength = state.fundamentals[..., None]
     part = np.array(_DIVISORS)
@@ -221,11 +222,11 @@ def _sub_harmonic(state: _State, i: int) -> Origin | None:
     for row, column in np.argwhere(small & state.fits(i, k * f / part, k * u / part)).tolist():
         base, p, times = float(f[row, 0]), _DIVISORS[column], int(k[row, column])
         if times == 1 or state.find(base / p, float(u[row, 0]) / p) is not None:
-            return Origin("sub-harmonic", f"sub-harmonic, {times}/{p} of {base:.6g} Hz", base)
+            return LineOrigin("sub-harmonic", f"sub-harmonic, {times}/{p} of {base:.6g} Hz", base)
     return None
 
 
-def _combination(state: _State, i: int, orders: range, folded: bool = False) -> Origin | None:
+def _combination(state: _State, i: int, orders: range, folded: bool = False) -> LineOrigin | None:
     """Explain a line as the simplest combination of two stronger fundamentals, in band or folded."""
     known = state.fundamentals[:2, _SMALLER * state.fundamentals[2] > state.lines.strength[i]]
     places = state.fundamentals.shape[1] * (state.fundamentals.shape[1] - 1) * orders[-1]
@@ -239,8 +240,8 @@ def _combination(state: _State, i: int, orders: range, folded: bool = False) -> 
             first, second = (f"{abs(k)}·{f:.6g}" if abs(k) > 1 else f"{f:.6g}" for k, f in told)
             text = f"{state.perhaps(i, places)}combination {first} {'+' if n > 0 else '-'} {second} Hz"
             if folded:
-                return Origin("folded combination", f"{text}, folded from {abs(wanted):.6g} Hz")
-            return Origin("combination", text)
+                return LineOrigin("folded combination", f"{text}, folded from {abs(wanted):.6g} Hz")
+            return LineOrigin("combination", text)
     return None
 
 
@@ -282,7 +283,7 @@ def _sum(
     return (int(m1), float(f[a])), (int(n1), float(f[b]))
 
 
-def _folded(state: _State, i: int) -> Origin | None:
+def _folded(state: _State, i: int) -> LineOrigin | None:
     """Explain a line as a harmonic above the Nyquist frequency that no filter kept out."""
     f, u, strength = state.fundamentals
     m = np.arange(2, MAX_MULTIPLE + 1)[:, None]
@@ -293,10 +294,10 @@ def _folded(state: _State, i: int) -> Origin | None:
     multiple, base = int(m[fits[0, 0], 0]), float(f[fits[0, 1]])
     doubt = state.perhaps(i, multiple * len(f))
     text = f"{doubt}harmonic {multiple} of {base:.6g} Hz, folded from {multiple * base:.6g} Hz"
-    return Origin("folded harmonic", text, base, multiple)
+    return LineOrigin("folded harmonic", text, base, multiple)
 
 
-def _side_band(state: _State, i: int) -> Origin | None:
+def _side_band(state: _State, i: int) -> LineOrigin | None:
     """Explain a line by the modulation of a stronger one: a partner of like height on the other side, or mains."""
     lines = state.lines
     frequency, u = float(lines.frequency_hz[i]), float(lines.u_hz[i])
@@ -312,7 +313,7 @@ def _side_band(state: _State, i: int) -> Origin | None:
         ratio = float(lines.strength[partner] / lines.strength[i])
         if 1.0 / _ALIKE <= ratio <= _ALIKE:
             text = f"side band of {carrier:.6g} Hz at {'+' if apart > 0 else '-'}{abs(apart):.4g} Hz"
-            return Origin("side band", state.perhaps(i, len(named)) + text, carrier)
+            return LineOrigin("side band", state.perhaps(i, len(named)) + text, carrier)
     return None
 
 
@@ -345,7 +346,7 @@ class Survey:
     amplitude: FloatArray
     u_amplitude: FloatArray
     snr: FloatArray
-    origin: tuple[Origin, ...]
+    origin: tuple[LineOrigin, ...]
     floor_hz: FloatArray
     floor: FloatArray
     notices: tuple[Notice, ...] = ()
@@ -389,7 +390,7 @@ class Survey:
         return replace(self, origin=tuple(origin[i] for i in order), **both)
 
 
-def no_lines() -> Survey:
+def empty_survey() -> Survey:
     """Return a survey of nothing."""
     nothing, none = np.empty(0), np.empty((0, 0))
     return Survey(nothing, nothing, none, none, nothing, (), nothing, none)
@@ -421,22 +422,22 @@ def survey_lines(
     >>> [origin.kind for origin in lines.origin]
     ['fundamental', 'harmonic']
     """
-    data = Stacked.of(values)
+    data = Stacked.from_array(values)
     if len(data) < _FEWEST:
         raise ValueError(f"values: expected at least {_FEWEST} samples, found {len(data)}")
-    missing = sum(int(np.count_nonzero(~np.isfinite(part))) for part in data.parts())
+    missing = sum(int(np.count_nonzero(~np.isfinite(part))) for part in data.iterate_row_blocks())
     if missing:
         raise ValueError(f"values: expected finite samples, found {missing} that are not")
     if not rate_hz > 0.0:
         raise ValueError(f"rate_hz: expected a positive number, found {rate_hz}")
     spectra = _Spectra(data)
-    first = look(spectra, data.shape, rate_hz, false_alarm)
+    first = detect_lines(spectra, data.shape, rate_hz, false_alarm)
     given, notices = _nominal(first, nominal_hz, rate_hz, len(data))
     seen = given
     if not len(nominal_hz):
         named = with_origins(first, rate_hz, len(data))
         seen = np.array([o.fundamental_hz for o in named.origin if o.kind == "fundamental"])
-    second = look(spectra, data.shape, rate_hz, false_alarm, expected_places(seen, rate_hz))
+    second = detect_lines(spectra, data.shape, rate_hz, false_alarm, expected_frequencies(seen, rate_hz))
     named = with_origins(second, rate_hz, len(data), given if len(nominal_hz) else None)
     return replace(named, notices=named.notices + notices)
 
@@ -445,26 +446,26 @@ class _Spectra:
     """The spectra of channels one by one, each time anew but for those first ones that together take little memory."""
 
     def __init__(self, data: Stacked) -> None:
-        self._data, self._kept = data, list[Floored]()
+        self._data, self._kept = data, list[FloorSpectrum]()
 
-    def __iter__(self) -> Iterator[Floored]:
+    def __iter__(self) -> Iterator[FloorSpectrum]:
         yield from self._kept
         bins = len(self._data) // 2 + 1
         for c in range(len(self._kept), self._data.shape[1]):
-            floored = Floored(next(self._data.select([c]).each()))
+            floored = FloorSpectrum(next(self._data.select([c]).iterate_channels()))
             if len(self._kept) == c and (c + 1) * bins <= _KEPT:
                 self._kept.append(floored)
             yield floored
 
 
-def look(
-    spectra: Iterable[Floored],
+def detect_lines(
+    spectra: Iterable[FloorSpectrum],
     shape: tuple[int, ...],
     rate_hz: float,
     false_alarm: float,
     expected_hz: FloatArray | None = None,
-    taken_hz: FloatArray | None = None,
-    smallest: FloatArray | None = None,
+    fitted_hz: FloatArray | None = None,
+    min_amplitude: FloatArray | None = None,
 ) -> Survey:
     """Return the lines of the spectra of C columns of uniform samples (S,), `shape` (S, C), not yet named.
 
@@ -474,8 +475,8 @@ def look(
     samples, channels = shape
     to_bins = samples / rate_hz
     expected = np.empty(0) if expected_hz is None else expected_hz * to_bins
-    taken = np.empty(0) if taken_hz is None else alias_frequency(taken_hz, rate_hz) * to_bins
-    least = np.zeros(channels) if smallest is None else smallest
+    taken = np.empty(0) if fitted_hz is None else alias_frequency(fitted_hz, rate_hz) * to_bins
+    least = np.zeros(channels) if min_amplitude is None else min_amplitude
     peaks = [
         find_peaks(spectrum, false_alarm / channels, expected, taken, float(smallest_here))
         for spectrum, smallest_here in zip(spectra, least, strict=True)
@@ -483,7 +484,7 @@ def look(
     return _merged(peaks, rate_hz / samples)
 
 
-def expected_places(fundamental_hz: FloatArray, rate_hz: float) -> FloatArray:
+def expected_frequencies(fundamental_hz: FloatArray, rate_hz: float) -> FloatArray:
     """Return where lines are expected below the Nyquist frequency: multiples, parts, sums of fundamentals, mains."""
     places = [m * mains for mains in MAINS_HZ for m in range(1, _EXPECTED_MAINS + 1)]
     for f in fundamental_hz.tolist():
@@ -498,7 +499,7 @@ def with_origins(survey: Survey, rate_hz: float, samples: int, fundamental_hz: F
     if not len(survey.frequency_hz):
         return survey
     strength = relative_strength(survey.amplitude)
-    lines = LineList(survey.frequency_hz, survey.u_frequency_hz, strength, rate_hz, rate_hz / samples)
+    lines = DetectedLines(survey.frequency_hz, survey.u_frequency_hz, strength, rate_hz, rate_hz / samples)
     return replace(survey, origin=name_lines(lines, fundamental_hz))
 
 
@@ -520,7 +521,7 @@ def _nominal(
         near = np.flatnonzero(np.abs(survey.frequency_hz - alias) <= capture)
         if len(near):
             seen = survey.frequency_hz[near[np.argmax(strength[near])]]
-            found.append(float(unfolded(seen, np.asarray(nominal), rate_hz)))
+            found.append(float(frequency_of_alias(seen, np.asarray(nominal), rate_hz)))
         else:
             text = f"no line stands out of the noise within {capture:.3g} Hz of the nominal {nominal:.6g} Hz"
             notices.append(Notice("warning", text, f"{nominal:.6g} Hz"))
@@ -529,7 +530,7 @@ def _nominal(
 
 def _merged(peaks: Sequence[Peaks], resolution_hz: float) -> Survey:
     """Put the lines of all channels together: one line where they lie closer than a bin can tell."""
-    every = sorted((float(p.place[i]), c, i) for c, p in enumerate(peaks) for i in range(len(p.place)))
+    every = sorted((float(p.bin_position[i]), c, i) for c, p in enumerate(peaks) for i in range(len(p.bin_position)))
     groups: list[list[tuple[float, int, int]]] = []
     for item in every:
         if groups and item[0] - groups[-1][0][0] < _SAME_BINS and item[1] not in [c for _, c, _ in groups[-1]]:
@@ -540,7 +541,7 @@ def _merged(peaks: Sequence[Peaks], resolution_hz: float) -> Survey:
     place, u_place, snr = np.empty(lines), np.empty(lines), np.empty(lines)
     amplitude, u_amplitude = np.full((lines, channels), np.nan), np.full((lines, channels), np.nan)
     for k, group in enumerate(groups):
-        weight = np.array([1.0 / float(peaks[c].u_place[i]) ** 2 for _, c, i in group])
+        weight = np.array([1.0 / float(peaks[c].u_bin_position[i]) ** 2 for _, c, i in group])
         place[k] = weight @ np.array([item[0] for item in group]) / weight.sum()
         u_place[k] = 1.0 / np.sqrt(weight.sum())
         for _, c, i in group:
@@ -559,5 +560,5 @@ def _merged(peaks: Sequence[Peaks], resolution_hz: float) -> Survey:
         origin=(UNEXPLAINED,) * lines,
         floor_hz=np.asarray(shown * resolution_hz, dtype=np.float64),
         floor=np.stack([np.sqrt(p.level[shown]) for p in peaks], axis=1),
-        notices=(Notice("info", told, "spectrum"),) if cut else (),
+        notices=(Notice("note", told, "spectrum"),) if cut else (),
     )

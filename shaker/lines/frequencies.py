@@ -8,30 +8,31 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import BoolArray, FloatArray, IntArray, Notice, Stacked, check_shape, check_shapes
+from shaker.arrays import BoolArray, FloatArray, IntArray, Stacked, check_shape, check_shapes
 from shaker.lines.detection import (
     FALSE_ALARM,
-    LineList,
+    DetectedLines,
     Survey,
-    expected_places,
-    look,
+    detect_lines,
+    empty_survey,
+    expected_frequencies,
     name_lines,
-    no_lines,
     relative_strength,
 )
-from shaker.lines.peaks import Floored, excess_power
+from shaker.lines.peaks import FloorSpectrum, excess_power
 from shaker.sine.aliasing import (
     CAPTURE,
     SamplingGrid,
     alias_frequency,
-    folded_harmonics,
+    find_aliased_harmonics,
+    frequency_of_alias,
     nearest_grid,
     sampling_grid,
-    unfolded,
     usable_lines,
 )
-from shaker.sine.fit import fit_sines, rows_present
+from shaker.sine.sine_fit import fit_sines, rows_present
 from shaker.sine.solve import SineFit, SineModel
+from shakercal._common.notices import Notice
 
 MAX_MULTIPLE = 20  # harmonics looked for
 _PROMINENT = 36.0  # times the noise power that a fundamental must reach; exp(-36) by chance in one bin
@@ -46,7 +47,7 @@ _STRANGERS = 3  # other lines named in one notice
 
 
 @dataclass(frozen=True)
-class Lines:
+class LineFrequencies:
     """Lines of a recording in ascending frequency.
 
     `frequency_hz`, `u_frequency_hz` (K,) on the clock of the times given; `nominal_hz` (K,) the nominal fundamental
@@ -61,7 +62,7 @@ class Lines:
     multiple: IntArray
     why: tuple[str, ...]
     notices: tuple[Notice, ...]
-    others: Survey = field(default_factory=no_lines)
+    others: Survey = field(default_factory=empty_survey)
     nuisance_hz: FloatArray = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
@@ -76,7 +77,7 @@ def find_lines(
     values: FloatArray | Stacked,
     nominal_hz: Sequence[float],
     harmonics: Literal["auto"] | Sequence[int] = "auto",
-) -> Lines:
+) -> LineFrequencies:
     """Find the lines of a recording in its fastest channels: `values` (S,) or (S, C) at `time_s` (S,).
 
     Times that lie on no uniform grid are searched on the nearest one and fitted as they are.
@@ -174,7 +175,7 @@ class _Record:
         capture = np.maximum(capture, self.resolution_hz)
         bin_hz = rate_hz / self.fine.length
         intervals = np.stack([alias - capture, alias + capture], axis=1) / bin_hz
-        peaks = [excess_power(self.fine.filled(own - own.mean()), intervals) for own in self.data.each()]
+        peaks = [excess_power(self.fine.filled(own - own.mean()), intervals) for own in self.data.iterate_channels()]
         height = np.stack([ratio for ratio, _ in peaks], axis=1)
         for q in np.flatnonzero(~(height.max(axis=1) > _PROMINENT)):
             raise ValueError(
@@ -183,7 +184,7 @@ class _Record:
             )
         best = np.argmax(height, axis=1)
         seen = np.array([peaks[c][1][q] for q, c in enumerate(best)]) * bin_hz
-        return unfolded(seen, nominal, rate_hz)
+        return frequency_of_alias(seen, nominal, rate_hz)
 
     def fit(self, chosen: _Chosen) -> _Fitted:
         """Refine the fundamentals jointly with their harmonics, nuisances free beside them."""
@@ -206,15 +207,15 @@ class _Record:
         lines, fit = fitted.chosen.lines, fitted.fit
         amplitude = np.abs(fit.phasors.value)
         residuals = (
-            Floored(self.grid.filled(own - fit.model(self.time_s, slice(c, c + 1))[:, 0]))
-            for c, own in enumerate(self.data.each())
+            FloorSpectrum(self.grid.filled(own - fit.model(self.time_s, slice(c, c + 1))[:, 0]))
+            for c, own in enumerate(self.data.iterate_channels())
         )
-        others = look(
+        others = detect_lines(
             residuals,
             (self.grid.length, self.data.shape[1]),
             self.grid.rate_hz,
             FALSE_ALARM,
-            expected_places(fitted.chosen.fundamental, self.grid.rate_hz),
+            expected_frequencies(fitted.chosen.fundamental, self.grid.rate_hz),
             fit.phasors.frequency_hz,
             _SMALLEST * amplitude.max(axis=0),
         )
@@ -225,7 +226,7 @@ class _Record:
         frequency = np.concatenate([self.alias(lines), others.frequency_hz])
         u = np.concatenate([fit.u_frequency_hz[: len(lines)], others.u_frequency_hz])
         strength = relative_strength(np.concatenate([amplitude[: len(lines)], others.amplitude]))
-        every = LineList(frequency, u, strength, self.grid.rate_hz, self.resolution_hz)
+        every = DetectedLines(frequency, u, strength, self.grid.rate_hz, self.resolution_hz)
         return replace(others, origin=name_lines(every, fitted.chosen.fundamental)[len(lines) :])
 
 
@@ -258,11 +259,11 @@ def _near(frequency_hz: FloatArray, lines: FloatArray, resolution_hz: float) -> 
 def _complete(time_s: FloatArray, values: FloatArray | Stacked) -> tuple[FloatArray, Stacked]:
     """Return times and values (S, C) of the samples without NaN, channels that never change left out."""
     check_shape("time_s", time_s, (None,))
-    data = Stacked.of(values)
+    data = Stacked.from_array(values)
     check_shape("values", data, (len(time_s), None))
     present = rows_present(data)
-    time_s, data = time_s if present is None else time_s[present], data.kept(present)
-    moving = [c for c, own in enumerate(data.each()) if len(own) and np.ptp(own) > 0.0]
+    time_s, data = time_s if present is None else time_s[present], data.select_rows(present)
+    moving = [c for c, own in enumerate(data.iterate_channels()) if len(own) and np.ptp(own) > 0.0]
     if not moving:
         raise ValueError(f"values: expected a channel that changes, found {data.shape[1]} without any change")
     return time_s, data.select(moving)
@@ -273,7 +274,7 @@ def _unfiltered(nominal: FloatArray, all_nominal: FloatArray, grid: SamplingGrid
     resolution = grid.rate_hz / grid.length
     notices = []
     for frequency in nominal[nominal > grid.rate_hz / 2.0].tolist():
-        folds = folded_harmonics(frequency, all_nominal.tolist(), grid.rate_hz, resolution, MAX_MULTIPLE)
+        folds = find_aliased_harmonics(frequency, all_nominal.tolist(), grid.rate_hz, resolution, MAX_MULTIPLE)
         if folds:
             names = [f"{fold.frequency_hz:.6g} Hz ({fold.multiple} × {fold.fundamental_hz:.6g} Hz)" for fold in folds]
             text = (
@@ -307,7 +308,9 @@ def _listed(
     return multiples, tuple(notices)
 
 
-def _as_lines(fitted: _Fitted, others: Survey, nominal: FloatArray, notices: tuple[Notice, ...], auto: bool) -> Lines:
+def _as_lines(
+    fitted: _Fitted, others: Survey, nominal: FloatArray, notices: tuple[Notice, ...], auto: bool
+) -> LineFrequencies:
     """Assemble the result in ascending frequency, with reasons and remarks."""
     chosen, phasors = fitted.chosen, fitted.fit.phasors
     place, lines = chosen.place, chosen.lines
@@ -329,11 +332,11 @@ def _as_lines(fitted: _Fitted, others: Survey, nominal: FloatArray, notices: tup
     if told:
         more = f" and {len(told) - _STRANGERS} more" if len(told) > _STRANGERS else ""
         text = f"no results for other lines of the record: {'; '.join(told[:_STRANGERS])}{more}"
-        notices += (Notice("info", text, "lines"),)
+        notices += (Notice("note", text, "lines"),)
     order = np.argsort(lines)
     index = np.array([q for q, _ in place])
     order_of = np.array([m for _, m in place])
-    return Lines(
+    return LineFrequencies(
         frequency_hz=lines[order],
         u_frequency_hz=(order_of * fitted.u_fundamental[index])[order],
         nominal_hz=nominal[index][order],

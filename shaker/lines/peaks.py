@@ -20,13 +20,13 @@ from shaker.lines.spectrum import (
     centred_spectrum,
     chance_height,
     fit_line,
-    kernel,
+    hann_kernel,
     noise_level,
-    parts_of,
+    split_bins,
 )
 
 MOST_LINES = 200
-APART_BINS = 2.5  # two lines closer than this pass for one, and a line's own change stands within it
+MIN_SEPARATION_BINS = 2.5  # two lines closer than this pass for one, and a line's own change stands within it
 _ROUNDS = 12
 _SWEEPS = 3
 _INTERACT = 12.0  # bins within which lines are fitted again when another is found
@@ -48,8 +48,8 @@ class Peaks:
     floor of the whole spectrum; `cut` the number of lines left out because there were too many.
     """
 
-    place: FloatArray
-    u_place: FloatArray
+    bin_position: FloatArray
+    u_bin_position: FloatArray
     value: ComplexArray
     u_value: FloatArray
     noise: FloatArray
@@ -57,10 +57,10 @@ class Peaks:
     cut: int
 
     def __post_init__(self) -> None:
-        check_shapes(self, self.place.shape, "u_place", "value", "u_value", "noise")
+        check_shapes(self, self.bin_position.shape, "u_place", "value", "u_value", "noise")
 
 
-class Floored:
+class FloorSpectrum:
     """The Hann spectrum (B,) of samples (S,) and the noise floor under it, in which lines are looked for, also again.
 
     A search takes its lines out of `spectrum` and puts back what it found there.
@@ -77,7 +77,7 @@ class Floored:
 
     def straighten(self) -> None:
         """Take out the straight line that the lowest bins show."""
-        _, ramp = kernel(0.0, 0, min(len(self.spectrum), _RAMP_BINS), self.samples)
+        _, ramp = hann_kernel(0.0, 0, min(len(self.spectrum), _RAMP_BINS), self.samples)
         lowest = self.spectrum.imag[: len(ramp)]
         lowest -= float(ramp @ lowest) / float(ramp @ ramp) * ramp
 
@@ -102,11 +102,11 @@ class Floored:
 
 
 def find_peaks(
-    samples: FloatArray | Floored,
+    samples: FloatArray | FloorSpectrum,
     chance: float,
-    expected: FloatArray,
-    taken: FloatArray,
-    smallest: float = 0.0,
+    expected_bins: FloatArray,
+    fitted_bins: FloatArray,
+    min_amplitude: float = 0.0,
 ) -> Peaks:
     """Find the lines of samples (S,): noise alone adds one with probability `chance` in the whole spectrum.
 
@@ -116,8 +116,8 @@ def find_peaks(
     few bins), which the skirts of a stronger line and a resonance do not. `taken` (T,): bins of lines fitted already,
     whose samples these are the residual of; `smallest`: amplitude below which a peak is rounding.
     """
-    floored = samples if isinstance(samples, Floored) else Floored(samples)
-    state = _Search(floored, taken, expected, chance, smallest**2)
+    floored = samples if isinstance(samples, FloorSpectrum) else FloorSpectrum(samples)
+    state = _Search(floored, fitted_bins, expected_bins, chance, min_amplitude**2)
     for _ in range(_ROUNDS):
         if not state.grow() and not state.grow_expected():
             break
@@ -126,21 +126,21 @@ def find_peaks(
     return found
 
 
-def excess_power(samples: FloatArray, place: FloatArray) -> tuple[FloatArray, FloatArray]:
+def excess_power(samples: FloatArray, bin_intervals: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the highest power over the noise floor within each of the intervals `place` (Q, 2) in bins, and where.
 
     Samples (S,) → ratio (Q,) and fitted place of the peak (Q,).
     """
     spectrum = centred_spectrum(samples)
     power = Power(spectrum)
-    level = replace(noise_level(power), least=np.finfo(np.float64).tiny)
-    ratio, where = np.empty(len(place)), np.empty(len(place))
-    for q, (low, high) in enumerate(place):
+    level = replace(noise_level(power), minimum=np.finfo(np.float64).tiny)
+    ratio, where = np.empty(len(bin_intervals)), np.empty(len(bin_intervals))
+    for q, (low, high) in enumerate(bin_intervals):
         first = min(max(math.ceil(low), 1), len(power) - 2)
         last = min(max(math.floor(high), first), len(power) - 2)
         top = first + int(np.argmax(power[first : last + 1] / level[first : last + 1]))
         ratio[q] = float(power[top]) / float(level[top])
-        where[q] = fit_line(spectrum, len(samples), float(top), float(level[top])).place
+        where[q] = fit_line(spectrum, len(samples), float(top), float(level[top])).bin_position
     return ratio, where
 
 
@@ -148,7 +148,7 @@ class _Search:
     """A spectrum from which the lines found so far are taken out."""
 
     def __init__(
-        self, floored: Floored, taken: FloatArray, expected: FloatArray, chance: float, smallest: float
+        self, floored: FloorSpectrum, taken: FloatArray, expected: FloatArray, chance: float, smallest: float
     ) -> None:
         self.floored, self.rest, self.power, self.samples = floored, floored.spectrum, floored.power, floored.samples
         self.smallest, self.taken, self.expected = smallest, taken, expected
@@ -158,14 +158,14 @@ class _Search:
         share = 0.5 if len(expected) else 1.0
         self.chance_anywhere = share * chance / max(self.last - FIRST_BIN, 1)
         self.chance_expected = share * chance / max(3 * len(expected), 1)
-        self.level = replace(floored.level, least=self._rounding())
-        self.least = max(floored.lowest, self.level.least)
+        self.level = replace(floored.level, minimum=self._rounding())
+        self.least = max(floored.lowest, self.level.minimum)
 
     def look(self) -> None:
         """Take the noise floor of what is left."""
         self.floored.remember(0, min(len(self.rest), _RAMP_BINS))
         self.floored.straighten()
-        self.level = replace(noise_level(self.power, self.level, self.changed), least=self._rounding())
+        self.level = replace(noise_level(self.power, self.level, self.changed), minimum=self._rounding())
         self.changed = []
 
     def _rounding(self) -> float:
@@ -176,11 +176,11 @@ class _Search:
         """Add all peaks that stand out anywhere and are no leakage of stronger ones; tell whether there were any."""
         height = chance_height(self.chance_anywhere, self.level.independent)
         found = []
-        for part in parts_of(self.last, _LOOKED_AT):
+        for part in split_bins(self.last, _LOOKED_AT):
             first, stop = max(part.start, FIRST_BIN), part.stop
             power = self.power[first - 1 : stop + 1]
             # Few bins reach what none of these falls short of: the level is interpolated there only.
-            high = np.flatnonzero(power[1:-1] > height * self.level.below(slice(first, stop))) + 1
+            high = np.flatnonzero(power[1:-1] > height * self.level.lower_bound(slice(first, stop))) + 1
             high = high[(power[high] >= power[high - 1]) & (power[high] >= power[high + 1])]
             found.append(first - 1 + high[power[high] > height * self.level[first - 1 + high]])
         bins = np.concatenate([np.empty(0, dtype=np.int64), *found])
@@ -196,10 +196,10 @@ class _Search:
 
     def _clear(self, bins: IntArray) -> list[int]:
         """Return, strongest first, the bins away from known lines that no stronger one of them can have filled."""
-        known = np.concatenate([self.taken, [line.place for line in self.lines]])
+        known = np.concatenate([self.taken, [line.bin_position for line in self.lines]])
         clear: list[int] = []
         for k in bins.tolist():
-            if len(known) and np.min(np.abs(known - k)) < APART_BINS:
+            if len(known) and np.min(np.abs(known - k)) < MIN_SEPARATION_BINS:
                 continue
             distance = np.abs(np.array(clear, dtype=np.float64) - k)
             leak = self.power[np.array(clear, dtype=np.int64)] / (np.pi * np.maximum(distance - 1.0, 0.3) ** 3) ** 2
@@ -215,11 +215,11 @@ class _Search:
             self._take(fit_line(self.rest, self.samples, float(k), float(self.level[k])))
         near = np.array(bins, dtype=np.float64)
         for _ in range(_SWEEPS if bins else 0):
-            for line in [line for line in self.lines if np.min(np.abs(near - line.place)) < _INTERACT]:
+            for line in [line for line in self.lines if np.min(np.abs(near - line.bin_position)) < _INTERACT]:
                 self.lines.remove(line)
-                noise = float(self.level[round(line.place)])
+                noise = float(self.level[round(line.bin_position)])
                 self.changed.append(self.floored.add(line, self.least, 1.0))
-                self._take(fit_line(self.rest, self.samples, line.place, noise))
+                self._take(fit_line(self.rest, self.samples, line.bin_position, noise))
         if bins:
             self.look()
         return bool(bins)
@@ -233,16 +233,16 @@ class _Search:
         self.lines.sort(key=lambda line: -abs(line.value))
         kept: list[tuple[BinLine, float]] = []
         for line in self.lines:
-            around = self._stands_out(line, [other.place for other, _ in kept])
+            around = self._stands_out(line, [other.bin_position for other, _ in kept])
             if around is not None:
                 kept.append((line, around))
         cut = max(0, len(kept) - MOST_LINES)
-        kept = sorted(kept[:MOST_LINES], key=lambda item: item[0].place)
+        kept = sorted(kept[:MOST_LINES], key=lambda item: item[0].bin_position)
         noise = np.array([item[1] for item in kept])
-        wider = np.sqrt(noise / np.array([self.level[round(line.place)] for line, _ in kept]))
+        wider = np.sqrt(noise / np.array([self.level[round(line.bin_position)] for line, _ in kept]))
         return Peaks(
-            place=np.array([line.place for line, _ in kept]),
-            u_place=np.array([line.u_place for line, _ in kept]) * wider,
+            bin_position=np.array([line.bin_position for line, _ in kept]),
+            u_bin_position=np.array([line.u_bin_position for line, _ in kept]) * wider,
             value=np.array([line.value for line, _ in kept], dtype=np.complex128),
             u_value=np.array([line.u_value for line, _ in kept]) * wider,
             noise=noise,
@@ -253,15 +253,15 @@ class _Search:
     def _stands_out(self, line: BinLine, stronger: Sequence[float]) -> float | None:
         """Return the noise next to a line, None where the line is no more than a part of it."""
         centres = np.concatenate([[0.0, self.samples / 2.0], self.taken, stronger])
-        distance = float(np.min(np.abs(centres - line.place)))
+        distance = float(np.min(np.abs(centres - line.bin_position)))
         half = int(np.clip(distance / 2.0, 3.0, _NEIGHBOURHOOD))
-        centre = round(line.place)
+        centre = round(line.bin_position)
         bins = np.arange(max(1, centre - half), min(self.last, centre + half) + 1)
-        fitted = np.concatenate([[line.place], self.taken, stronger])
+        fitted = np.concatenate([[line.bin_position], self.taken, stronger])
         free = bins[np.min(np.abs(np.subtract.outer(bins, fitted)), axis=1) > 1.0]
         floor = float(self.level[centre])
-        expected = np.any(np.abs(self.expected - line.place) <= _EXPECTED_BINS)
-        if distance < APART_BINS or len(free) < 3:
+        expected = np.any(np.abs(self.expected - line.bin_position) <= _EXPECTED_BINS)
+        if distance < MIN_SEPARATION_BINS or len(free) < 3:
             return None
         local = float(np.median(self.power[free])) / np.log(2.0)
         chance = self.chance_expected if expected else self.chance_anywhere

@@ -10,12 +10,12 @@ import numpy as np
 from shaker.arrays import BoolArray, FloatArray, IntArray, check_shape, check_shapes
 from shaker.sine.aliasing import (
     CLEAR_BINS,
-    Fold,
+    AliasedHarmonic,
     alias_frequency,
     condition_number,
     differences_hz,
     exposure_gain,
-    folded_harmonics,
+    find_aliased_harmonics,
     sine_columns,
 )
 
@@ -99,7 +99,7 @@ class Sampling:
 
 
 @dataclass(frozen=True)
-class Lines:
+class PlannedLines:
     """Lines (K,) that a point excites: `frequency_hz` = `multiple` · `fundamental_hz`, fundamentals first."""
 
     frequency_hz: FloatArray
@@ -126,7 +126,7 @@ class RatePlan:
     of the design matrix; `folds`, unfitted harmonics that fall within a bin of a fitted line; `duration_s`.
     """
 
-    lines: Lines
+    lines: PlannedLines
     rate_hz: float
     frames: int
     alias_hz: FloatArray
@@ -135,7 +135,7 @@ class RatePlan:
     distance_hz: FloatArray
     neighbour_hz: FloatArray
     condition: float
-    folds: tuple[Fold, ...]
+    aliased_harmonics: tuple[AliasedHarmonic, ...]
 
     @property
     def resolution_hz(self) -> float:
@@ -153,7 +153,7 @@ class RatePlan:
         return float(np.min(self.distance_hz)) / self.resolution_hz
 
 
-def lines_of(fundamentals_hz: Sequence[float], harmonics: int) -> Lines:
+def lines_of(fundamentals_hz: Sequence[float], harmonics: int) -> PlannedLines:
     """Return the lines that fundamentals excited at the same time bring: multiples 1 to `harmonics` of each, once.
 
     >>> from shaker import lines_of
@@ -171,10 +171,10 @@ def lines_of(fundamentals_hz: Sequence[float], harmonics: int) -> Lines:
     for k in range(len(frequency)):
         if all(abs(frequency[k] - frequency[i]) > _SAME * frequency[k] for i in kept):
             kept.append(k)
-    return Lines(frequency[kept], fundamental[kept], multiple[kept])
+    return PlannedLines(frequency[kept], fundamental[kept], multiple[kept])
 
 
-def plan_at(lines: Lines, rate_hz: float, sampling: Sampling) -> RatePlan:
+def plan_at(lines: PlannedLines, rate_hz: float, sampling: Sampling) -> RatePlan:
     """Return what `rate_hz` makes of the lines: aliases, neighbours, loss by exposure, uncertainty.
 
     >>> from shaker import Sampling, lines_of, plan_at
@@ -189,9 +189,13 @@ def plan_at(lines: Lines, rate_hz: float, sampling: Sampling) -> RatePlan:
     np.fill_diagonal(among, np.inf)
     # A line near the Nyquist frequency meets its own mirror image, which is twice as far away.
     distance = np.column_stack([among, alias, rate_hz - 2.0 * alias])
-    folds: dict[float, Fold] = {}  # harmonics, not fitted themselves, that come within a bin of a fitted line
+    folds: dict[
+        float, AliasedHarmonic
+    ] = {}  # harmonics, not fitted themselves, that come within a bin of a fitted line
     for line in frequency:
-        for fold in folded_harmonics(line, lines.fundamentals_hz.tolist(), rate_hz, rate_hz / sampling.frames, WATCHED):
+        for fold in find_aliased_harmonics(
+            line, lines.fundamentals_hz.tolist(), rate_hz, rate_hz / sampling.frames, WATCHED
+        ):
             if np.all(np.abs(frequency - fold.frequency_hz) > _SAME * fold.frequency_hz):
                 folds[fold.frequency_hz] = fold
     return RatePlan(
@@ -204,7 +208,7 @@ def plan_at(lines: Lines, rate_hz: float, sampling: Sampling) -> RatePlan:
         distance_hz=distance.min(axis=1),
         neighbour_hz=np.append(frequency, [0.0, np.inf])[distance.argmin(axis=1)],
         condition=condition,
-        folds=tuple(folds[f] for f in sorted(folds)),
+        aliased_harmonics=tuple(folds[f] for f in sorted(folds)),
     )
 
 
@@ -222,7 +226,7 @@ _UNMIXED_BINS = 1.0  # between a fitted line and a harmonic that is not
 
 
 @dataclass(frozen=True)
-class Scan:
+class RateScan:
     """Rates (R,) tried for a point.
 
     `margin_bins`, smallest distance of two lines less what the tolerance may take of it; `penalty`, the largest factor
@@ -235,7 +239,7 @@ class Scan:
     margin_bins: FloatArray
     penalty: FloatArray
     preferred: IntArray
-    unmixed: BoolArray
+    separated: BoolArray
 
     def __post_init__(self) -> None:
         check_shapes(self, self.rate_hz.shape, "margin_bins", "penalty", "preferred", "unmixed")
@@ -251,11 +255,11 @@ class Scan:
         good = self.clear
         if good.any():
             good &= self.preferred == self.preferred[good].max()
-        return good & self.unmixed if np.any(good & self.unmixed) else good
+        return good & self.separated if np.any(good & self.separated) else good
 
 
 def candidate_rates(
-    points: Sequence[Lines], sampling: Sampling, limits_hz: tuple[float, float], step_hz: float
+    points: Sequence[PlannedLines], sampling: Sampling, limits_hz: tuple[float, float], step_hz: float
 ) -> FloatArray:
     """Return the multiples of `step_hz` within the limits that are worth looking at, for all points.
 
@@ -278,7 +282,7 @@ def candidate_rates(
     return np.asarray(np.round(rates, 9))
 
 
-def scan_rates(lines: Lines, rate_hz: FloatArray, sampling: Sampling) -> Scan:
+def scan_rates(lines: PlannedLines, rate_hz: FloatArray, sampling: Sampling) -> RateScan:
     """Look at every rate (R,) for the lines of one point, by their aliases alone."""
     # The tolerance moves two lines together or apart: those of one fundamental as far as their difference.
     first, second = np.triu_indices(len(lines.frequency_hz), k=1)
@@ -300,10 +304,10 @@ def scan_rates(lines: Lines, rate_hz: FloatArray, sampling: Sampling) -> Scan:
         lowest = np.maximum(share, 0.5 / sampling.frames)
         penalty = np.maximum(penalty, np.sqrt(1.0 + sampling.corner_hz / (lowest * rate_hz)))
         preferred += (multiple == 1) & (share >= PREFERRED[0]) & (share <= PREFERRED[1])
-    return Scan(rate_hz, margin, penalty, preferred, unmixed)
+    return RateScan(rate_hz, margin, penalty, preferred, unmixed)
 
 
-def best_rates(scan: Scan) -> tuple[float, ...]:
+def best_rates(scan: RateScan) -> tuple[float, ...]:
     """Return up to three rates, best first; empty where no rate keeps the lines apart.
 
     The best is, among the good rates whose penalty is within 5 % of the smallest, the one that keeps the lines
@@ -319,7 +323,7 @@ def best_rates(scan: Scan) -> tuple[float, ...]:
     return tuple(chosen)
 
 
-def fewest_rates(scans: Sequence[Scan]) -> tuple[tuple[float, tuple[int, ...]], ...]:
+def fewest_rates(scans: Sequence[RateScan]) -> tuple[tuple[float, tuple[int, ...]], ...]:
     """Return a smallest set of rates, found greedily, that is good for every point that has a good rate.
 
     Each with the indices of the points that it serves. All scans have the same rates.
@@ -341,7 +345,7 @@ def fewest_rates(scans: Sequence[Scan]) -> tuple[tuple[float, tuple[int, ...]], 
     return tuple(chosen)
 
 
-def condition_over_rate(lines: Lines, rate_hz: FloatArray, frames: int) -> FloatArray:
+def condition_over_rate(lines: PlannedLines, rate_hz: FloatArray, frames: int) -> FloatArray:
     """Return the condition number of the design matrix at rates (R,), from Dirichlet's kernel.
 
     Cosines, sines and offset are unitarily equivalent to the exponentials at 0 and ±f, whose Gram matrix over frames

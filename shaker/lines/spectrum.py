@@ -47,18 +47,18 @@ def amplitude_spectrum(samples: FloatArray | Stacked, sample_rate_hz: float, mos
     count = len(samples)
     if count < 2:
         raise ValueError(f"samples: expected at least 2 samples, found {count}")
-    stacked = Stacked.of(samples)
+    stacked = Stacked.from_array(samples)
     bins = count // 2 + 1
     merged = 1 if most_bins is None else -(-bins // most_bins)
     first = np.arange(0, bins, merged)
     amplitude = np.empty((len(first), stacked.shape[1]))
-    for c, column in enumerate(stacked.each()):
+    for c, column in enumerate(stacked.iterate_channels()):
         spectrum = _hann_rfft(column, count / 2.0)
         spectrum[0] /= 2.0
         if count % 2 == 0:
             spectrum[-1] /= 2.0
         own = np.empty(bins)
-        for part in parts_of(bins):
+        for part in split_bins(bins):
             own[part] = np.abs(spectrum[part]) * (2.0 / count)
         amplitude[:, c] = np.maximum.reduceat(own, first)
     last = np.minimum(first + merged, bins) - 1
@@ -82,10 +82,10 @@ _SERIES_BELOW = 1e-5  # bins: nearer to its centre the kernel is taken from its 
 class BinLine:
     """One line: `place` in bins, `value` its phasor at the middle of the record, `slope` its change, uncertainties."""
 
-    place: float
+    bin_position: float
     value: complex
     slope: complex
-    u_place: float
+    u_bin_position: float
     u_value: float
 
 
@@ -96,7 +96,7 @@ def centred_spectrum(samples: FloatArray) -> ComplexArray:
     """
     count = len(samples)
     spectrum = _hann_rfft(samples, (count - 1) / 2.0)
-    for part in parts_of(len(spectrum)):
+    for part in split_bins(len(spectrum)):
         turn = np.exp(np.arange(part.start, part.stop) * (-1j * np.pi / count))
         turn[1::2] *= -1.0  # parts begin at even bins
         spectrum[part] *= turn * (2.0 / count)
@@ -109,7 +109,7 @@ _FEWEST_PARTS, _MOST_PARTS = 16, 64
 _RETURNED = 1 << 26  # bytes of an array whose memory the system has back at once
 
 
-def parts_of(bins: int, most: int = _PART) -> list[slice]:
+def split_bins(bins: int, most: int = _PART) -> list[slice]:
     """Return slices, of at most so many, that cover bins."""
     return [slice(first, min(first + most, bins)) for first in range(0, bins, most)]
 
@@ -136,7 +136,7 @@ def _hann_rfft(samples: FloatArray, middle: float) -> ComplexArray:
             row[:] = np.fft.rfft(_windowed(samples, mean, middle, slice(q, count, pieces)))
             halves[q] = row
     del block, row
-    for part in parts_of(length // 2 + 1):
+    for part in split_bins(length // 2 + 1):
         step = np.exp(np.arange(part.start, part.stop) * (-1j * turn))
         twist = np.ones(len(step), dtype=np.complex128)
         twisted = np.empty((pieces, len(step)), dtype=np.complex128)
@@ -170,12 +170,12 @@ def _windowed(samples: FloatArray, mean: float, middle: float, which: slice) -> 
     return window
 
 
-def kernel(place: float, low: int, high: int, samples: int) -> tuple[FloatArray, FloatArray]:
+def hann_kernel(position: float, low: int, high: int, samples: int) -> tuple[FloatArray, FloatArray]:
     """Return what a unit line at `place` leaves in the bins from `low` to below `high`, and its derivative by `place`.
 
     K(δ) = D(δ) + ½D(δ - 1) + ½D(δ + 1) with Dirichlet's kernel D(δ) = sin(πδ) / (N sin(πδ/N)).
     """
-    distance = place - np.arange(low - 1, high + 1)
+    distance = position - np.arange(low - 1, high + 1)
     near = np.abs(distance) < _SERIES_BELOW
     series = distance[near]
     distance[near] = _SERIES_BELOW
@@ -200,8 +200,8 @@ def fit_line(spectrum: ComplexArray, samples: int, start: float, noise: float) -
     weight = _hann_weight(high - low)
     place, value = start, 0j
     for _ in range(_STEPS):
-        data = spectrum[low:high] - np.conj(value) * kernel(-place, low, high, samples)[0]
-        design = np.stack(kernel(place, low, high, samples))
+        data = spectrum[low:high] - np.conj(value) * hann_kernel(-place, low, high, samples)[0]
+        design = np.stack(hann_kernel(place, low, high, samples))
         weighted = design @ weight
         covariance = np.linalg.inv(weighted @ design.T)
         value, slope = (complex(c) for c in covariance @ (weighted @ data))
@@ -223,14 +223,14 @@ def bins_of(line: BinLine, bins: int, noise: float) -> tuple[int, int]:
     """Return the first of the bins of a spectrum in which a line can be told from a noise power, and the one behind."""
     reach = (abs(line.value) / (_NEGLIGIBLE * np.sqrt(noise) * np.pi)) ** (1.0 / 3.0)
     width = int(min(max(reach, 4.0), _WIDEST)) + 2
-    return max(0, round(line.place) - width), min(bins, round(line.place) + width + 1)
+    return max(0, round(line.bin_position) - width), min(bins, round(line.bin_position) + width + 1)
 
 
 def add_line(spectrum: ComplexArray, samples: int, line: BinLine, bins: tuple[int, int], sign: float) -> None:
     """Add a line times `sign` to the bins of a spectrum from the first to below the second, in place."""
     low, high = bins
-    shape, slope = kernel(line.place, low, high, samples)
-    part = line.value * shape + np.conj(line.value) * kernel(-line.place, low, high, samples)[0]
+    shape, slope = hann_kernel(line.bin_position, low, high, samples)
+    part = line.value * shape + np.conj(line.value) * hann_kernel(-line.bin_position, low, high, samples)[0]
     spectrum[low:high] += sign * (part + line.slope * slope)
 
 
@@ -268,7 +268,7 @@ class Power:
     @property
     def highest(self) -> float:
         """The power of the strongest bin."""
-        return max((float(self[part].max()) for part in parts_of(len(self))), default=0.0)
+        return max((float(self[part].max()) for part in split_bins(len(self))), default=0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,7 +283,7 @@ class NoiseLevel:
     curves: tuple[tuple[FloatArray, FloatArray], ...]
     trend: FloatArray
     independent: float
-    least: float = 0.0
+    minimum: float = 0.0
 
     def __len__(self) -> int:
         return self.bins
@@ -294,25 +294,25 @@ class NoiseLevel:
         level = levels[0] if len(levels) == 1 else np.maximum(levels[0], levels[1])
         if len(self.trend) and at.min(initial=self.bins) < len(self.trend):
             level = level * np.where(at < len(self.trend), self.trend[np.minimum(at, len(self.trend) - 1)], 1.0)
-        return np.asarray(np.maximum(level, self.least))
+        return np.asarray(np.maximum(level, self.minimum))
 
-    def below(self, bins: slice) -> float:
+    def lower_bound(self, bins: slice) -> float:
         """Return a power that none of these bins falls short of."""
         lowest = -np.inf
         for centres, log_level in self.curves:
             first, last = np.searchsorted(centres, (bins.start, bins.stop - 1))
             lowest = max(lowest, float(log_level[max(first - 1, 0) : last + 1].min()))
         trend = min(1.0, float(self.trend[bins].min(initial=1.0)))
-        return max(float(np.exp(lowest)) * trend * (1.0 - _ROUNDING), self.least)
+        return max(float(np.exp(lowest)) * trend * (1.0 - _ROUNDING), self.minimum)
 
     @property
     def lowest(self) -> float:
         """The noise power of the quietest bin."""
-        return min(float(self[part].min()) for part in parts_of(self.bins))
+        return min(float(self[part].min()) for part in split_bins(self.bins))
 
 
 def noise_level(
-    power: FloatArray | Power, before: NoiseLevel | None = None, changed: Sequence[tuple[int, int]] = ()
+    power: FloatArray | Power, previous: NoiseLevel | None = None, changed: Sequence[tuple[int, int]] = ()
 ) -> NoiseLevel:
     """Return the noise power of every bin (B,).
 
@@ -337,9 +337,9 @@ def noise_level(
         edges = FIRST_BIN + np.round(np.linspace(0.0, usable, blocks + 1)).astype(np.int64)
         own = np.ones(blocks, dtype=np.bool_)
         log_level = np.empty(blocks)
-        if before is not None:
+        if previous is not None:
             own[:] = False
-            log_level[:] = before.curves[len(curves)][1]
+            log_level[:] = previous.curves[len(curves)][1]
             for low, high in (*changed, (0, len(trend))):
                 own[max(0, np.searchsorted(edges, low, "right") - 1) : np.searchsorted(edges, high)] = True
         medians = _medians(power, trend, edges[:-1][own], int(np.min(np.diff(edges))))

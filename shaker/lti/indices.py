@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shaker.arrays import FloatArray, Notice
+from shaker.arrays import FloatArray
 from shaker.lti.responses import (
     band_edges,
     band_end,
@@ -20,12 +20,13 @@ from shaker.lti.responses import (
     half_power,
     log_slope,
     peak,
-    places_rad,
     quadrature,
+    roots_rad,
     settling_points,
     transient,
 )
 from shaker.lti.system import LinearSystem, ModalModel
+from shakercal._common.notices import Notice
 
 UNITS = {"hz": "Hz", "s": "s"}
 LABELS = {
@@ -142,7 +143,7 @@ def indices(system: LinearSystem, nominal_gain: float = 1.0, sample_rate_hz: flo
     if usable:  # in one search, whose parts are then at hand
         curve.crossings(float(curve.gain[0]) / np.sqrt(2.0), *(edge for level in levels for edge in band_edges(*level)))
     band_5, band_10, nominal_5, nominal_10 = (band_end(curve, *level) if usable else None for level in levels)
-    _, poles = places_rad(system)
+    _, poles = roots_rad(system)
     return Indices(
         static,
         system.stable,
@@ -179,7 +180,7 @@ def modes(system: LinearSystem) -> tuple[Mode, ...]:
 
 def step_shares(system: LinearSystem) -> FloatArray:
     """Return for each pole (P,) how much it swings after a step, pairs together, over the static gain."""
-    below = system.poles - system.rest
+    below = system.poles - system.static_point
     pairs = np.where(system.poles.imag == 0, 1.0, 2.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(np.abs(pairs * system.residues() / below / system.static_gain))
@@ -217,9 +218,9 @@ def pole_notices(system: LinearSystem, sample_rate_hz: float | None = None) -> t
             text = f"The pole at {size:.4g} Hz lies beyond half the sampling rate of {rate:.6g} Hz: the samples do not"
             notices.append(Notice("warning", f"{text} show it.", where))
         distance = np.abs(system.zeros - pole)
-        if np.any(distance < NEAR * abs(pole - system.rest)):
-            text = f"A zero lies {100 * distance.min() / abs(pole - system.rest):.2g} % from it: the two nearly cancel,"
-            notices.append(Notice("info", f"{text} and the order may be too high.", where))
+        if np.any(distance < NEAR * abs(pole - system.static_point)):
+            text = f"A zero lies {100 * distance.min() / abs(pole - system.static_point):.2g} % from it: the two nearly cancel,"
+            notices.append(Notice("note", f"{text} and the order may be too high.", where))
     return tuple(notices)
 
 
@@ -234,7 +235,7 @@ BENT = 1.2
 
 
 @dataclass(frozen=True)
-class Reach:
+class FigureRange:
     """The lowest and highest values of figures (Q,) within `REACH` standard uncertainties of a model, NaN where a
     figure ceases to be; `factor` (Q,): what u of first order has to be multiplied by to hold them, at least 1.
     """
@@ -258,10 +259,12 @@ class Reach:
             text = (
                 f"within {REACH:g} standard uncertainties of the model these do not change in proportion to it, and U "
             )
-            yield Notice("info", f"{text}is widened to hold where they come to: {'; '.join(bent)}", "indices")
+            yield Notice("note", f"{text}is widened to hold where they come to: {'; '.join(bent)}", "indices")
 
 
-def reach(covariance: FloatArray, slope: FloatArray, moved: Callable[[FloatArray], FloatArray]) -> Reach:
+def find_figure_range(
+    covariance: FloatArray, slope: FloatArray, figures_after: Callable[[FloatArray], FloatArray]
+) -> FigureRange:
     """Return what figures come to within the covariance (P, P) of a model, whose derivatives are `slope` (Q, P).
 
     `moved` gives the figures (Q,), NaN or infinite where there is none, for a move (P,) of the parameters. These are
@@ -271,7 +274,7 @@ def reach(covariance: FloatArray, slope: FloatArray, moved: Callable[[FloatArray
     first order says, in whatever direction.
     """
     value, u = (
-        moved(np.zeros(len(covariance))),
+        figures_after(np.zeros(len(covariance))),
         np.sqrt(np.maximum(np.einsum("qp,pr,qr->q", slope, covariance, slope), 0)),
     )
     ways: list[FloatArray] = []
@@ -279,12 +282,12 @@ def reach(covariance: FloatArray, slope: FloatArray, moved: Callable[[FloatArray
         alike = [abs(own @ way) > ALIKE * size for way in ways]
         if np.isfinite(size) and size > 0 and not any(alike):
             ways.append(covariance @ own / size)
-    seen = np.array([value, *(moved(sign * REACH * way) for way in ways for sign in (-1.0, 1.0))])
+    seen = np.array([value, *(figures_after(sign * REACH * way) for way in ways for sign in (-1.0, 1.0))])
     known, finite = np.isfinite(value) & np.isfinite(u), np.all(np.isfinite(seen), axis=0)
     low, high = (np.where(finite, of(seen, axis=0), np.nan) for of in (np.min, np.max))
     far = np.maximum(high - value, value - low)
     factor = np.maximum(np.divide(far, REACH * u, out=np.ones(len(u)), where=known & (u > 0)), 1.0)
-    return Reach(low, high, np.where(known & (u > 0), factor, 1.0))
+    return FigureRange(low, high, np.where(known & (u > 0), factor, 1.0))
 
 
 # Standard uncertainties of the indices of an identified model.

@@ -129,7 +129,7 @@ def gain_curve(system: LinearSystem) -> GainCurve:
     return GainCurve(system, edges, np.abs(system.response(edges)), grid, system.response(grid))
 
 
-def places_rad(system: LinearSystem) -> tuple[ComplexArray, ComplexArray]:
+def roots_rad(system: LinearSystem) -> tuple[ComplexArray, ComplexArray]:
     """Return zeros and poles as s in rad/s, those of samples by ln(z)·rate; z = 0 is left out."""
     if system.sample_rate_hz is None:
         return system.zeros, system.poles
@@ -139,7 +139,7 @@ def places_rad(system: LinearSystem) -> tuple[ComplexArray, ComplexArray]:
 
 def _grid(system: LinearSystem) -> FloatArray:
     """Return frequencies (G,) in Hz, rising, that lie as close as zeros and poles make the gain change."""
-    features = np.concatenate(places_rad(system))
+    features = np.concatenate(roots_rad(system))
     features = features[np.abs(features) > 0] / (2 * np.pi)
     if not len(features):
         features = np.ones(1, dtype=np.complex128)

@@ -41,7 +41,7 @@ class LinearSystem(Brief):
         for name in ("zeros", "poles"):
             value = np.asarray(getattr(self, name), dtype=np.complex128)
             check_shape(name, value, (None,))
-            object.__setattr__(self, name, paired(value, name))
+            object.__setattr__(self, name, pair_conjugates(value, name))
         if len(self.zeros) > len(self.poles):
             raise ValueError(f"zeros: expected at most as many as poles, {len(self.poles)}, found {len(self.zeros)}")
 
@@ -89,14 +89,14 @@ class LinearSystem(Brief):
         return np.concatenate([np.zeros(len(bottom) - len(top)), top]), bottom
 
     @property
-    def rest(self) -> complex:
+    def static_point(self) -> complex:
         """The s or z of frequency zero."""
         return 0j if self.sample_rate_hz is None else 1 + 0j
 
     @property
     def static_gain(self) -> float:
         """H at frequency zero."""
-        return float(self.at(np.array([self.rest]))[0].real)
+        return float(self.at(np.array([self.static_point]))[0].real)
 
     def at(self, x: ComplexArray) -> ComplexArray:
         """Return H (K,) at s or z (K,), factor by factor, so that no coefficient loses digits; infinite at a pole."""
@@ -337,7 +337,7 @@ def _same_gain(continuous: LinearSystem, samples: LinearSystem, rate_hz: float) 
     return float(np.copysign(abs(ratio), ratio.real))
 
 
-def paired(roots: ComplexArray, name: str) -> ComplexArray:
+def pair_conjugates(roots: ComplexArray, name: str) -> ComplexArray:
     """Return roots (N,) with conjugate pairs exact, pairs first by size, then real ones; one alone is refused."""
     scale = 1e-9 * max(1e-300, float(np.max(np.abs(roots), initial=0.0)))
     above = roots[roots.imag > scale]
@@ -475,7 +475,7 @@ class ModalModel(Brief):
         value, slope = self.jacobian(function, step)
         return value, np.asarray(slope @ self._known_covariance() @ slope.T)
 
-    def moved(self, move: FloatArray) -> ModalModel:
+    def with_move(self, move: FloatArray) -> ModalModel:
         """Return the model with its parameters moved by `move` (P,) to first order, straight in `to_coordinates`.
 
         There what a record tells well stays as smooth and static as it is however far the move. Frequencies and lags
@@ -484,7 +484,7 @@ class ModalModel(Brief):
         modes, reals = len(self.frequency_hz), len(self.real_hz)
         scale, coordinates, slope = self._straight
         by = slope @ move
-        by[np.abs(by) < 1e-9 * sizes(coordinates, reals)] = 0.0  # rounding, which would make a far zero
+        by[np.abs(by) < 1e-9 * coordinate_sizes(coordinates, reals)] = 0.0  # rounding, which would make a far zero
         far = coordinates + by
         signed = np.r_[:modes, 2 * modes : 2 * modes + reals]
         far[signed] = coordinates[signed] * np.maximum(far[signed] / coordinates[signed], LEAST_LAG)
@@ -584,7 +584,7 @@ def from_coordinates(coordinates: FloatArray, modes: int, reals: int, scale: flo
     return np.concatenate([frequency, damping, of_modes.real, of_modes.imag, real_hz, of_reals.real])
 
 
-def sizes(coordinates: FloatArray, reals: int) -> FloatArray:
+def coordinate_sizes(coordinates: FloatArray, reals: int) -> FloatArray:
     """Return how large coordinates (2P,) are: themselves, those of the numerator the largest of these."""
     half = len(coordinates) // 2
     size: FloatArray = np.abs(coordinates)

@@ -22,7 +22,7 @@ Losses = Callable[[FloatArray, FloatArray], FloatArray]
 """Of members (P, N) and the losses (P,) that they have to keep to: losses (P,), infinite where a member exceeds its."""
 
 
-def evolved(
+def evolve(
     losses: Losses, bounds: Sequence[tuple[float, float]], rng: np.random.Generator, effort: tuple[int, int]
 ) -> tuple[FloatArray, tuple[float, ...]]:
     """Return the best vector (N,) and the best loss of every generation; `effort`: members and generations."""

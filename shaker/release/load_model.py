@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape, check_shapes
-from shaker.lti.indices import Reach, reach
+from shaker.lti.indices import FigureRange, find_figure_range
 from shaker.lti.responses import band_end, gain_curve
 from shaker.lti.system import LinearSystem, differences
 from shaker.mechanics import Mechanics, chain_terms, poles
@@ -243,11 +243,11 @@ def working_bands(model: LoadModel, load_mass: float, tolerances: tuple[float, .
     return np.array([np.nan if end is None or np.isinf(end) else end for end in ends])
 
 
-LEAST_SHARE = 0.02
+MIN_PARAMETER_SHARE = 0.02
 """Share of itself to which a stiffness, damping or mass may fall when a model is moved within its uncertainty."""
 
 
-def figures_u(model: LoadModel, figures: Callable[[LoadModel], FloatArray]) -> tuple[FloatArray, Reach]:
+def figures_u(model: LoadModel, figures: Callable[[LoadModel], FloatArray]) -> tuple[FloatArray, FigureRange]:
     """Return standard uncertainties (Q,) of figures of a model, wide enough for all they come to, and how far that is.
 
     To first order by the model's covariance, times the factor of `shaker.lti.indices.reach`; `figures` gives NaN where
@@ -256,9 +256,9 @@ def figures_u(model: LoadModel, figures: Callable[[LoadModel], FloatArray]) -> t
     total, slope = np.asarray(model.total_covariance, dtype=np.float64), model.jacobian(figures)[1]
 
     def moved(move: FloatArray) -> FloatArray:
-        return figures(model.with_numbers(np.maximum(model.numbers + move, LEAST_SHARE * model.numbers)))
+        return figures(model.with_numbers(np.maximum(model.numbers + move, MIN_PARAMETER_SHARE * model.numbers)))
 
-    seen = reach(total, slope, moved)
+    seen = find_figure_range(total, slope, moved)
     return np.asarray(seen.factor * np.sqrt(np.maximum(np.einsum("qp,pr,qr->q", slope, total, slope), 0.0))), seen
 
 
@@ -293,13 +293,13 @@ def change_limit(model: LoadModel, permitted: float) -> LoadLimit | None:
     return _limit(model, lambda changed, load: least - first_mode_hz(changed, load) / first_mode_hz(changed, 0.0))
 
 
-def frequency_limit(model: LoadModel, wanted_hz: float) -> LoadLimit | None:
+def frequency_limit(model: LoadModel, target_hz: float) -> LoadLimit | None:
     """Return the load mass up to which the resonance stays at or above `wanted_hz`, None where it never is."""
-    if not wanted_hz > 0:
-        raise ValueError(f"wanted_hz: expected a frequency above 0, found {wanted_hz}")
-    if first_mode_hz(model, 0.0) < wanted_hz:
+    if not target_hz > 0:
+        raise ValueError(f"wanted_hz: expected a frequency above 0, found {target_hz}")
+    if first_mode_hz(model, 0.0) < target_hz:
         return None
-    return _limit(model, lambda changed, load: wanted_hz / first_mode_hz(changed, load) - 1.0)
+    return _limit(model, lambda changed, load: target_hz / first_mode_hz(changed, load) - 1.0)
 
 
 def _check_share(permitted: float) -> None:

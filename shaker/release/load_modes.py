@@ -7,15 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, check_shape, check_shapes
-from shaker.fitting import Block, Changes, Rules, Separable, levenberg_marquardt
+from shaker.fitting import BlockJacobian, LinearBlock, LMOptions, SeparablePoint, levenberg_marquardt
 from shaker.labels import mechanical_units, typeset
-from shaker.release.record import Reading, StepRecord
+from shaker.release.record import ReleaseReading, StepRecord
 
 # The output that is read, and the masses of a series of loads as named unknowns.
 
 
 @dataclass(frozen=True)
-class Output:
+class SeriesOutput:
     """What was recorded: load component, output channel, its unit, static output per N or N·m, that one's u."""
 
     component: str
@@ -104,9 +104,9 @@ class Resonances(Brief):
         if np.any(known <= 0) or np.any(np.isnan(self.frequency_hz[:, 0])):
             raise ValueError("frequency_hz: expected a first resonance above 0 of every record, found none")
 
-    def without_second(self, places: BoolArray) -> Resonances:
+    def without_second(self, mask: BoolArray) -> Resonances:
         """Return the resonances with the second modes of some records (R,) left out."""
-        left_out = places[:, None] & [False, True]
+        left_out = mask[:, None] & [False, True]
         values = (self.frequency_hz, self.u_frequency_hz, self.damping_ratio, self.u_damping_ratio)
         return Resonances(self.names, *(np.where(left_out, np.nan, value) for value in values))
 
@@ -133,7 +133,7 @@ RATE_OVER_FIRST = 16.0
 PASSBAND = 0.42  # edge of the decimating filter's passband over the rate it decimates to
 TAPS = 20  # length of the decimating filter in samples of the decimated record
 FEWEST = 64
-SEARCH = Rules(first=1e-4, shrink=0.2, least=1e-15, largest=1e12)
+SEARCH = LMOptions(initial_damping=1e-4, damping_decrease=0.2, min_damping=1e-15, max_damping=1e12)
 """How a search for poles, stiffnesses and dampings is damped; it ends where a step promises 10⁻¹⁰ of the loss."""
 
 
@@ -159,7 +159,7 @@ class FreeDecay(Brief):
         return float((len(self.time_s) - 1) / (self.time_s[-1] - self.time_s[0]))
 
 
-def free_decay(record: StepRecord, channel: str, reading: Reading) -> FreeDecay:
+def free_decay(record: StepRecord, channel: str, reading: ReleaseReading) -> FreeDecay:
     """Return the free oscillation of one channel after its release, of which `reading` says when it is over."""
     from scipy.signal import firwin, upfirdn
 
@@ -183,33 +183,33 @@ def free_decay(record: StepRecord, channel: str, reading: Reading) -> FreeDecay:
     return FreeDecay(record.name, time_s, np.asarray(value), decimation)
 
 
-def projected(decay: FreeDecay, poles: ComplexArray) -> tuple[FloatArray, FloatArray]:
+def project_amplitudes(decay: FreeDecay, poles: ComplexArray) -> tuple[FloatArray, FloatArray]:
     """Return what free amplitudes of modes (M,) and a level leave (N,), and its derivatives (N, 2M) by Re p and Im p.
 
     y = b + Σ Re{a_m exp(p_m t)} with b and a_m by linear least squares (variable projection, Golub & Pereyra 1973, the
     derivatives in Kaufman's form).
     """
     point = free_modes(decay, poles)
-    return point.residuals[0][:, 0], -point.solved[0].beside(point.slopes[0].rows)[:, :, 0]
+    return point.residuals[0][:, 0], -point.solved[0].orthogonal_complement(point.jacobians[0].rows)[:, :, 0]
 
 
-def free_modes(decay: FreeDecay, poles: ComplexArray) -> Separable:
+def free_modes(decay: FreeDecay, poles: ComplexArray) -> SeparablePoint:
     """Return modes (M,) with free amplitudes and a level as a point of a fit, parameters [Re p, Im p] of each mode."""
     t = decay.time_s - decay.time_s[0]
     waves = np.exp(t[:, None] * poles)
 
-    def changes(own: FloatArray) -> Changes:
+    def changes(own: FloatArray) -> BlockJacobian:
         amplitude = own[1:, 0].reshape(2, -1)
         swing = t[:, None] * waves * (amplitude[0] + 1j * amplitude[1])
         change = np.stack([swing.real, -swing.imag], axis=2).reshape(len(t), -1, 1)
-        return Changes(np.arange(change.shape[1]), change)
+        return BlockJacobian(np.arange(change.shape[1]), change)
 
     design = np.hstack([np.ones((len(t), 1)), waves.real, -waves.imag])
     parameters = np.stack([poles.real, poles.imag], axis=1).ravel()
-    return Separable(parameters, (Block(design, decay.value[:, None], changes),))
+    return SeparablePoint(parameters, (LinearBlock(design, decay.value[:, None], changes),))
 
 
-def coloured(slope: FloatArray, residual: FloatArray) -> FloatArray:
+def coloured_normal(slope: FloatArray, residual: FloatArray) -> FloatArray:
     """Return Jᵀ R J (P, P): derivatives (N, P) and the autocovariance R of the noise that the residual (N,) shows.
 
     R has the residual's periodogram, smoothed over neighbouring lines, as its spectrum.
@@ -276,7 +276,7 @@ def record_modes(decay: FreeDecay) -> RecordModes:
     from scipy.special import fdtrc
 
     one = _fitted(decay, _starts(decay, decay.value - np.mean(decay.value), 0.0), np.zeros(0, dtype=np.complex128))
-    left, _ = projected(decay, one.poles)
+    left, _ = project_amplitudes(decay, one.poles)
     floor_hz = SEPARATE * float(one.frequency_hz[0])
     starts = _starts(decay, left, floor_hz)
     if not starts:
@@ -332,8 +332,8 @@ def _fitted(decay: FreeDecay, starts: list[complex], known: ComplexArray) -> Rec
     ]
     best = min(ends, key=lambda point: point.loss)
     poles = np.asarray(best.parameters[::2] + 1j * best.parameters[1::2])
-    residual, slope = projected(decay, poles)
+    residual, slope = project_amplitudes(decay, poles)
     inner = np.linalg.inv(slope.T @ slope)
     free = len(residual) - 1 - 2 * len(best.parameters)
-    covariance = inner @ coloured(slope, residual) @ inner * len(residual) / free
+    covariance = inner @ coloured_normal(slope, residual) @ inner * len(residual) / free
     return RecordModes(decay.name, poles, covariance, float(np.sqrt(residual @ residual / free)))

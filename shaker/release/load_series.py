@@ -8,11 +8,20 @@ from functools import cached_property
 
 import numpy as np
 
-from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, Notice, Severity, check_shape
-from shaker.fitting import Residuals, levenberg_marquardt
+from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, check_shape
+from shaker.fitting import WhitenedResiduals, levenberg_marquardt
 from shaker.labels import mechanical_units, typeset
 from shaker.release.load_model import LoadModel, upper_poles
-from shaker.release.load_modes import SEARCH, FreeDecay, Output, Resonances, SeriesMasses, coloured, projected
+from shaker.release.load_modes import (
+    SEARCH,
+    FreeDecay,
+    Resonances,
+    SeriesMasses,
+    SeriesOutput,
+    coloured_normal,
+    project_amplitudes,
+)
+from shakercal._common.notices import Notice, Severity
 
 # Rows and unknowns of a fit of load models to resonances.
 
@@ -246,21 +255,24 @@ def _least(
     problem: SeriesProblem,
     residual: Callable[[FloatArray], tuple[FloatArray, FloatArray]],
     start: FloatArray,
-    tolerance: float = SEARCH.foretold_share,
-) -> Residuals:
+    tolerance: float = SEARCH.predicted_decrease_share,
+) -> WhitenedResiduals:
     """Return the least squares next to a start, among unknowns that a sensor may have."""
 
-    def at(x: FloatArray) -> Residuals | None:
-        return Residuals(x, *residual(x)) if problem.is_sound(x) else None
+    def at(x: FloatArray) -> WhitenedResiduals | None:
+        return WhitenedResiduals(x, *residual(x)) if problem.is_sound(x) else None
 
     begin = at(start)
     if begin is None:
         raise ValueError("start: expected unknowns that a sensor may have, found others")
-    return levenberg_marquardt(at, begin, replace(SEARCH, foretold_share=tolerance)).point
+    return levenberg_marquardt(at, begin, replace(SEARCH, predicted_decrease_share=tolerance)).point
 
 
 def _refined(
-    problem: SeriesProblem, start: FloatArray, scatter: tuple[float, float], tolerance: float = SEARCH.foretold_share
+    problem: SeriesProblem,
+    start: FloatArray,
+    scatter: tuple[float, float],
+    tolerance: float = SEARCH.predicted_decrease_share,
 ) -> tuple[FloatArray, float]:
     """Return the unknowns (X,) at the minimum next to a start, and chi-squared there."""
     sigma = problem.sigma(scatter)
@@ -347,7 +359,7 @@ def fit_decays(
         parts = []
         for r, decay in enumerate(decays):
             poles, moved = problem.poles(x, r)
-            residual, slope = projected(decay, poles)
+            residual, slope = project_amplitudes(decay, poles)
             by_x = slope @ np.stack([moved.real, moved.imag], axis=1).reshape(-1, len(x))
             parts.append((residual / noise[r], by_x / noise[r]))
         return parts
@@ -359,7 +371,7 @@ def fit_decays(
     end = _least(problem, residual, problem.unknowns(start))
     x, parts, by_own = end.parameters, records(end.parameters), problem.prior(end.parameters)[1]
     inner = np.linalg.inv(end.jacobian.T @ end.jacobian)
-    middle = sum((coloured(slope, left) for left, slope in parts), by_own.T @ by_own)
+    middle = sum((coloured_normal(slope, left) for left, slope in parts), by_own.T @ by_own)
     modes = np.sum(np.isfinite(problem.measured.frequency_hz), axis=1)
     more = sum(float(left @ left) - (len(left) - 1 - 4 * int(modes[r])) for r, (left, _) in enumerate(parts))
     (f, z), _ = problem.modes(x)
@@ -430,7 +442,7 @@ class LoadIdentification:
 def identify_loads(
     measured: Resonances,
     masses: SeriesMasses,
-    output: Output,
+    output: SeriesOutput,
     decays: tuple[FreeDecay, ...] = (),
     noise: FloatArray | None = None,
 ) -> LoadIdentification:
@@ -472,7 +484,7 @@ def identify_loads(
     if foreign:
         places = ", ".join(f"{seen.frequency_hz[r, 1]:.5g} Hz with {_mass(masses.load[r], unit)}" for r in foreign)
         remarks.append(("warning", f"modes that no coupling of the load explains are left out: {places}"))
-    remarks.append(("info", f"{'three' if supported else 'two'} masses: {reason}"))
+    remarks.append(("note", f"{'three' if supported else 'two'} masses: {reason}"))
     remarks += _remarks(masses, output, chosen[0], models, bool(np.any(measured.u_frequency_hz[:, 0] > 0)))
     notices = tuple(Notice(severity, text, output.component) for severity, text in remarks)
     return LoadIdentification(rigid, elastic, chosen, from_records, models, reason, notices)
@@ -517,7 +529,7 @@ def _mass(load: float, unit: str) -> str:
     return f"a load of {load:.4g} {unit}" if load > 0 else "no load"
 
 
-def _model(fit: SeriesFit, masses: SeriesMasses, output: Output, number: int, count: int) -> LoadModel:
+def _model(fit: SeriesFit, masses: SeriesMasses, output: SeriesOutput, number: int, count: int) -> LoadModel:
     """The model of a fit, with covariance for given masses and with that of the masses."""
     size = len(fit.numbers)
     own, total = None, None
@@ -550,7 +562,7 @@ def _model(fit: SeriesFit, masses: SeriesMasses, output: Output, number: int, co
 
 
 def _remarks(
-    masses: SeriesMasses, output: Output, fit: SeriesFit, models: tuple[LoadModel, ...], stated: bool
+    masses: SeriesMasses, output: SeriesOutput, fit: SeriesFit, models: tuple[LoadModel, ...], stated: bool
 ) -> Iterator[tuple[Severity, str]]:
     """What the user should know: solutions that cannot be told apart, scatter about the model, masses contradicted."""
     if len(models) > 1:
@@ -571,7 +583,7 @@ def _remarks(
             )
         elif tau > 0.0:
             yield (
-                "info",
+                "note",
                 f"no uncertainties of the {what} are stated: U follows from their scatter of {100.0 * tau:.2g} %",
             )
     if fit.covariance is None:

@@ -8,11 +8,11 @@ from functools import cached_property
 import numpy as np
 
 from shaker.arrays import Brief, ComplexArray, FloatArray
-from shaker.fitting import Block, Changes, Rules, Separable, levenberg_marquardt
+from shaker.fitting import BlockJacobian, LinearBlock, LMOptions, SeparablePoint, levenberg_marquardt
 from shaker.lti.system import modal_poles
+from shaker.release.load_response import load_rate, load_share, pole_responses
 from shaker.release.poles import ringing_poles
-from shaker.release.record import Location, Shape
-from shaker.release.response import load_rate, load_share, pole_responses
+from shaker.release.record import Location, ReleaseShape
 
 # The beginning of a response: onset and length of the release, by the modes that answer it.
 
@@ -44,7 +44,7 @@ class Window(Brief):
 
 
 @dataclass(frozen=True, repr=False)
-class Beginning(Brief):
+class OnsetModel(Brief):
     """y = b + Σ g·S + h·L: modes ω²/(s² + 2ζωs + ω²) behind one lag 1/(1 + τs) answer a load of `shape`.
 
     Free residues would tell nothing of the onset: a delay δ of H(s) is, to first order, a zero, H(s)·(1 - δs). That
@@ -55,7 +55,7 @@ class Beginning(Brief):
     the fit; `squares` of the residual over `rows`.
     """
 
-    shape: Shape
+    shape: ReleaseShape
     centre_s: float
     release_s: float
     lag_s: float
@@ -77,7 +77,7 @@ class Beginning(Brief):
         times = [self.centre_s, self.release_s**2, self.lag_s**2]
         return np.concatenate([times, self.frequency_hz, self.damping_ratio, self.linear])
 
-    def with_vector(self, vector: FloatArray) -> Beginning:
+    def with_vector(self, vector: FloatArray) -> OnsetModel:
         """Return the same with other parameters; squared times below zero are taken as zero."""
         modes = len(self.frequency_hz)
         (centre, release, lag), f, z, linear = np.split(vector, np.cumsum([3, modes, modes]))
@@ -150,14 +150,14 @@ class Beginning(Brief):
 
 
 @dataclass(frozen=True)
-class Trial:
+class OnsetTrial:
     """A beginning with its linear parts solved, as a point of the search: times and modes are its parameters.
 
     Ahead of the samples stand the mean of the rest and the smallness of h.
     """
 
-    fit: Beginning
-    projected: Separable
+    fit: OnsetModel
+    projected: SeparablePoint
 
     @property
     def parameters(self) -> FloatArray:
@@ -186,45 +186,47 @@ class Trial:
         return normal, downhill
 
     @property
-    def with_covariance(self) -> Beginning:
+    def with_covariance(self) -> OnsetModel:
         """The fit with the covariance of the joint problem, by the variance of the residual."""
         columns = self.projected.blocks[0].design
-        jacobian = np.concatenate([self.projected.slopes[0].rows[:, :, 0], columns], axis=1)
+        jacobian = np.concatenate([self.projected.jacobians[0].rows[:, :, 0], columns], axis=1)
         scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
         inverse = np.linalg.pinv((jacobian / scale).T @ (jacobian / scale), rcond=1e-13, hermitian=True)
         variance = self.loss / max(self.fit.rows - jacobian.shape[1], 1)
         return replace(self.fit, covariance=np.asarray(variance * inverse / np.outer(scale, scale)))
 
 
-def fit_beginning(window: Window, start: Beginning, calm: float) -> Trial:
+def fit_onset(window: Window, start: OnsetModel, min_gain: float) -> OnsetTrial:
     """Return the least-squares fit of everything in `start`, linear parts projected out.
 
     It ends where a step gains less than `calm` times the variance of the residual.
     """
     rows = len(window.samples) + _AHEAD
-    rules = Rules(foretold_share=0.0, gained_share=calm / rows, steps=30, largest=1e5)
+    rules = LMOptions(
+        predicted_decrease_share=0.0, actual_decrease_share=min_gain / rows, max_steps=30, max_damping=1e5
+    )
 
-    def at(parameters: FloatArray) -> Trial | None:
-        there = moved(window, start, parameters)
-        return None if there is None else solved(window, there)
+    def at(parameters: FloatArray) -> OnsetTrial | None:
+        there = bounded_parameters(window, start, parameters)
+        return None if there is None else solve_amplitudes(window, there)
 
-    return levenberg_marquardt(at, solved(window, start), rules).point
+    return levenberg_marquardt(at, solve_amplitudes(window, start), rules).point
 
 
-def solved(window: Window, start: Beginning) -> Trial:
+def solve_amplitudes(window: Window, start: OnsetModel) -> OnsetTrial:
     """Return a beginning with its linear parts solved."""
     responses = start.responses(window.time_s)
     columns, target = _rows(window, start.columns(window.time_s, responses))
     count = 3 + 2 * len(start.frequency_hz)
 
-    def changes(own: FloatArray) -> Changes:
-        return Changes(
+    def changes(own: FloatArray) -> BlockJacobian:
+        return BlockJacobian(
             np.arange(count), _slopes(window, replace(start, linear=own[:, 0]), columns, responses)[:, :, None]
         )
 
-    point = Separable(start.vector[:count], (Block(columns, target[:, None], changes),))
+    point = SeparablePoint(start.vector[:count], (LinearBlock(columns, target[:, None], changes),))
     linear = point.coefficients[0][:, 0]
-    return Trial(replace(start, linear=linear, squares=point.loss, rows=len(target)), point)
+    return OnsetTrial(replace(start, linear=linear, squares=point.loss, rows=len(target)), point)
 
 
 def _rows(window: Window, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -235,7 +237,7 @@ def _rows(window: Window, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.concatenate([ahead, columns], axis=-2), np.concatenate([[weight * window.rest, 0.0], window.samples])
 
 
-def _slopes(window: Window, fit: Beginning, columns: FloatArray, responses: ComplexArray) -> FloatArray:
+def _slopes(window: Window, fit: OnsetModel, columns: FloatArray, responses: ComplexArray) -> FloatArray:
     """Return the derivatives (N + 2, K) of y by centre, squared length and lag, frequencies and damping ratios."""
     time = window.time_s
     slopes = np.zeros((len(time) + _AHEAD, len(fit.vector) - len(fit.linear)))
@@ -257,7 +259,7 @@ def _slopes(window: Window, fit: Beginning, columns: FloatArray, responses: Comp
     return slopes
 
 
-def moved(window: Window, fit: Beginning, parameters: FloatArray) -> Beginning | None:
+def bounded_parameters(window: Window, fit: OnsetModel, parameters: FloatArray) -> OnsetModel | None:
     """Return the fit with other times and modes, moved up to their bounds, None outside what can be."""
     vector = fit.vector
     vector[: len(parameters)] = parameters
@@ -269,7 +271,7 @@ def moved(window: Window, fit: Beginning, parameters: FloatArray) -> Beginning |
     return there if inside and bool(np.all(modes)) else None
 
 
-def longest_lag_s(fit: Beginning) -> float:
+def longest_lag_s(fit: OnsetModel) -> float:
     """Return the lag whose corner frequency is that of the lowest mode: what records it rings slower than no mode."""
     return float(1.0 / (2 * np.pi * np.min(fit.frequency_hz)))
 
@@ -290,32 +292,32 @@ _DECIDED = 6.0  # difference of the Schwarz criterion that decides
 _CALM = 1e-3  # gain of a step, in variances of the residual, at which a search ends
 
 
-def find_beginning(
-    samples: FloatArray, sample_rate_hz: float, start_s: float, place: Location, calm: float = _CALM
-) -> tuple[Window, Trial]:
+def find_onset(
+    samples: FloatArray, sample_rate_hz: float, start_s: float, location: Location, min_gain: float = _CALM
+) -> tuple[Window, OnsetTrial]:
     """Return the window around the beginning of samples (N,), the first at `start_s`, and its fit.
 
     The release is taken as a straight ramp unless the Schwarz criterion asks for a smooth one. Where nothing rings, the
     one mode tried is all there is. `calm`: as of `fit_beginning`.
     """
     # a sample that is after the release with all likelihood
-    end = place.first + 1.5 * max(place.high - place.first, 4.0)
-    after = int(min(end, place.first + 0.5 * (len(samples) - place.first)))
-    poles = ringing_poles(samples[after:] - place.steady, sample_rate_hz, place.noise)
+    end = location.first + 1.5 * max(location.high - location.first, 4.0)
+    after = int(min(end, location.first + 0.5 * (len(samples) - location.first)))
+    poles = ringing_poles(samples[after:] - location.steady, sample_rate_hz, location.noise)
     sets = [poles]
     if not len(poles):  # one well damped mode at several times the rise
-        rise_s = max(place.high - place.low, 2.0) / sample_rate_hz
+        rise_s = max(location.high - location.low, 2.0) / sample_rate_hz
         frequency = np.minimum(np.array([0.3, 1.0, 3.0]) / rise_s, 0.2 * sample_rate_hz)
         sets = [2 * np.pi * f * np.array([-0.5 + 0.75**0.5 * 1j]) for f in frequency]
     fits = []
     for trial in sets:
-        window = _window(samples, sample_rate_hz, start_s, place, trial)
+        window = _window(samples, sample_rate_hz, start_s, location, trial)
         seen = replace(window, small=_NOTHING)
-        first = fit_beginning(seen, _start(seen, place, trial, sample_rate_hz, start_s), calm)
-        fits.append((window, fit_beginning(window, first.fit, calm)) if len(poles) else (seen, first))
+        first = fit_onset(seen, _start(seen, location, trial, sample_rate_hz, start_s), min_gain)
+        fits.append((window, fit_onset(window, first.fit, min_gain)) if len(poles) else (seen, first))
     window, ramp = min(fits, key=lambda trial: trial[1].loss / trial[1].fit.rows)
     start = replace(ramp.fit, shape="smooth", release_s=_SMOOTHER * ramp.fit.release_s)
-    smooth = fit_beginning(window, start, calm)
+    smooth = fit_onset(window, start, min_gain)
     return window, smooth if smooth.fit.penalty < ramp.fit.penalty - _DECIDED else ramp
 
 
@@ -342,7 +344,7 @@ def _window(samples: FloatArray, sample_rate_hz: float, start_s: float, place: L
     )
 
 
-def _start(window: Window, place: Location, poles: ComplexArray, sample_rate_hz: float, start_s: float) -> Beginning:
+def _start(window: Window, place: Location, poles: ComplexArray, sample_rate_hz: float, start_s: float) -> OnsetModel:
     """Return the best of a grid of centres and lengths, with fixed modes and no lag."""
     every = max(1, len(window.samples) // _GRID)
     thin = replace(
@@ -356,7 +358,7 @@ def _start(window: Window, place: Location, poles: ComplexArray, sample_rate_hz:
     middle_s = start_s + 0.5 * (place.low + place.high) / sample_rate_hz
     early_s = np.linspace(0.0, 0.3 * 2 * np.pi / float(np.min(np.abs(poles))), _CENTRES)
     frequency, damping = np.abs(poles) / (2 * np.pi), -poles.real / np.abs(poles)
-    best, least = Beginning("ramp", middle_s, plain_s, 0.0, frequency, damping, np.zeros(0)), np.inf
+    best, least = OnsetModel("ramp", middle_s, plain_s, 0.0, frequency, damping, np.zeros(0)), np.inf
     for length in _LENGTHS * plain_s:
         trial = replace(best, centre_s=middle_s, release_s=length)
         times = thin.time_s + early_s[:, None]  # as the samples are seen from a centre that much earlier
@@ -366,7 +368,7 @@ def _start(window: Window, place: Location, poles: ComplexArray, sample_rate_hz:
         if np.min(squares) < least:
             least = float(np.min(squares))
             best = replace(trial, centre_s=middle_s - early_s[np.argmin(squares)])
-    return solved(thin, best).fit
+    return solve_amplitudes(thin, best).fit
 
 
 # The rise time of a response from its fitted beginning.
@@ -376,7 +378,7 @@ _CURVE = 800  # samples of it in which crossings are looked for
 _SOON = 1.5  # periods of the lowest mode after release and lag
 
 
-def rise_time(fit: Beginning) -> tuple[float, float] | None:
+def rise_time(fit: OnsetModel) -> tuple[float, float] | None:
     """Return how long the fitted curve takes from 10 % to 90 % of its change, first crossings, and its uncertainty.
 
     None where the curve does not get there soon. A crossing t of the level b + share·Σg moves by
@@ -393,7 +395,7 @@ def rise_time(fit: Beginning) -> tuple[float, float] | None:
     low, high = relative[after - 1], relative[after]
     times = time[after - 1] + (_SHARES - low) / (high - low) * (time[after] - time[after - 1])
 
-    def above(curve: Beginning) -> FloatArray:
+    def above(curve: OnsetModel) -> FloatArray:
         return np.asarray(curve.at(times) - curve.linear[0] - _SHARES * (curve.steady - curve.linear[0]))
 
     vector, u = fit.vector, np.sqrt(np.maximum(np.diagonal(fit.covariance), 0.0))

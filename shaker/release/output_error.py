@@ -7,16 +7,24 @@ from dataclasses import dataclass
 import numpy as np
 
 from shaker.arrays import Brief, ComplexArray, FloatArray
-from shaker.fitting import Block, Changes, Prior, Rules, Separable, eliminate, levenberg_marquardt
+from shaker.fitting import (
+    BlockJacobian,
+    LinearBlock,
+    LMOptions,
+    ParameterPrior,
+    SeparablePoint,
+    eliminate,
+    levenberg_marquardt,
+)
 from shaker.lti.system import ModalModel, modal_poles
-from shaker.release.record import TESTED, is_white, slow_noise
-from shaker.release.response import Answers, Load, Samples, answers, responses
+from shaker.release.load_response import BlockMeans, BlockResponses, ReleaseLoad, responses, responses_with_derivatives
+from shaker.release.record import TESTED_LAGS, is_white, slow_noise
 
 # How many poles and zeros a model has, and what its parameters make of them.
 
 
 @dataclass(frozen=True)
-class Structure:
+class PoleStructure:
     """Poles of `modes` oscillating modes and `reals` real ones, and `terms` of the numerator, 1 … 2M + Q.
 
     H(s) = Σ_k z_k (s/ω0)^k·Π ω0/(s - p), k below `terms`: 2M + Q terms are residues without a condition, fewer make
@@ -96,7 +104,7 @@ _STEEPEST = 0.995  # largest |ζ| of an oscillating mode
 
 
 @dataclass(frozen=True, repr=False)
-class Problem(Brief):
+class OutputErrorProblem(Brief):
     """What is fitted: a structure's answer to a load, to samples.
 
     Parameters: those of the structure, then the release's middle in s (a timed load) and the logarithm of its length
@@ -105,11 +113,11 @@ class Problem(Brief):
     `colour`: density of the blocks' noise over that of white noise with the samples' variance, 1 where it is white.
     """
 
-    structure: Structure
-    load: Load
-    samples: Samples
-    known: FloatArray
-    u_known: FloatArray
+    structure: PoleStructure
+    load: ReleaseLoad
+    samples: BlockMeans
+    prior: FloatArray
+    u_prior: FloatArray
     onset_s: float = 0.0
     colour: float = 1.0
 
@@ -121,11 +129,11 @@ class Problem(Brief):
 
 
 @dataclass(frozen=True, repr=False)
-class Solution(Brief):
+class OutputErrorFit(Brief):
     """A fit: `vector` of the nonlinear parameters, `linear` [baseline, numerator terms], `square` weighted sum of
     squares of the residual, `path` of it over the steps; `problem` that was solved."""
 
-    problem: Problem
+    problem: OutputErrorProblem
     vector: FloatArray
     linear: FloatArray
     square: float
@@ -142,25 +150,27 @@ class Solution(Brief):
         return self.square / max(1, self.size - len(self.vector) - len(self.linear))
 
 
-def columns(problem: Problem, vector: FloatArray, samples: Samples) -> tuple[FloatArray, Answers]:
+def columns(problem: OutputErrorProblem, vector: FloatArray, samples: BlockMeans) -> tuple[FloatArray, BlockResponses]:
     """Return the design (B, 1 + terms) of baseline and numerator terms, unweighted, and the poles' answers."""
-    answered = answers(problem.load, problem.structure.poles(vector), samples, *problem.release(vector))
+    answered = responses_with_derivatives(
+        problem.load, problem.structure.poles(vector), samples, *problem.release(vector)
+    )
     return _design(problem, vector, answered.value), answered
 
 
-def design(problem: Problem, vector: FloatArray, samples: Samples) -> FloatArray:
+def design(problem: OutputErrorProblem, vector: FloatArray, samples: BlockMeans) -> FloatArray:
     """Return the design of `columns` alone."""
     value = responses(problem.load, problem.structure.poles(vector), samples, *problem.release(vector))
     return _design(problem, vector, value)
 
 
-def _design(problem: Problem, vector: FloatArray, value: ComplexArray) -> FloatArray:
+def _design(problem: OutputErrorProblem, vector: FloatArray, value: ComplexArray) -> FloatArray:
     """Return the design of the poles' responses (B, P)."""
     parts = np.real(value @ (_twice(problem.structure)[:, None] * problem.structure.shares(vector)))
     return np.concatenate([np.ones((len(parts), 1)), parts], axis=1)
 
 
-def slopes(problem: Problem, vector: FloatArray, linear: FloatArray, answered: Answers) -> FloatArray:
+def slopes(problem: OutputErrorProblem, vector: FloatArray, linear: FloatArray, answered: BlockResponses) -> FloatArray:
     """Return derivatives (B, K) of the fitted output to the nonlinear parameters, unweighted."""
     structure = problem.structure
     twice = _twice(structure)
@@ -175,7 +185,7 @@ def slopes(problem: Problem, vector: FloatArray, linear: FloatArray, answered: A
     return np.concatenate(out, axis=1)
 
 
-def squares(problem: Problem, vectors: FloatArray) -> FloatArray:
+def squares(problem: OutputErrorProblem, vectors: FloatArray) -> FloatArray:
     """Return the weighted sums of squares (V, terms) that 1, 2, … numerator terms leave, by one factorisation each.
 
     `vectors` (V, K) of different poles, but of one release.
@@ -195,14 +205,14 @@ def squares(problem: Problem, vectors: FloatArray) -> FloatArray:
     return np.where(known[:, None], left, np.inf)
 
 
-def solve(problem: Problem, start: FloatArray) -> Solution:
+def solve(problem: OutputErrorProblem, start: FloatArray) -> OutputErrorFit:
     """Return the fit from a start vector (K,), baseline and numerator projected out."""
     weight = problem.samples.weight[:, None]
     data = problem.samples.value[:, None] * weight
     modes, order = problem.structure.modes, problem.structure.order
     longest = np.log(problem.samples.time_s[-1] - problem.samples.time_s[0])
 
-    def at(vector: FloatArray) -> Separable | None:
+    def at(vector: FloatArray) -> SeparablePoint | None:
         """Return the best baseline and numerator for given poles and release, None where these are impossible."""
         steep = np.any(np.abs(vector[modes : 2 * modes]) > _STEEPEST)
         if steep or np.any(np.abs(vector[:order]) > 50.0) or (problem.load.lasting and vector[-1] > longest):
@@ -211,21 +221,25 @@ def solve(problem: Problem, start: FloatArray) -> Solution:
             matrix, answered = columns(problem, vector, problem.samples)
             weighted = matrix * weight
 
-        def changes(own: FloatArray) -> Changes:
+        def changes(own: FloatArray) -> BlockJacobian:
             change = slopes(problem, vector, own[:, 0], answered) * weight
-            return Changes(np.arange(change.shape[1]), change[:, :, None])
+            return BlockJacobian(np.arange(change.shape[1]), change[:, :, None])
 
-        return Separable(vector, (Block(weighted, data, changes),))
+        return SeparablePoint(vector, (LinearBlock(weighted, data, changes),))
 
     first = at(start)
     if first is None:
         raise ValueError(f"start: expected modes that oscillate and a release in the record, found {start.tolist()}")
-    rules = Rules(foretold_share=_ENOUGH / first.freedom, steps=_STEPS, shrink=0.03, least=1e-8)
-    end = levenberg_marquardt(at, first, rules, prior=Prior(problem.known, problem.u_known))
-    return Solution(problem, end.point.parameters, end.point.coefficients[0][:, 0], end.point.loss, end.losses)
+    rules = LMOptions(
+        predicted_decrease_share=_ENOUGH / first.freedom, max_steps=_STEPS, damping_decrease=0.03, min_damping=1e-8
+    )
+    end = levenberg_marquardt(at, first, rules, prior=ParameterPrior(problem.prior, problem.u_prior))
+    return OutputErrorFit(problem, end.point.parameters, end.point.coefficients[0][:, 0], end.point.loss, end.losses)
 
 
-def gain_by(plain: Solution, problem: Problem, vectors: list[FloatArray]) -> tuple[float, FloatArray]:
+def predicted_gain(
+    plain: OutputErrorFit, problem: OutputErrorProblem, vectors: list[FloatArray]
+) -> tuple[float, FloatArray]:
     """Return how much of B·ln(sum of squares) a fit would lose by a step towards a richer model, and the best vector.
 
     The richer model's design at each vector joins the fit's own design and derivatives; what the three together leave
@@ -245,7 +259,7 @@ def gain_by(plain: Solution, problem: Problem, vectors: list[FloatArray]) -> tup
     return best, chosen
 
 
-def _twice(structure: Structure) -> FloatArray:
+def _twice(structure: PoleStructure) -> FloatArray:
     """Return 2 for every upper pole, which stands for its conjugate too, and 1 for every real one."""
     return np.concatenate([np.full(structure.modes, 2.0), np.ones(structure.reals)])
 
@@ -256,7 +270,7 @@ _LAGS = 20  # the record's length over the lags of the residual's correlation th
 
 
 @dataclass(frozen=True, repr=False)
-class FitSpread(Brief):
+class FitCovariance(Brief):
     """Covariance (P, P) of a modal model's vector, without that of the load; standard uncertainties of the release.
 
     `fitted`, `residual` (N,): at every sample; `white`: whether the residual passes as white noise; `excess`: its
@@ -272,7 +286,7 @@ class FitSpread(Brief):
     excess: float
 
 
-def spread(solution: Solution, whole: Samples) -> FitSpread:
+def fit_covariance(solution: OutputErrorFit, whole: BlockMeans) -> FitCovariance:
     """Return what is known of a fit's parameters, from the residual at every sample.
 
     Where the residual is not white, (JᵀJ)⁻¹JᵀRJ(JᵀJ)⁻¹ with R of its correlation through a Parzen window. A converter
@@ -311,10 +325,10 @@ def spread(solution: Solution, whole: Samples) -> FitSpread:
             rows[:, order + 1] = -0.5 * length, length
         u_onset_s, u_release_s = (float(u) for u in np.sqrt(np.diag(rows @ covariance @ rows.T)))
     slope = _model_slopes(problem.structure, solution.vector, solution.linear)
-    return FitSpread(slope @ covariance @ slope.T, u_onset_s, u_release_s, fitted, residual, white, excess)
+    return FitCovariance(slope @ covariance @ slope.T, u_onset_s, u_release_s, fitted, residual, white, excess)
 
 
-def modal_model(solution: Solution, covariance: FloatArray, u_amplitude: float) -> ModalModel:
+def modal_model(solution: OutputErrorFit, covariance: FloatArray, u_amplitude: float) -> ModalModel:
     """Return a fit as a model; the load's relative uncertainty joins the residues."""
     structure = solution.problem.structure
     poles, m = structure.poles(solution.vector), structure.modes
@@ -327,7 +341,7 @@ def modal_model(solution: Solution, covariance: FloatArray, u_amplitude: float) 
     return ModalModel(omega / (2 * np.pi), damping, residues[:m], hz, residues[m:].real, 0.5 * (total + total.T))
 
 
-def _known(solution: Solution, scale: FloatArray, normal: FloatArray, variance: float) -> FloatArray:
+def _known(solution: OutputErrorFit, scale: FloatArray, normal: FloatArray, variance: float) -> FloatArray:
     """Return what is known beforehand as the scaled normal matrix of one variance.
 
     Of the onset it is what the fit was given. Of real poles and the release's length, which the fit was only led by, it
@@ -337,7 +351,7 @@ def _known(solution: Solution, scale: FloatArray, normal: FloatArray, variance: 
     problem, structure = solution.problem, solution.problem.structure
     added, squares = np.zeros(len(scale)), np.zeros(len(scale))
     if problem.load.timed:
-        added[structure.order] = 1.0 / (problem.u_known[structure.order] * scale[structure.order]) ** 2
+        added[structure.order] = 1.0 / (problem.u_prior[structure.order] * scale[structure.order]) ** 2
     real = slice(2 * structure.modes, structure.order)
     squares[real] = -2.0 * np.exp(-2.0 * solution.vector[real])
     if problem.load.lasting:
@@ -357,7 +371,7 @@ def _correlated(residual: FloatArray, columns_: FloatArray) -> FloatArray:
     count = len(residual)
     size = 2 ** int(np.ceil(np.log2(2 * count)))
     correlation = np.fft.irfft(np.abs(np.fft.rfft(residual, size)) ** 2)[:count] / count
-    x = np.arange(count) / max(TESTED, count // _LAGS)
+    x = np.arange(count) / max(TESTED_LAGS, count // _LAGS)
     window = np.where(x <= 0.5, 1 - 6 * x**2 + 6 * x**3, 2 * np.maximum(0.0, 1 - x) ** 3)
     kept = correlation * window
     density = np.fft.rfft(np.concatenate([kept, np.zeros(size - 2 * count + 1), kept[:0:-1]]))
@@ -365,7 +379,7 @@ def _correlated(residual: FloatArray, columns_: FloatArray) -> FloatArray:
     return np.asarray(np.fft.irfft(density[:, None] * spectrum, size, axis=0)[:count])
 
 
-def _converter(whole: Samples, residual: FloatArray, gain: FloatArray, fitted: FloatArray) -> FloatArray:
+def _converter(whole: BlockMeans, residual: FloatArray, gain: FloatArray, fitted: FloatArray) -> FloatArray:
     """Return the covariance (K, K) that a converter's rounding adds through both levels.
 
     Gaussian noise of σ leaves q/π·exp(-2π²σ²/q²) of the rounding's error of a steady level, q the converter's step.
@@ -379,7 +393,7 @@ def _converter(whole: Samples, residual: FloatArray, gain: FloatArray, fitted: F
     return np.asarray(error**2 * levels @ levels.T)
 
 
-def _model_slopes(structure: Structure, vector: FloatArray, linear: FloatArray) -> FloatArray:
+def _model_slopes(structure: PoleStructure, vector: FloatArray, linear: FloatArray) -> FloatArray:
     """Return derivatives (P, K + 1 + terms) of a modal model's vector to the fit's parameters."""
     m, n, count = structure.modes, structure.order, len(vector)
     shares, by_vector = structure.shares(vector), structure.share_slopes(vector)

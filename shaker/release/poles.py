@@ -24,13 +24,13 @@ def shift_poles(space: FloatArray, step_s: float) -> ComplexArray:
     return np.asarray(np.log(turns[np.abs(turns) > 1e-6]) / step_s)
 
 
-def pencil(values: FloatArray, step_s: float, order: int) -> ComplexArray:
+def matrix_pencil(values: FloatArray, step_s: float, order: int) -> ComplexArray:
     """Return poles (≤ order,) in rad/s of a sum of exponentials (N,)."""
     hankel = np.lib.stride_tricks.sliding_window_view(values, len(values) // 2)
     return shift_poles(np.linalg.svd(hankel, full_matrices=False)[2][:order].T, step_s)
 
 
-def instruments(values: FloatArray, step_s: float, order: int) -> ComplexArray:
+def instrumental_variables(values: FloatArray, step_s: float, order: int) -> ComplexArray:
     """Return poles (≤ order,) in rad/s of an autoregression, older samples as instruments.
 
     White noise of the output biases y(k) = Σ a_i y(k - i) fitted by least squares; samples older than all of these
@@ -59,7 +59,7 @@ def ringing_poles(samples: FloatArray, sample_rate_hz: float, noise: float) -> C
     highest_hz = _highest_line(samples, sample_rate_hz, noise)
     if highest_hz is None:
         return np.zeros(0, dtype=np.complex128)
-    means, step_s = thinned(samples, 1.0 / sample_rate_hz, highest_hz)
+    means, step_s = decimate(samples, 1.0 / sample_rate_hz, highest_hz)
     rough = noise / np.sqrt(step_s * sample_rate_hz)
     hankel = np.lib.stride_tricks.sliding_window_view(means, len(means) // 3 + 1)
     _, size, right = np.linalg.svd(hankel, full_matrices=False)
@@ -116,14 +116,14 @@ def peaks_hz(decay: FloatArray, step_s: float, count: int, local: bool = False) 
     return np.asarray(frequency[kept[:count]])
 
 
-def thinned(decay: FloatArray, step_s: float, highest_hz: float) -> tuple[FloatArray, float]:
+def decimate(decay: FloatArray, step_s: float, highest_hz: float) -> tuple[FloatArray, float]:
     """Return means of blocks of a decay and their distance in s: eight in the period of the fastest mode."""
     length = max(1, int(1.0 / (step_s * PER_PERIOD * highest_hz)))
     size = min(len(decay) // length, _LONGEST)
     return decay[: size * length].reshape(size, length).mean(axis=1), length * step_s
 
 
-def upper_poles(offered: ComplexArray, modes: int, near_hz: FloatArray) -> ComplexArray:
+def start_poles(offered: ComplexArray, modes: int, near_hz: FloatArray) -> ComplexArray:
     """Return as many upper poles (M,) as asked: those next to the peaks of the spectrum, then lightly damped ones.
 
     A peak without a pole within 15 % of it starts at ζ = 0.02.

@@ -9,23 +9,32 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from shaker.arrays import BoolArray, FloatArray, Notice, Severity
-from shaker.fitting import Block, Changes, Rules, Separable, levenberg_marquardt
+from shaker.arrays import BoolArray, FloatArray
+from shaker.fitting import BlockJacobian, LinearBlock, LMOptions, SeparablePoint, levenberg_marquardt
 from shaker.frf.spline import cubic_spline
 from shaker.io.condition import cut_run
-from shaker.release.onset import Beginning, Window, find_beginning, longest_lag_s, moved, rise_time, solved
+from shaker.release.load_response import MOMENTS, load_rate, load_share
+from shaker.release.onset import (
+    OnsetModel,
+    Window,
+    bounded_parameters,
+    find_onset,
+    longest_lag_s,
+    rise_time,
+    solve_amplitudes,
+)
 from shaker.release.record import (
     Level,
     Location,
-    Reading,
-    Shape,
+    ReleaseReading,
+    ReleaseShape,
     StepRecord,
     correlation_factor,
     locate,
     ringing_level,
     spectrum_peaks,
 )
-from shaker.release.response import MOMENTS, load_rate, load_share
+from shakercal._common.notices import Notice, Severity
 
 # Onset and length of a release with what noise, and an unknown lag behind the sensor, leave open of them.
 
@@ -62,7 +71,7 @@ class _Node(NamedTuple):
     own: float
 
 
-def release_times(window: Window, fit: Beginning, correlation: float) -> tuple[Interval, float] | None:
+def release_times(window: Window, fit: OnsetModel, correlation: float) -> tuple[Interval, float] | None:
     """Return means and standard deviations of onset and length T, and the mean lag τ, of a fit to a window.
 
     At each lag everything else is fitted, the likelihood being normal in T²; priors are flat in T ≥ 0 and in τ from 0
@@ -96,7 +105,7 @@ def release_times(window: Window, fit: Beginning, correlation: float) -> tuple[I
     return Interval(onset_s, u_onset_s, release_s, u_release_s), float(np.sum(weight * lag[:, None]))
 
 
-def _nodes(window: Window, fit: Beginning, variance: float) -> tuple[FloatArray, list[_Node]]:
+def _nodes(window: Window, fit: OnsetModel, variance: float) -> tuple[FloatArray, list[_Node]]:
     """Return lags (L,) around that of the fit, and what each of them leaves, each started from its neighbour."""
     if fit.covariance is None:
         raise ValueError("fit: expected one with its covariance, found none")
@@ -118,14 +127,14 @@ def _nodes(window: Window, fit: Beginning, variance: float) -> tuple[FloatArray,
     return lags[places], [nodes[place] for place in places]
 
 
-def _node(window: Window, near: Beginning, lag_s: float, variance: float) -> tuple[_Node, Beginning] | None:
+def _node(window: Window, near: OnsetModel, lag_s: float, variance: float) -> tuple[_Node, OnsetModel] | None:
     """Return what a lag leaves, by one step of Gauss and Newton from a fit near by, and the fit there.
 
     None where the step leads out of what can be.
     """
     square = near.release_s**2 + (near.lag_s**2 - lag_s**2) / MOMENTS[near.shape]
     start = replace(near, lag_s=lag_s, release_s=float(np.sqrt(max(square, 0.0))))
-    trial = solved(window, start)
+    trial = solve_amplitudes(window, start)
     here, (normal, downhill) = trial.fit, trial.projected.normal
     others = np.arange(len(downhill)) != 2
     scale = np.sqrt(np.maximum(np.diag(normal)[others], 1e-300))
@@ -133,7 +142,7 @@ def _node(window: Window, near: Beginning, lag_s: float, variance: float) -> tup
     inverse = inverse / np.outer(scale, scale)
     step = inverse @ downhill[others]
     parameters = trial.parameters + np.insert(step, 2, 0.0)
-    there = moved(window, here, parameters)
+    there = bounded_parameters(window, here, parameters)
     if there is None:
         return None
     covariance = variance * inverse
@@ -188,7 +197,7 @@ def read_force(force: FloatArray, sample_rate_hz: float, start_s: float) -> Forc
     high = min(len(force), int(place.high + _LENGTHS * length + 8))
     number, data = np.arange(low, high, dtype=np.float64), force[low:high, None]
 
-    def at(times: FloatArray, shape: Literal["ramp", "smooth"]) -> Separable | None:
+    def at(times: FloatArray, shape: Literal["ramp", "smooth"]) -> SeparablePoint | None:
         middle, long = (float(value) for value in times)
         if not (low <= middle <= high and 0.1 <= long <= 2.0 * (high - low)):
             return None
@@ -197,17 +206,17 @@ def read_force(force: FloatArray, sample_rate_hz: float, start_s: float) -> Forc
         slopes = np.stack([-rate, -rate * (number - middle) / long], axis=1)
         design = np.stack([np.ones(len(number)), share], axis=1)
 
-        def changes(own: FloatArray) -> Changes:
-            return Changes(np.arange(2), (own[1, 0] * slopes)[:, :, None])
+        def changes(own: FloatArray) -> BlockJacobian:
+            return BlockJacobian(np.arange(2), (own[1, 0] * slopes)[:, :, None])
 
-        return Separable(times, (Block(design, data, changes),))
+        return SeparablePoint(times, (LinearBlock(design, data, changes),))
 
     def fitted(shape: Literal["ramp", "smooth"]) -> tuple[ForceReading, float]:
         begin = at(np.array([0.5 * (place.low + place.high), length]), shape)
         assert begin is not None
-        point = levenberg_marquardt(lambda times: at(times, shape), begin, Rules()).point
+        point = levenberg_marquardt(lambda times: at(times, shape), begin, LMOptions()).point
         part = point.solved[0]
-        jacobian = np.concatenate([point.blocks[0].design, point.slopes[0].rows[:, :, 0]], axis=1)
+        jacobian = np.concatenate([point.blocks[0].design, point.jacobians[0].rows[:, :, 0]], axis=1)
         variance = point.loss / max(len(number) - 4, 1) * correlation_factor(part.residual[:, 0])
         covariance = variance * np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
         half, u = np.array([0.0, 0.0, 1.0, -0.5]), np.sqrt(np.diagonal(covariance))
@@ -238,8 +247,8 @@ class Timing(Interval):
     lag_s: float
     rise_s: float
     u_rise_s: float
-    shape: Shape
-    fit: Beginning | None
+    shape: ReleaseShape
+    fit: OnsetModel | None
     misfit: float
 
 
@@ -259,7 +268,7 @@ def places_of(record: StepRecord) -> list[Location]:
 def timing_of(record: StepRecord, channel: int, place: Location) -> Timing:
     """Return when a channel was released; where the force was measured along, it tells begin and length."""
     samples, name = record.samples[channel], record.channels[channel]
-    window, found = find_beginning(samples, record.sample_rate_hz, record.start_s, place)
+    window, found = find_onset(samples, record.sample_rate_hz, record.start_s, place)
     fit = found.with_covariance
     residual = (window.samples - fit.at(window.time_s))[window.time_s > fit.onset_s]
     correlation = correlation_factor(residual)
@@ -275,7 +284,7 @@ def timing_of(record: StepRecord, channel: int, place: Location) -> Timing:
         timing = Timing(onset_s, u, rise_s / 0.8, u, name, 0.0, rise_s, u, "ramp", None, 1.0)
     else:
         interval, lag_s = times
-        shape: Shape = "step" if interval.release_s < 2.0 * interval.u_release_s else fit.shape
+        shape: ReleaseShape = "step" if interval.release_s < 2.0 * interval.u_release_s else fit.shape
         block = window.step_s * record.sample_rate_hz
         misfit = float(np.sqrt(block * np.mean(residual**2))) / max(place.noise, 1e-300)
         when = interval.onset_s, interval.u_onset_s, interval.release_s, interval.u_release_s
@@ -294,7 +303,7 @@ _DRIFTS = 4.0  # standard uncertainties
 _MISFIT = 1.5
 
 
-def read_release(record: StepRecord, channel: str) -> Reading:
+def read_release(record: StepRecord, channel: str) -> ReleaseReading:
     """Return what one channel of a record shows of its release.
 
     A channel whose level hardly changes is read at the times of the one that changes most.
@@ -317,7 +326,7 @@ def read_release(record: StepRecord, channel: str) -> Reading:
     return _reading(record, own, places[own], timing_of(record, timed, places[timed]))
 
 
-def begun(record: StepRecord) -> tuple[float, float, Shape]:
+def initial_release(record: StepRecord) -> tuple[float, float, ReleaseShape]:
     """Return middle and length in s of a release and its shape, to start a fit from: one without a lag.
 
     The force shows it where that was measured along, else the channel whose level changes most over its noise. What a
@@ -325,13 +334,13 @@ def begun(record: StepRecord) -> tuple[float, float, Shape]:
     that much later, and its second moment adds to the release's.
     """
     places = places_of(record)
-    shape: Shape
+    shape: ReleaseShape
     if record.force is not None:
         interval, _, _, shape = read_force(record.force, record.sample_rate_hz, record.start_s)
         middle_s, length_s = interval.onset_s + 0.5 * interval.release_s, interval.release_s
     else:
         own, rate = _strongest(places), record.sample_rate_hz
-        fit = find_beginning(record.samples[own], rate, record.start_s, places[own], _NEAR_ENOUGH)[1].fit
+        fit = find_onset(record.samples[own], rate, record.start_s, places[own], _NEAR_ENOUGH)[1].fit
         middle_s, shape = fit.centre_s, fit.shape
         length_s = float(np.sqrt(fit.release_s**2 + fit.lag_s**2 / MOMENTS[shape]))
     ends = (middle_s + length_s * np.array([-0.5, 0.5]) - record.start_s) * record.sample_rate_hz
@@ -349,7 +358,7 @@ def _check_room(record: StepRecord, rests_to: float, rings_from: float) -> None:
         )
 
 
-def read_releases(record: StepRecord) -> tuple[Reading, ...]:
+def read_releases(record: StepRecord) -> tuple[ReleaseReading, ...]:
     """Return what every channel of a record shows of its release, as `read_release`."""
     places = places_of(record)
     strongest = _strongest(places)
@@ -366,7 +375,7 @@ def _strongest(places: list[Location]) -> int:
     return int(np.argmax([place.strength for place in places]))
 
 
-def _reading(record: StepRecord, channel: int, place: Location, timing: Timing) -> Reading:
+def _reading(record: StepRecord, channel: int, place: Location, timing: Timing) -> ReleaseReading:
     """Return the reading of a channel at known times."""
     samples, rate = record.samples[channel], record.sample_rate_hz
     rests_to = (timing.onset_s - 2.0 * timing.u_onset_s - record.start_s) * rate
@@ -381,7 +390,7 @@ def _reading(record: StepRecord, channel: int, place: Location, timing: Timing) 
     change = steady.value - baseline.value
     gain = change / record.amplitude
     u_gain = np.hypot(np.hypot(baseline.u, steady.u) / record.amplitude, gain * record.u_amplitude)
-    reading = Reading(
+    reading = ReleaseReading(
         record=record.name,
         channel=record.channels[channel],
         component=record.component,
@@ -408,7 +417,9 @@ def _reading(record: StepRecord, channel: int, place: Location, timing: Timing) 
     return replace(reading, notices=_remarks(record, reading, timing, (baseline, steady)))
 
 
-def _remarks(record: StepRecord, reading: Reading, timing: Timing, levels: tuple[Level, Level]) -> tuple[Notice, ...]:
+def _remarks(
+    record: StepRecord, reading: ReleaseReading, timing: Timing, levels: tuple[Level, Level]
+) -> tuple[Notice, ...]:
     """Return what the user should know of a reading."""
     told: list[tuple[Severity, str]] = []
     strength = abs(reading.steady - reading.baseline) / reading.noise
@@ -416,7 +427,7 @@ def _remarks(record: StepRecord, reading: Reading, timing: Timing, levels: tuple
         told.append(("warning", "the output stands at its limit: the record is cut, its peaks and poles are wrong"))
     if timing.of != reading.channel:
         text = f"changes by {strength:.2g} standard deviations of its noise: read at the times of {timing.of}"
-        told.append(("info", text))
+        told.append(("note", text))
     elif timing.fit is None:
         text = "modes behind a lag do not describe the release: onset and length by a straight line from 10 % to 90 %"
         told.append(("warning", text))
@@ -443,7 +454,7 @@ def _remarks(record: StepRecord, reading: Reading, timing: Timing, levels: tuple
 
 
 @dataclass(frozen=True)
-class Spread:
+class RepeatedMean:
     """Mean of one quantity over releases with its standard uncertainty, and the standard deviation of a single one.
 
     `u_mean` has `dof` degrees of freedom: infinite where the readings' own uncertainties are all that is known of one
@@ -467,13 +478,13 @@ class ReleaseKind:
 
     release: str
     count: int
-    rise: Spread
-    length: Spread
+    rise: RepeatedMean
+    length: RepeatedMean
     rank: int
     faster: float
 
 
-def compare_releases(readings: Sequence[Reading]) -> tuple[ReleaseKind, ...]:
+def compare_releases(readings: Sequence[ReleaseReading]) -> tuple[ReleaseKind, ...]:
     """Return the kinds of release among readings of one output and one component, by rank."""
     places = {(reading.channel, reading.component) for reading in readings}
     if len(places) != 1:
@@ -490,20 +501,20 @@ def compare_releases(readings: Sequence[Reading]) -> tuple[ReleaseKind, ...]:
     return tuple(ReleaseKind(*kind, rank, chance) for rank, (kind, chance) in ranked)
 
 
-def _spread(values: Sequence[float], u: Sequence[float]) -> Spread:
+def _spread(values: Sequence[float], u: Sequence[float]) -> RepeatedMean:
     """Return mean and scatter of values; the mean is no better known than the values' own uncertainties allow."""
     value: FloatArray = np.asarray(values, dtype=np.float64)
     count = len(value)
     own = float(np.sqrt(np.sum(np.square(u)))) / count
     if count == 1:
-        return Spread(float(value[0]), own, np.nan, np.nan, np.inf)
+        return RepeatedMean(float(value[0]), own, np.nan, np.nan, np.inf)
     scatter = float(np.std(value, ddof=1))
     u_mean = scatter / np.sqrt(count)
     dof = float(count - 1) if u_mean >= own else np.inf
-    return Spread(float(value.mean()), max(u_mean, own), scatter, scatter / np.sqrt(2.0 * (count - 1)), dof)
+    return RepeatedMean(float(value.mean()), max(u_mean, own), scatter, scatter / np.sqrt(2.0 * (count - 1)), dof)
 
 
-def _faster(one: Spread, other: Spread) -> float:
+def _faster(one: RepeatedMean, other: RepeatedMean) -> float:
     """Return the probability that one mean is below another (Welch 1947), NaN where one release has no scatter."""
     from scipy.special import stdtr
 

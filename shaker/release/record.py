@@ -7,8 +7,9 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, Notice, check_shape
+from shaker.arrays import ComplexArray, FloatArray, check_shape
 from shaker.lines.spectrum import Spectrum
+from shakercal._common.notices import Notice
 
 # The record of one release.
 
@@ -63,7 +64,7 @@ class StepRecord:
 
 # What a record shows of its release before any model is identified.
 
-Shape = Literal["step", "ramp", "smooth", "measured"]
+ReleaseShape = Literal["step", "ramp", "smooth", "measured"]
 """How the load goes: at once, along a straight line, along half a cosine, or as the force channel shows."""
 
 
@@ -79,7 +80,7 @@ class SpectrumPeak:
 
 
 @dataclass(frozen=True)
-class Reading:
+class ReleaseReading:
     """One release as one output shows it; times in s of the record's clock, levels in the output's `unit`.
 
     `onset_s`: when the load begins to change, `release_s`: how long it changes, `shape`: how; all with standard
@@ -103,7 +104,7 @@ class Reading:
     u_steady: float
     rise_s: float
     u_rise_s: float
-    shape: Shape
+    shape: ReleaseShape
     release_s: float
     u_release_s: float
     static_gain: float
@@ -243,14 +244,14 @@ def _fitted(columns: FloatArray, samples: FloatArray, wanted: int) -> tuple[floa
     return float(linear[wanted] / size[wanted]), u, residual
 
 
-TESTED = 40  # lags that a residual is tested for correlation at
+TESTED_LAGS = 40  # lags that a residual is tested for correlation at
 _WHITE = 73.4  # largest sum of N·r² over forty lags that white noise passes 999 times in 1000
 _SLOW = 20  # half periods over a record up to which noise counts as slow
 
 
 def is_white(residual: FloatArray) -> bool:
     """Tell whether a residual (N,) passes as white noise; one of zeros does."""
-    correlation = np.fft.irfft(np.abs(np.fft.rfft(residual, 2 * len(residual))) ** 2)[: TESTED + 1]
+    correlation = np.fft.irfft(np.abs(np.fft.rfft(residual, 2 * len(residual))) ** 2)[: TESTED_LAGS + 1]
     return not np.any(residual) or bool(len(residual) * np.sum((correlation[1:] / correlation[0]) ** 2) < _WHITE)
 
 

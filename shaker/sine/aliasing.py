@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shaker.arrays import BoolArray, FloatArray, IntArray, Notice, check_shape
+from shaker.arrays import BoolArray, FloatArray, IntArray, check_shape
+from shakercal._common.notices import Notice
 
 CAPTURE = 5e-3  # relative: how far a fundamental may lie from its nominal frequency, besides two bins
 _GAP = 3.0  # times the median interval: longer ones are gaps
@@ -16,7 +17,7 @@ GRID_TOLERANCE = 1e-2  # of a sampling interval: times this close to a grid are 
 
 
 @dataclass(frozen=True)
-class Fold:
+class AliasedHarmonic:
     """A harmonic that a sampling rate folds onto another line `line_hz`: `frequency_hz` = `multiple`·`fundamental_hz`.
 
     `alias_hz`: where it appears.
@@ -57,7 +58,7 @@ def alias_frequency(frequency_hz: FloatArray | float, rate_hz: float) -> FloatAr
     return np.asarray(np.abs(f - rate_hz * np.round(f / rate_hz)))
 
 
-def unfolded(seen_hz: FloatArray, nominal_hz: FloatArray, rate_hz: float) -> FloatArray:
+def frequency_of_alias(seen_hz: FloatArray, nominal_hz: FloatArray, rate_hz: float) -> FloatArray:
     """Return the frequencies near nominal ones that appear at `seen_hz`; one folded downwards moves the other way."""
     off = seen_hz - alias_frequency(nominal_hz, rate_hz)
     downwards = nominal_hz - rate_hz * np.floor(nominal_hz / rate_hz) > rate_hz / 2.0
@@ -92,7 +93,7 @@ def sampling_grid(time_s: FloatArray) -> SamplingGrid | None:
     return SamplingGrid(start, 1.0 / interval, index) if deviation <= GRID_TOLERANCE * interval else None
 
 
-def nearest_grid(time_s: FloatArray, places: int = 1) -> SamplingGrid | None:
+def nearest_grid(time_s: FloatArray, oversampling: int = 1) -> SamplingGrid | None:
     """Return a uniform grid with each of ascending times at its nearest place; None where gaps make it far longer.
 
     It has so many `places` to the mean interval, gaps left out. Two samples may share a place, of which `filled` keeps
@@ -104,7 +105,7 @@ def nearest_grid(time_s: FloatArray, places: int = 1) -> SamplingGrid | None:
     interval = float(np.mean(steps[steps <= _GAP * float(np.median(steps))]))
     if (time_s[-1] - time_s[0]) / interval > max(_LONGEST_GRID, _MOST_GAPS * len(time_s)):
         return None
-    interval /= places
+    interval /= oversampling
     return SamplingGrid(float(time_s[0]), 1.0 / interval, np.rint((time_s - time_s[0]) / interval).astype(np.int64))
 
 
@@ -139,19 +140,19 @@ def condition_number(gram: FloatArray) -> float:
     return float(np.sqrt(eigenvalues[-1] / eigenvalues[0])) if eigenvalues[0] > limit else float("inf")
 
 
-def folded_harmonics(
+def find_aliased_harmonics(
     frequency_hz: float,
     fundamentals_hz: Sequence[float],
     rate_hz: float,
     resolution_hz: float,
     max_multiple: int = 20,
-) -> tuple[Fold, ...]:
+) -> tuple[AliasedHarmonic, ...]:
     """Return the harmonics of the fundamentals that `rate_hz` folds within `resolution_hz` of a line's alias.
 
     What they contain in an unfiltered record is added to the line, and no fit can take it out.
     """
     alias = float(alias_frequency(frequency_hz, rate_hz))
-    found: dict[float, Fold] = {}
+    found: dict[float, AliasedHarmonic] = {}
     for fundamental in fundamentals_hz:
         for multiple in range(1, max_multiple + 1):
             other = multiple * fundamental
@@ -159,7 +160,7 @@ def folded_harmonics(
             same_line = abs(other - frequency_hz) <= resolution_hz
             known = any(abs(other - f) <= resolution_hz for f in found)
             if abs(other_alias - alias) <= resolution_hz and not same_line and not known:
-                found[other] = Fold(other, float(fundamental), multiple, other_alias, frequency_hz)
+                found[other] = AliasedHarmonic(other, float(fundamental), multiple, other_alias, frequency_hz)
     return tuple(sorted(found.values(), key=lambda fold: fold.frequency_hz))
 
 

@@ -109,7 +109,7 @@ class Timeline:
         return float(Fraction(frequency_hz) * middle % 1)
 
 
-def timeline(times: Times, kept: BoolArray | None) -> Timeline:
+def timeline(times: Times, used: BoolArray | None) -> Timeline:
     """Return the blocks of a record; several that are uniform but for rounding become a grid."""
     if isinstance(times, UniformTimes):
         return _on_grid(Fraction(times.start_s), 1 / Fraction(times.rate_hz), times.samples)
@@ -117,7 +117,7 @@ def timeline(times: Times, kept: BoolArray | None) -> Timeline:
     if grid is not None:
         return _on_grid(*grid, len(times))
     edges = _edges(len(times))
-    middle = float(np.mean(times if kept is None else times[kept]))
+    middle = float(np.mean(times if used is None else times[used]))
     local = times - middle
     centre = np.array([local[a:b].mean() for a, b in pairwise(edges)])
     local -= np.repeat(centre, np.diff(edges))
@@ -232,7 +232,7 @@ _CHUNK = 1 << 16  # values worked on at a time: they stay in the processor's cac
 
 
 @dataclass(frozen=True)
-class Samples:
+class SineSamples:
     """What is fitted: `values` (S, C) at the times of `timeline`, rows weighted by `root` (S,) or (S, C), 0 = left out.
 
     `root` is one over the standard deviation; None stands for ones.
@@ -245,15 +245,15 @@ class Samples:
     @property
     def count(self) -> int:
         """Number of rows that take part."""
-        return self.timeline.samples if self.root is None else int(np.count_nonzero(self.kept()))
+        return self.timeline.samples if self.root is None else int(np.count_nonzero(self.used_rows()))
 
-    def kept(self) -> BoolArray:
+    def used_rows(self) -> BoolArray:
         """Return which rows (S,) take part."""
         if self.root is None:
             return np.ones(self.timeline.samples, dtype=np.bool_)
         return np.asarray(self.root > 0.0 if self.root.ndim == 1 else (self.root > 0.0).all(axis=1))
 
-    def without(self, rows: BoolArray) -> Samples:
+    def drop_rows(self, rows: BoolArray) -> SineSamples:
         """Return the same samples less some rows (S,)."""
         if self.root is None:
             return replace(self, root=(~rows).astype(np.float64))
@@ -300,7 +300,7 @@ class Chunk:
         """Return values times a power of their weights."""
         return values if self.root is None else values * self.root**power
 
-    def columns(self, columns: Columns, timeline: Timeline, common: FloatArray) -> FloatArray:
+    def columns(self, columns: SineColumns, timeline: Timeline, common: FloatArray) -> FloatArray:
         """Return the columns of these blocks, `common` those of the first one and all full ones."""
         shared = self.first == 0 or timeline.is_full(self.first)
         return common if shared else columns.local(timeline.local(self.first))
@@ -319,7 +319,7 @@ class Chunk:
 
 
 @dataclass(frozen=True)
-class Columns:
+class SineColumns:
     """The columns of a fit: Re and Im of each line exp((-δ + 2πjf)·t) in turn, offset, `drift`, and the `slopes`.
 
     `frequency_hz`, `decay_per_s`: f and δ (K,). The slopes are the lines' columns times t: what a change of frequency
@@ -357,7 +357,7 @@ class Columns:
             columns[:, self.linear :] = columns[:, : 2 * lines] * local_s[:, None]
         return columns
 
-    def turned(self, timeline: Timeline) -> FloatArray:
+    def block_transforms(self, timeline: Timeline) -> FloatArray:
         """Return the matrices (B, P, P) that turn coefficients of the record into those of each block."""
         lines, linear, centre = self.lines, self.linear, timeline.centre_s
         size = linear + (2 * lines if self.slopes else 0)
@@ -380,7 +380,7 @@ class Columns:
 
 
 @dataclass(frozen=True)
-class Normal:
+class SineNormalEquations:
     """Sums over all samples: `gram` (D, D, P, P) of the weighted columns, `right` (P, C), `power` (C,) of the values.
 
     D = 1 where all channels have the same weights, else C; the power is summed only where there are slopes.
@@ -391,10 +391,10 @@ class Normal:
     power: FloatArray
 
 
-def normal_equations(samples: Samples, columns: Columns) -> Normal:
+def normal_equations(samples: SineSamples, columns: SineColumns) -> SineNormalEquations:
     """Gather the normal equations of a fit in one pass over its samples."""
     timeline = samples.timeline
-    turned = columns.turned(timeline)
+    turned = columns.block_transforms(timeline)
     size, channels = turned.shape[1], samples.values.shape[1]
     common = columns.local(timeline.local(0))
     common_gram = common.T @ common
@@ -422,18 +422,18 @@ def normal_equations(samples: Samples, columns: Columns) -> Normal:
     chosen = turned[alike]
     gram += np.sum(chosen.swapaxes(1, 2) @ common_gram @ chosen, axis=0)
     right = np.sum(turned.swapaxes(1, 2) @ local_right, axis=0)
-    return Normal(gram, np.asarray(right), power)
+    return SineNormalEquations(gram, np.asarray(right), power)
 
 
 def residuals(
-    samples: Samples, columns: Columns, coefficients: FloatArray
+    samples: SineSamples, columns: SineColumns, coefficients: FloatArray
 ) -> Iterator[tuple[Chunk, FloatArray, FloatArray]]:
     """Yield chunk by chunk the blocks, their columns (n, P) and their residual (n, B·C), weighted, zero where left out.
 
     `coefficients` (P or fewer, C): those of the first columns.
     """
     timeline = samples.timeline
-    own = columns.turned(timeline)[:, :, : len(coefficients)] @ coefficients
+    own = columns.block_transforms(timeline)[:, :, : len(coefficients)] @ coefficients
     common = columns.local(timeline.local(0))
     for chunk in samples.chunks():
         basis = chunk.columns(columns, timeline, common)
@@ -526,7 +526,7 @@ class SineSums:
         self._taken += len(values)
         self.count = self.count + known.sum(axis=0)
 
-    def solved(self, freedom: int) -> tuple[FloatArray, ComplexArray, FloatArray]:
+    def solve(self, freedom: int) -> tuple[FloatArray, ComplexArray, FloatArray]:
         """Return offsets (N, C), phasors (K, N, C) and u (K, N, C) of their real and of their imaginary parts.
 
         NaN for a series of fewer than `freedom` samples beyond the unknowns, or whose samples cannot tell the lines

@@ -16,7 +16,7 @@ _DITHERED = 0.8  # of a step: with more noise less than 1e-5 of a step is left
 _TERMS = 30.0  # exponent at which terms of the series end
 
 
-def quantisation_error(fit: SineFit, place: int, time_s: FloatArray, step: float) -> ComplexArray:
+def quantisation_error(fit: SineFit, channel: int, time_s: FloatArray, step: float) -> ComplexArray:
     """Return how far rounding to a `step` may move each line (K,) of a channel, as Re and Im of its relative change.
 
     Rounding x + noise of standard deviation σ to multiples of q leaves, on average over the noise,
@@ -28,11 +28,11 @@ def quantisation_error(fit: SineFit, place: int, time_s: FloatArray, step: float
     below half a step may be the rounding's own. The noise is that around each line, at most what the fit leaves, less
     the q²/12 that rounding may contribute.
     """
-    phasors, value = fit.phasors, fit.phasors.value[:, place]
+    phasors, value = fit.phasors, fit.phasors.value[:, channel]
     count = min(len(time_s), _LONGEST, max(_MOST // max(len(value), 1), 256))
     time, size = time_s[:count], float(np.max(np.abs(value)))
-    near = 0.5 * len(time_s) * float(np.min(phasors.u_re[:, place] ** 2 + phasors.u_im[:, place] ** 2)) / 2.0
-    noise = np.sqrt(max(min(near, float(fit.residual_rms[place]) ** 2) - step**2 / 12.0, 0.0)) / step
+    near = 0.5 * len(time_s) * float(np.min(phasors.u_re[:, channel] ** 2 + phasors.u_im[:, channel] ** 2)) / 2.0
+    noise = np.sqrt(max(min(near, float(fit.residual_rms[channel]) ** 2) - step**2 / 12.0, 0.0)) / step
     if noise > _DITHERED:
         return np.zeros(len(value), dtype=np.complex128)
     kept = np.where(np.abs(value) > min(0.5 * step, 0.5 * size), value, 0.0)

@@ -8,21 +8,22 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Notice, check_shape, check_shapes
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, check_shape, check_shapes
 from shaker.sine.aliasing import alias_frequency, condition_number, nearest_grid, sampling_grid
 from shaker.sine.noise import LineNoise, line_noise, neighbour_bins, noise_of_ordinates
 from shaker.sine.normal_equations import (
     LONG,
-    Columns,
     Demodulator,
-    Normal,
-    Samples,
+    SineColumns,
+    SineNormalEquations,
+    SineSamples,
     as_complex,
     check_condition,
     normal_equations,
     residuals,
 )
 from shaker.sine.phasor import Phasors
+from shakercal._common.notices import Notice
 
 _STEPS = 40
 _CONVERGED = 1e-3  # of the standard uncertainty: the last step is taken on the exact residual
@@ -63,7 +64,7 @@ class SineModel:
 
 
 @dataclass(frozen=True)
-class System:
+class SineSystem:
     """Normal equations solved for the linear parameters.
 
     `gram` (D, D, P', P') of all columns, D = 1 where all channels have the same weights, else C; `inverse` (D, P, P)
@@ -102,7 +103,7 @@ def _products(matrices: FloatArray, right: FloatArray) -> FloatArray:
     return np.asarray((matrices @ right.T[:, :, None])[:, :, 0].T)
 
 
-def solved(normal: Normal, columns: Columns) -> System:
+def solve_linear(normal: SineNormalEquations, columns: SineColumns) -> SineSystem:
     """Invert the normal equations of the linear columns, scaled to unit length."""
     lines, linear = columns.lines, columns.linear
     own = np.einsum("ddpq->dpq", normal.gram)
@@ -118,11 +119,11 @@ def solved(normal: Normal, columns: Columns) -> System:
     inverse = (inverse + inverse.swapaxes(1, 2)) / 2.0
     carried = -inverse @ own[:, :linear, linear:]
     rest = np.broadcast_to(np.eye(own.shape[1] - linear), (len(own), own.shape[1] - linear, own.shape[1] - linear))
-    return System(normal.gram, inverse, np.concatenate([carried, rest], axis=1), condition)
+    return SineSystem(normal.gram, inverse, np.concatenate([carried, rest], axis=1), condition)
 
 
 @dataclass(frozen=True)
-class Step:
+class GaussNewtonStep:
     """A Gauss-Newton step: `change` (Q,) of the unknowns, `inverse` (Q, Q) of the Hessian.
 
     `derivative` (C, 2K, Q): of the slopes' coefficients in each channel; `pull`: the same over its noise variance.
@@ -135,8 +136,8 @@ class Step:
 
 
 def frequency_step(
-    system: System, right: FloatArray, value: ComplexArray, exponents: ComplexArray, variance: FloatArray
-) -> Step:
+    system: SineSystem, right: FloatArray, value: ComplexArray, exponents: ComplexArray, variance: FloatArray
+) -> GaussNewtonStep:
     """Return the step of frequencies and decay rates from products `right` (P', C) with values or residuals.
 
     Gauss-Newton on the nonlinear unknowns alone, the linear ones projected out (variable projection; Golub and Pereyra
@@ -154,10 +155,10 @@ def frequency_step(
         raise ValueError("frequency_hz: expected lines whose frequencies and decays the record tells, found none")
     inverse = np.linalg.inv(scaled) / np.multiply.outer(size, size)
     gradient = np.einsum("ckq,kc->q", pull, _products(system.project.swapaxes(1, 2), right))
-    return Step(inverse @ gradient, inverse, derivative, pull)
+    return GaussNewtonStep(inverse @ gradient, inverse, derivative, pull)
 
 
-def moved(columns: Columns, exponents: ComplexArray, change: FloatArray) -> Columns:
+def apply_step(columns: SineColumns, exponents: ComplexArray, change: FloatArray) -> SineColumns:
     """Return the columns after a step of the unknowns."""
     exponent = exponents @ change
     frequency_hz = columns.frequency_hz + exponent.imag / (2.0 * np.pi)
@@ -165,8 +166,8 @@ def moved(columns: Columns, exponents: ComplexArray, change: FloatArray) -> Colu
 
 
 def estimate(
-    samples: Samples, frequency_hz: FloatArray, model: SineModel, *, slopes: bool = False
-) -> tuple[Columns, System, FloatArray]:
+    samples: SineSamples, frequency_hz: FloatArray, model: SineModel, *, slopes: bool = False
+) -> tuple[SineColumns, SineSystem, FloatArray]:
     """Return columns, normal equations and linear parameters (P, C), frequencies and decays within 1/1000 of their u.
 
     One pass over the data where frequencies are known and nothing decays, else one per step. `slopes`: the normal
@@ -175,14 +176,14 @@ def estimate(
     exponents = model.exponents(frequency_hz)
     count = exponents.shape[1]
     lines = np.array(frequency_hz, dtype=np.float64)
-    columns = Columns(lines, np.zeros(len(lines)), model.drift, count > 0 or slopes)
+    columns = SineColumns(lines, np.zeros(len(lines)), model.drift, count > 0 or slopes)
     half_s = float(np.max(np.abs(samples.timeline.centre_s))) + float(np.max(np.abs(samples.timeline.local_s)))
     # Not by `shaker.fitting`: the channels' weights follow the fit, so no sum of squares falls, and each trial is a
     # pass over the record. On the likelihood it comes to the same sines, in up to twice the passes, but from 0.9 bins
     # away it leaps into a side lobe; steps limited by the phase that they turn do not.
     for _ in range(_STEPS):
         normal = normal_equations(samples, columns)
-        system = solved(normal, columns)
+        system = solve_linear(normal, columns)
         coefficients = system.coefficients(normal.right)
         if not count:
             return columns, system, coefficients
@@ -197,7 +198,7 @@ def estimate(
         if turn <= _STANDS or np.all(np.abs(step.change) <= _CONVERGED * np.sqrt(step.inverse.diagonal())):
             return columns, system, coefficients
         shorter = min(1.0, _FARTHEST / turn) if turn > 0.0 else 1.0
-        columns = moved(columns, exponents, shorter * step.change)
+        columns = apply_step(columns, exponents, shorter * step.change)
     listed = ", ".join(f"{f:.6g}" for f in frequency_hz)
     raise ValueError(f"frequency_hz: expected frequencies from which the fit converges, found {listed} Hz")
 
@@ -260,7 +261,7 @@ class SineFit:
             curve[first : first + _CHUNK] = offset + np.multiply.outer(time - self.middle_s, drift_per_s) + lines
         return curve
 
-    def of_slopes(self, change: ComplexArray) -> ComplexArray:
+    def slope_response(self, change: ComplexArray) -> ComplexArray:
         """Return what the fit makes (K, C), first order, of Σ Re{change·(t - middle_s)·exp((jω - δ)t)} in the values.
 
         `change` (K, C), at time zero. It is next to nothing over many periods, or beats of an alias; over less than
@@ -287,13 +288,13 @@ class Estimate:
     exponent by the Q unknown frequencies and decay rates, `step` the last one, None where there are none.
     """
 
-    columns: Columns
+    columns: SineColumns
     coefficients: FloatArray
-    system: System
+    system: SineSystem
     factor: FloatArray
     noise: FloatArray
     exponents: ComplexArray
-    step: Step | None
+    step: GaussNewtonStep | None
 
     def noise_between(self, first: int, second: int) -> FloatArray:
         """Return the noise covariance (C, C) between what two lines see; equal ones for that of a line."""
@@ -353,7 +354,7 @@ _DEPENDENT = 1e-12  # smallest eigenvalue of a correlation matrix that counts, f
 
 
 @dataclass(frozen=True)
-class Remainder:
+class FitRemainder:
     """Sums over the residual of a fit, each weighted.
 
     `right` (P, C): columns times residual; `power` (C, C): residual times residual; `held` (S, C) the residual itself
@@ -363,16 +364,16 @@ class Remainder:
 
     right: FloatArray
     power: FloatArray
-    held: FloatArray | None
+    residual: FloatArray | None
     transform: ComplexArray | None
     bins: IntArray | None
     line_bin: FloatArray | None
 
 
-def remainder(samples: Samples, columns: Columns, coefficients: FloatArray) -> Remainder:
+def sum_remainder(samples: SineSamples, columns: SineColumns, coefficients: FloatArray) -> FitRemainder:
     """Gather what a fit leaves in one pass over its samples."""
     timeline, channels = samples.timeline, samples.values.shape[1]
-    turned = columns.turned(timeline)
+    turned = columns.block_transforms(timeline)
     long = timeline.grid is not None and timeline.samples > LONG
     line_bin, bins = None, None
     if timeline.grid is not None and long:
@@ -395,33 +396,39 @@ def remainder(samples: Samples, columns: Columns, coefficients: FloatArray) -> R
             held[timeline.edges[chunk.first] : timeline.edges[chunk.last]] = chunk.in_order(residual)
     right = np.asarray(np.sum(turned.swapaxes(1, 2) @ local_right, axis=0))
     transform = None if demodulator is None else demodulator.transform(moments)
-    return Remainder(right, power, held, transform, bins, line_bin)
+    return FitRemainder(right, power, held, transform, bins, line_bin)
 
 
 def noise_at_lines(
-    samples: Samples, columns: Columns, left: Remainder, whitening: FloatArray, time_s: FloatArray | None
+    samples: SineSamples,
+    columns: SineColumns,
+    remainder: FitRemainder,
+    whitening: FloatArray,
+    time_s: FloatArray | None,
 ) -> LineNoise | None:
     """Return the noise of the whitened series at each line and, last, at the lowest bin for the offset.
 
     `time_s`: the times of a record whose residual is held. None where times lie on no grid or are too few.
     """
-    if left.transform is not None and left.bins is not None and left.line_bin is not None:
-        ordinates = left.transform @ whitening.T / np.sqrt(samples.count)
-        return noise_of_ordinates(ordinates, left.bins.astype(np.float64), left.line_bin, samples.timeline.samples)
-    if left.held is None or time_s is None:
+    if remainder.transform is not None and remainder.bins is not None and remainder.line_bin is not None:
+        ordinates = remainder.transform @ whitening.T / np.sqrt(samples.count)
+        return noise_of_ordinates(
+            ordinates, remainder.bins.astype(np.float64), remainder.line_bin, samples.timeline.samples
+        )
+    if remainder.residual is None or time_s is None:
         return None
-    kept = samples.kept()
+    kept = samples.used_rows()
     exact = sampling_grid(time_s[kept])
     grid = exact or nearest_grid(time_s[kept])
     if grid is None:
         return None
-    whitened = np.asarray(left.held[kept] @ whitening.T)
+    whitened = np.asarray(remainder.residual[kept] @ whitening.T)
     found = line_noise(grid.filled(whitened), len(whitened), line_bins(columns, grid.length, grid.rate_hz))
     # Uneven times bring noise of all frequencies to a line: that of a white series of this power is the least.
     return found if exact or found is None else replace(found, variance=np.maximum(found.variance, 1.0))
 
 
-def line_bins(columns: Columns, length: int, rate: float) -> FloatArray:
+def line_bins(columns: SineColumns, length: int, rate: float) -> FloatArray:
     """Return the places of all lines in bins of a record, and half a bin for the offset."""
     return np.append(alias_frequency(columns.frequency_hz, rate) * length / rate, 0.5)
 
@@ -453,7 +460,7 @@ _FINEST = 1e-12  # of the largest coefficient: no residual is judged more finely
 _MOST = 0.25  # of the samples: more are no spikes
 
 
-def find_spikes(samples: Samples, frequency_hz: FloatArray, model: SineModel) -> tuple[BoolArray, float]:
+def find_spikes(samples: SineSamples, frequency_hz: FloatArray, model: SineModel) -> tuple[BoolArray, float]:
     """Return the rows (S,) whose residual stands out of the noise in any channel, and by how many deviations at least.
 
     So many that Gaussian noise does so in 1 of 100 records, and two standard deviations of the scale more, so that
@@ -467,7 +474,7 @@ def find_spikes(samples: Samples, frequency_hz: FloatArray, model: SineModel) ->
     limit *= (1.0 + 2.0 * _SCATTER / float(np.sqrt(count))) * float(np.sqrt(count / (count - parameters)))
     spikes = np.zeros(samples.timeline.samples, dtype=np.bool_)
     for _ in range(_ROUNDS):
-        columns, _, coefficients = estimate(samples.without(spikes) if spikes.any() else samples, frequency_hz, model)
+        columns, _, coefficients = estimate(samples.drop_rows(spikes) if spikes.any() else samples, frequency_hz, model)
         scale = _scale(samples, columns, coefficients)
         found = np.zeros_like(spikes)
         for chunk, _, residual in residuals(samples, columns, coefficients):
@@ -481,7 +488,7 @@ def find_spikes(samples: Samples, frequency_hz: FloatArray, model: SineModel) ->
     return spikes, limit
 
 
-def _scale(samples: Samples, columns: Columns, coefficients: FloatArray) -> FloatArray:
+def _scale(samples: SineSamples, columns: SineColumns, coefficients: FloatArray) -> FloatArray:
     """Return the standard deviation (C,) of the weighted residual, from evenly spaced rows, by its median."""
     step = -(-samples.timeline.samples // _SAMPLE)
     chosen = []

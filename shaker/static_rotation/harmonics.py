@@ -38,7 +38,7 @@ U_MEASURED_PA, U_MEASURED_C, U_MEASURED_HUMIDITY = 100.0, 0.5, 0.05
 """Standard uncertainties that are taken for pressure, temperature and humidity where somebody has measured them."""
 
 
-class Known(NamedTuple):
+class SourcedValue(NamedTuple):
     """A number with its standard uncertainty, and where it comes from in words."""
 
     value: float
@@ -64,7 +64,7 @@ def normal_gravity(latitude_rad: float, height_m: float) -> float:
     return float(ground * (1.0 - lapse + 3.0 * share * share))
 
 
-def gravity_at(latitude_rad: float, height_m: float) -> Known:
+def gravity_at(latitude_rad: float, height_m: float) -> SourcedValue:
     """Return gravity in m/s² at a place by its latitude and its height above the sea, with its standard uncertainty.
 
     The height above the sea stands for that above the ellipsoid, as in PTB's g-Extractor: the anomalies that make up
@@ -72,7 +72,7 @@ def gravity_at(latitude_rad: float, height_m: float) -> Known:
     """
     value = normal_gravity(latitude_rad, height_m)
     source = f"normal gravity (GRS 80) at {np.degrees(latitude_rad):.6g}° and {height_m:g} m"
-    return Known(value, U_NORMAL_GRAVITY * value, source)
+    return SourcedValue(value, U_NORMAL_GRAVITY * value, source)
 
 
 def standard_pressure(height_m: float) -> float:
@@ -101,17 +101,21 @@ def moist_air_density(pressure_pa: float, temperature_c: float, humidity: float)
 
 def air_density_at(
     height_m: float | None, pressure_pa: float | None, temperature_c: float | None, humidity: float | None
-) -> Known:
+) -> SourcedValue:
     """Return the density of air in kg/m³ from what is known of it; what is not is a laboratory's usual condition.
 
     Pressure: of the standard atmosphere at the height, ±10 hPa of weather, without a height that at sea level ±40 hPa;
     20 °C ± 3 K; relative humidity 0.5 ± 0.2. Measured values count as known to 1 hPa, 0.5 K and 0.05 (all k = 1).
     """
-    weather = Known(standard_pressure(height_m or 0.0), ANY_PLACE_PA if height_m is None else WEATHER_PA, "")
+    weather = SourcedValue(standard_pressure(height_m or 0.0), ANY_PLACE_PA if height_m is None else WEATHER_PA, "")
     parts = [
-        weather if pressure_pa is None else Known(pressure_pa, U_MEASURED_PA, "pressure"),
-        Known(ROOM_C, U_ROOM_C, "") if temperature_c is None else Known(temperature_c, U_MEASURED_C, "temperature"),
-        Known(HUMIDITY, U_HUMIDITY, "") if humidity is None else Known(humidity, U_MEASURED_HUMIDITY, "humidity"),
+        weather if pressure_pa is None else SourcedValue(pressure_pa, U_MEASURED_PA, "pressure"),
+        SourcedValue(ROOM_C, U_ROOM_C, "")
+        if temperature_c is None
+        else SourcedValue(temperature_c, U_MEASURED_C, "temperature"),
+        SourcedValue(HUMIDITY, U_HUMIDITY, "")
+        if humidity is None
+        else SourcedValue(humidity, U_MEASURED_HUMIDITY, "humidity"),
     ]
     centre = np.array([part.value for part in parts])
 
@@ -124,7 +128,7 @@ def air_density_at(
     u = float(np.hypot(np.linalg.norm(half) / 2.0, U_FORMULA * value))
     stated = [part.source for part in parts if part.source]
     stated += ["height"] if height_m is not None and pressure_pa is None else []
-    return Known(value, u, f"CIPM-2007 from {', '.join(stated) or 'the usual conditions of a laboratory'}")
+    return SourcedValue(value, u, f"CIPM-2007 from {', '.join(stated) or 'the usual conditions of a laboratory'}")
 
 
 # Readings over the angle of an indexing head as harmonics: all channels in one solve, only what the data show.

@@ -10,12 +10,12 @@ from typing import Literal, NamedTuple, TypeVar
 import numpy as np
 
 from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, IntArray, check_shape, check_shapes
-from shaker.fitting import Residuals, Rules, covariance_root, levenberg_marquardt
+from shaker.fitting import LMOptions, WhitenedResiduals, covariance_root, levenberg_marquardt
 
 FORCES = 3
-OWN = 7
+UNKNOWNS_PER_RECORD = 7
 """Unknowns of a recording: weight N, first moment N·m (3), zero angle rad, tilt of the axis rad (2)."""
-LEAST_SHARE = 0.3
+MIN_FORCE_SHARE = 0.3
 """Share of the weight that a force component must feel at some angle for a weight of its own."""
 DETERMINED = 1e-6
 
@@ -50,7 +50,7 @@ class SensorOutputs(Brief):
 
 
 @dataclass(frozen=True, repr=False)
-class Turned(Brief):
+class RotationRecord(Brief):
     """One recording: first harmonics of the C outputs and how the head stood.
 
     `amplitude` (C,): output = Re{amplitude exp(+jθ)}, θ counted as the sensor turns, right-handed about `axis` (3,);
@@ -79,13 +79,13 @@ class Turned(Brief):
         return share, across / share, np.cross(self.axis, across) / share
 
 
-def weight_load(record: Turned, own: FloatArray, sense: int) -> tuple[ComplexArray, ComplexArray]:
+def weight_load(record: RotationRecord, own: FloatArray, sense: int) -> tuple[ComplexArray, ComplexArray]:
     """Return the load (6,) phasor of a recording's unknowns `own` (7,), and its derivatives (6, 7)."""
     share, _, _ = record.frame
     turn = sense * np.exp(1j * own[4])
     phasor = turn * turning_phasor(record, own[5:])
     tilts = turn * share * np.outer(record.axis, [-1.0, -1j])
-    columns = np.zeros((6, OWN), np.complex128)
+    columns = np.zeros((6, UNKNOWNS_PER_RECORD), np.complex128)
     columns[:3, 0] = phasor
     columns[3:, 1:4] = np.cross(np.eye(3), phasor).T
     load = columns[:, :4] @ own[:4]
@@ -95,10 +95,10 @@ def weight_load(record: Turned, own: FloatArray, sense: int) -> tuple[ComplexArr
     return np.asarray(load), columns
 
 
-def start_values(record: Turned, outputs: SensorOutputs) -> FloatArray:
+def start_values(record: RotationRecord, outputs: SensorOutputs) -> FloatArray:
     """Return the unknowns (7,) of a recording from the forces alone; refuses readings that turn the other way round."""
     phasor = outputs.sense * turning_phasor(record, np.zeros(2))
-    seen = outputs.determined[:FORCES] & (np.abs(phasor) > LEAST_SHARE)
+    seen = outputs.determined[:FORCES] & (np.abs(phasor) > MIN_FORCE_SHARE)
     if not seen.any():
         raise ValueError("sensitivity: expected an output for a force across the axis, found none")
     force, size = (outputs.inverse @ record.amplitude)[:FORCES][seen], np.sum(np.abs(phasor[seen]) ** 2)
@@ -114,7 +114,7 @@ def start_values(record: Turned, outputs: SensorOutputs) -> FloatArray:
     return np.array([abs(with_axis), 0.0, 0.0, 0.0, float(np.angle(with_axis)), 0.0, 0.0])
 
 
-def turning_phasor(record: Turned, tilt: FloatArray) -> ComplexArray:
+def turning_phasor(record: RotationRecord, tilt: FloatArray) -> ComplexArray:
     """Return U (3,), gravity's direction in sensor axes as a phasor, the axis tilted along and across it at zero."""
     from scipy.spatial.transform import Rotation
 
@@ -126,7 +126,7 @@ def turning_phasor(record: Turned, tilt: FloatArray) -> ComplexArray:
 # Weights, first moments and masses from the first harmonic of a sensor that is turned about a horizontal axis.
 
 Number = TypeVar("Number", float, FloatArray)
-ROWS = OWN + FORCES
+ROWS = UNKNOWNS_PER_RECORD + FORCES
 """Numbers of a recording in `WeightFit`: its unknowns, then the weight by each force component alone."""
 LEVER_M, TILT_RAD = 1.0, 0.1
 """Standard deviations of what nothing is known of: lever of the weight, tilt of the axis."""
@@ -134,7 +134,14 @@ USUAL_LEVER_M = 0.1
 """Lever at which forces and moments count alike where outputs of either kind are told apart."""
 CHANCE, CHANCE_OF_FEW, FEW_DOF = 1e-3, 1e-2, 5.0
 """Probability with which channels that agree may be taken for ones that do not; with fewer degrees of freedom, more."""
-_RULES = Rules(foretold=1e-14, foretold_share=0.0, steps=20, tries=8, first=1e-9, least=1e-12)
+_RULES = LMOptions(
+    predicted_decrease=1e-14,
+    predicted_decrease_share=0.0,
+    max_steps=20,
+    max_dampings=8,
+    initial_damping=1e-9,
+    min_damping=1e-12,
+)
 """A fit has converged where a step would be 1e-7 of the standard uncertainties."""
 _SMALLEST_DEPARTURE, _DEPARTURE_STEP = 1e-9, 1.001
 
@@ -147,7 +154,7 @@ def mass_of_weight(weight_n: Number, gravity_mps2: Number, air_share: Number | f
     return weight_n / (gravity_mps2 * (1.0 - air_share))
 
 
-class Source(NamedTuple):
+class WeightErrorSource(NamedTuple):
     """Independent errors of one kind: `effect` (V, r) of r unit deviates on all V numbers of a fit, with `dof`."""
 
     name: str
@@ -170,7 +177,7 @@ class WeightFit(Brief):
 
     names: tuple[str, ...]
     value: FloatArray
-    sources: tuple[Source, ...]
+    sources: tuple[WeightErrorSource, ...]
     load: ComplexArray
     chi_squared: float
     dof: float
@@ -185,12 +192,12 @@ class WeightFit(Brief):
         """Return the covariance of `value`."""
         return np.asarray(sum(source.effect @ source.effect.T for source in self.sources))
 
-    def place(self, recording: int, row: int) -> int:
+    def row_index(self, recording: int, row: int) -> int:
         """Return where a number of a recording stands in `value`."""
         return ROWS * recording + row
 
 
-def fit_weights(records: Sequence[Turned], outputs: SensorOutputs, u_angle_rad: float = 0.0) -> WeightFit:
+def fit_weights(records: Sequence[RotationRecord], outputs: SensorOutputs, u_angle_rad: float = 0.0) -> WeightFit:
     """Fit weight, first moment, zero angle and axis of every recording to all first harmonics.
 
     In sensor axes gravity turns backwards: force = W·U·exp(jθ₀), moment = μ × U·exp(jθ₀), U = d + j n × d with n the
@@ -246,7 +253,7 @@ class _Test(NamedTuple):
 class _Problem:
     """All recordings with one sensor as a least-squares problem of real rows; unknowns: recordings', then shared."""
 
-    records: tuple[Turned, ...]
+    records: tuple[RotationRecord, ...]
     outputs: SensorOutputs
     u_angle_rad: float
     departure: float = 0.0
@@ -262,7 +269,7 @@ class _Problem:
         """What `departure` makes of every real row: that share of the weight, of moments at the usual lever."""
         lever = np.repeat([1.0, USUAL_LEVER_M], FORCES)
         size = np.max(np.abs(self.outputs.sensitivity) * lever, axis=1)
-        weights = self.start[: OWN * len(self.records) : OWN]
+        weights = self.start[: UNKNOWNS_PER_RECORD * len(self.records) : UNKNOWNS_PER_RECORD]
         return self.departure * np.concatenate([np.tile(weight * size, 2) for weight in weights])
 
     @cached_property
@@ -291,20 +298,22 @@ class _Problem:
     def prior(self) -> FloatArray:
         """One over the prior variance of every unknown, zero where it is free."""
         weights = []
-        for weight in self.start[: OWN * len(self.records) : OWN]:
+        for weight in self.start[: UNKNOWNS_PER_RECORD * len(self.records) : UNKNOWNS_PER_RECORD]:
             lever = 1.0 / (LEVER_M * weight) ** 2
             weights += [0.0, lever, lever, lever, 0.0, TILT_RAD**-2, TILT_RAD**-2]
         return np.array([*weights, *([1.0] * self.shared)])
 
-    def point(self, vector: FloatArray) -> Residuals:
+    def point(self, vector: FloatArray) -> WhitenedResiduals:
         """Model less outputs at a vector over the noise, then the unknowns over their prior deviation."""
         residuals, blocks = [], []
-        own = OWN * len(self.records)
+        own = UNKNOWNS_PER_RECORD * len(self.records)
         elements, matrix = self.elements, self.outputs.sensitivity.copy()
         rows, columns = elements.T
         matrix[rows, columns] += vector[own : own + len(elements)] * self.outputs.u[rows, columns]
         for r, record in enumerate(self.records):
-            load, by_own = weight_load(record, vector[OWN * r : OWN * (r + 1)], self.outputs.sense)
+            load, by_own = weight_load(
+                record, vector[UNKNOWNS_PER_RECORD * r : UNKNOWNS_PER_RECORD * (r + 1)], self.outputs.sense
+            )
             if self.u_angle_rad > 0.0:
                 twice = self.u_angle_rad * complex(vector[-2], -vector[-1])
                 by_head = -0.5j * np.conj(load)[:, None] * self.u_angle_rad * np.array([1.0, -1j])
@@ -312,7 +321,7 @@ class _Problem:
             else:
                 by_head = np.zeros((6, 0), np.complex128)
             jacobian = np.zeros((len(matrix), len(vector)), np.complex128)
-            jacobian[:, OWN * r : OWN * (r + 1)] = matrix @ by_own
+            jacobian[:, UNKNOWNS_PER_RECORD * r : UNKNOWNS_PER_RECORD * (r + 1)] = matrix @ by_own
             jacobian[rows, own + np.arange(len(elements))] = self.outputs.u[rows, columns] * load[columns]
             jacobian[:, own + len(elements) :] = matrix @ by_head
             missing = record.amplitude - matrix @ load
@@ -320,7 +329,7 @@ class _Problem:
             blocks += [jacobian.real, jacobian.imag]
         root, prior = np.sqrt(self.weight), np.sqrt(self.prior)
         residual = np.concatenate([root * -np.concatenate(residuals), prior * vector])
-        return Residuals(vector, residual, np.vstack([root[:, None] * np.concatenate(blocks), np.diag(prior)]))
+        return WhitenedResiduals(vector, residual, np.vstack([root[:, None] * np.concatenate(blocks), np.diag(prior)]))
 
 
 @dataclass(frozen=True)
@@ -328,7 +337,7 @@ class _Fit:
     """A problem at its solution: the unknowns and their covariance, of variance one in all rows."""
 
     problem: _Problem
-    point: Residuals
+    point: WhitenedResiduals
     inverse: FloatArray
 
     @staticmethod
@@ -345,7 +354,7 @@ class _Fit:
         """χ² of all outputs and of those of forces."""
         problem, count = self.problem, len(self.problem.records)
         own, shares = np.split(self.point.residual**2, [len(problem.weight)])
-        known = (problem.prior * np.diag(self.inverse))[: OWN * count]
+        known = (problem.prior * np.diag(self.inverse))[: UNKNOWNS_PER_RECORD * count]
         rows = 2 * int(problem.forces.sum())
         freedom = count * max(0, rows - 2 - (2 if rows > 4 else 0))
         forces = float(own.reshape(count, 2, -1)[:, :, problem.forces].sum())
@@ -359,49 +368,51 @@ def _result(fit: _Fit) -> WeightFit:
     loads, value = np.full((len(names), 6), np.nan, dtype=np.complex128), np.empty((len(names), ROWS))
     for r, record in enumerate(problem.records):
         loads[r] = np.where(problem.outputs.determined, problem.outputs.inverse @ record.amplitude, np.nan)
-        value[r, :OWN] = vector[OWN * r : OWN * (r + 1)]
-        value[r, OWN:] = np.real(loads[r, :FORCES] * _projection(problem, r, vector))
+        value[r, :UNKNOWNS_PER_RECORD] = vector[UNKNOWNS_PER_RECORD * r : UNKNOWNS_PER_RECORD * (r + 1)]
+        value[r, UNKNOWNS_PER_RECORD:] = np.real(loads[r, :FORCES] * _projection(problem, r, vector))
     every = fit.tests[0]
     return WeightFit(names, value.ravel(), tuple(_sources(fit)), loads, every.chi_squared, every.dof, problem.departure)
 
 
 def _projection(problem: _Problem, r: int, vector: FloatArray) -> ComplexArray:
     """Factors (3,) whose product with a force component has the weight as its real part; NaN where it feels little."""
-    own = vector[OWN * r : OWN * (r + 1)]
+    own = vector[UNKNOWNS_PER_RECORD * r : UNKNOWNS_PER_RECORD * (r + 1)]
     phasor = problem.outputs.sense * np.exp(1j * own[4]) * turning_phasor(problem.records[r], own[5:])
     size = np.abs(phasor)
-    seen = problem.outputs.determined[:FORCES] & (size > LEAST_SHARE)
+    seen = problem.outputs.determined[:FORCES] & (size > MIN_FORCE_SHARE)
     return np.asarray(np.where(seen, np.conj(phasor) / np.where(seen, size, 1.0) ** 2, np.nan))
 
 
-def _sources(fit: _Fit) -> Iterator[Source]:
+def _sources(fit: _Fit) -> Iterator[WeightErrorSource]:
     """Every cause of error with its effect on all values; effects of deviates that are one in truth."""
     problem, vector, outputs = fit.problem, fit.point.parameters, fit.problem.outputs
     count, elements, u_angle = len(problem.records), problem.elements, problem.u_angle_rad
-    own, (row, column) = OWN * count, elements.T
+    own, (row, column) = UNKNOWNS_PER_RECORD * count, elements.T
     wide = np.zeros((ROWS * count, len(vector)))  # which value is which unknown
-    wide.reshape(count, ROWS, -1)[:, :OWN, :own] = np.eye(own).reshape(count, OWN, own)
+    wide.reshape(count, ROWS, -1)[:, :UNKNOWNS_PER_RECORD, :own] = np.eye(own).reshape(count, UNKNOWNS_PER_RECORD, own)
     by_row = wide @ fit.inverse @ (fit.point.jacobian[: len(problem.weight)].T * np.sqrt(problem.weight))
     shared = -wide @ (fit.inverse * problem.prior)
     size = 2 * len(outputs.sensitivity)
     for r, record in enumerate(problem.records):  # weights by each force component alone have effects of their own
-        alone, rows = slice(ROWS * r + OWN, ROWS * (r + 1)), slice(size * r, size * (r + 1))
+        alone, rows = slice(ROWS * r + UNKNOWNS_PER_RECORD, ROWS * (r + 1)), slice(size * r, size * (r + 1))
         projection = _projection(problem, r, vector)[:, None]
         to_load = outputs.inverse[:FORCES] * projection
         by_row[alone, rows] = np.hstack([to_load.real, -to_load.imag])
-        load, _ = weight_load(record, vector[OWN * r : OWN * (r + 1)], outputs.sense)
+        load, _ = weight_load(record, vector[UNKNOWNS_PER_RECORD * r : UNKNOWNS_PER_RECORD * (r + 1)], outputs.sense)
         by_element = outputs.inverse[:FORCES, row] * outputs.u[row, column] * load[column]
         by_head = -0.5j * u_angle * np.conj(load[:FORCES, None]) * np.array([1.0, -1j])
         every = np.hstack([by_element, by_head]) if u_angle > 0.0 else by_element
         shared[alone, own:] = np.real(every * projection)
-        yield Source(f"noise of {record.name}", "A", record.dof, by_row[:, rows] @ covariance_root(record.covariance))
+        yield WeightErrorSource(
+            f"noise of {record.name}", "A", record.dof, by_row[:, rows] @ covariance_root(record.covariance)
+        )
     if problem.departure > 0.0:
         freedom = min(test.dof for test in fit.tests if test.dof > 0.5)
-        yield Source("channels that disagree", "A", freedom, by_row * problem.departures)
+        yield WeightErrorSource("channels that disagree", "A", freedom, by_row * problem.departures)
     ends = own + len(elements)
     if len(elements):
-        yield Source("calibration matrix", "B", np.inf, shared[:, own:ends])
+        yield WeightErrorSource("calibration matrix", "B", np.inf, shared[:, own:ends])
     if u_angle > 0.0:
-        yield Source("angle of the head", "B", np.inf, shared[:, ends:])
-    weak = [OWN * r + place for r in range(count) for place in (1, 2, 3, 5, 6)]
-    yield Source("what no channel tells", "B", np.inf, shared[:, weak] / np.sqrt(problem.prior[weak]))
+        yield WeightErrorSource("angle of the head", "B", np.inf, shared[:, ends:])
+    weak = [UNKNOWNS_PER_RECORD * r + place for r in range(count) for place in (1, 2, 3, 5, 6)]
+    yield WeightErrorSource("what no channel tells", "B", np.inf, shared[:, weak] / np.sqrt(problem.prior[weak]))

@@ -168,12 +168,12 @@ class Numbering:
     """Number of every edge (E,), which are kept (E,) as the period's own, and how many were doubled or spurious."""
 
     number: IntArray
-    kept: BoolArray
+    accepted: BoolArray
     doubled: int
     spurious: int
 
     def __post_init__(self) -> None:
-        check_shape("kept", self.kept, self.number.shape)
+        check_shape("kept", self.accepted, self.number.shape)
 
 
 def number_edges(edges: Edges) -> Numbering:
@@ -271,7 +271,7 @@ def kernel_reach(share: float) -> int:
     return int(np.ceil(0.5 * taps))
 
 
-def resampled(samples: FloatArray, position: FloatArray, share: float = 1.0) -> FloatArray:
+def resample(samples: FloatArray, position: FloatArray, share: float = 1.0) -> FloatArray:
     """Return samples (S,) at fractional positions (T,), counted in samples from the first one.
 
     Convolution with a sinc of the pass band up to half of `share` of the sampling rate, under a Kaiser window (Kaiser

@@ -51,7 +51,7 @@ class Slopes:
     def __post_init__(self) -> None:
         check_shape("weight", self.weight, (len(self.mean), len(self.mean)))
 
-    def applied(self, line: Posterior) -> Posterior:
+    def update(self, line: Posterior) -> Posterior:
         """Return normal lines with this taken for a reading of theirs, by linear least squares."""
         select = np.kron(np.eye(len(self.mean)), [0.0, 1.0])
         cross = line.covariance @ select.T
@@ -67,11 +67,11 @@ class Slopes:
 
 
 def line_posterior(
-    place: FloatArray,
+    position: FloatArray,
     lower: FloatArray,
     upper: FloatArray,
     start: Posterior,
-    least_jitter_s: float,
+    min_jitter_s: float,
     slopes: Slopes | None = None,
 ) -> Posterior:
     """Return what intervals (R, E) in R records say about one line of instants per record.
@@ -89,12 +89,12 @@ def line_posterior(
     """
     width = upper - lower
     most = 3.0 * start.jitter_s + 0.3 * float(np.median(width[np.isfinite(width)]))
-    left = float(np.log(max(most / least_jitter_s, 3.0)))
-    start = start if slopes is None else slopes.applied(start)
-    intervals, line = (place, lower, upper, slopes), (start.mean, start.covariance)
+    left = float(np.log(max(most / min_jitter_s, 3.0)))
+    start = start if slopes is None else slopes.update(start)
+    intervals, line = (position, lower, upper, slopes), (start.mean, start.covariance)
     steps: list[_Step] = []
     while left > 0.0:
-        step = _at_jitter(float(np.log(least_jitter_s)) + left, min(left, _STEP), line, intervals)
+        step = _at_jitter(float(np.log(min_jitter_s)) + left, min(left, _STEP), line, intervals)
         best, line = max([step.log_weight, *(s.log_weight for s in steps)]), (step.mean, step.covariance)
         settled = step.jitter_s < _NO_MATTER * np.sqrt(np.diagonal(step.covariance).min())
         steps.append(replace(step, width=left) if settled else step)

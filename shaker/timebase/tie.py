@@ -7,16 +7,17 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from shaker.arrays import FloatArray, IntArray, Notice, check_shape, check_shapes
+from shaker.arrays import FloatArray, IntArray, check_shape, check_shapes
 from shaker.timebase.intervals import Posterior, Slopes, line_posterior, normal_cdf
 from shaker.timebase.trigger import (
-    CONTRADICTS,
-    LEAST_JITTER,
+    MAX_DISAGREEMENT_SIGMAS,
+    MIN_JITTER,
     RINGING,
     TriggerFit,
     fit_resolved,
     straight_line,
 )
+from shakercal._common.notices import Notice
 
 # Which edges of two records belong together: the whole-period shift and what decides it.
 
@@ -264,7 +265,7 @@ def _from_one_resolved(resolved: TriggerFit, sampled: TriggerFit, here: IntArray
     lower, upper = sampled.lower_s[there], sampled.upper_s[there]
     width = float(np.median(upper - lower))
     start = straight_line(place, (lower + upper) / 2.0, 0.3 * width)
-    return unscale(line_posterior(place, lower[None], upper[None], start, LEAST_JITTER * width))
+    return unscale(line_posterior(place, lower[None], upper[None], start, MIN_JITTER * width))
 
 
 def _from_intervals(
@@ -296,7 +297,7 @@ def _from_intervals(
     covariance = np.block([[own, cross], [cross, second]])
     both = Posterior(np.tile(line, 2), covariance, max(base.jitter_s, other.jitter_s))
     slopes = None if rate is None else _slopes(half, base, rate[0] / start.rate, rate[1] / start.rate)
-    both = line_posterior((numbers - centre) / half, lower, upper, both, LEAST_JITTER * base.resolution_s, slopes)
+    both = line_posterior((numbers - centre) / half, lower, upper, both, MIN_JITTER * base.resolution_s, slopes)
     shifted, tilted = _DIFFERENCE @ both.mean
     # On the base clock: later by shifted + tilted·(time - line[0]) / line[1].
     stretch = 1.0 + tilted / line[1]
@@ -361,7 +362,7 @@ class ClockTie(ClockLine):
         One that contradicts the edges is told and changes nothing.
         """
         both, apart = float(self.covariance[1, 1]) + u_rate**2, rate - self.rate
-        if abs(apart) > CONTRADICTS * np.sqrt(both):
+        if abs(apart) > MAX_DISAGREEMENT_SIGMAS * np.sqrt(both):
             way = "higher" if apart > 0.0 else "lower"
             text = (
                 f"its lines are {abs(apart):.2g} of themselves {way} than the edges of the trigger let expect "
@@ -420,7 +421,7 @@ def tie_clocks(
             f"the start times put edge 0 at edge {by_start} of the first clock, {decided.decided_by} at "
             f"{decided.edges}, which counts; first_edge states it where that is wrong"
         )
-        notices = (Notice("info", text, "clock"),)
+        notices = (Notice("note", text, "clock"),)
     pairs, _, there = np.intersect1d(base.number, other.number + decided.edges, return_indices=True)
     # Always from the coarser to the finer record, so that exchanged roles give the same tie.
     finer = min((base, other), key=lambda fit: (fit.resolution_s, fit.edges, fit.start_s))

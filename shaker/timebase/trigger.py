@@ -9,9 +9,10 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import FloatArray, IntArray, Notice, check_shape, check_shapes
+from shaker.arrays import FloatArray, IntArray, check_shape, check_shapes
 from shaker.timebase.edges import EdgeKind, Edges, find_edges, number_edges
 from shaker.timebase.intervals import Posterior, Slopes, line_posterior
+from shakercal._common.notices import Notice
 
 # Crossings of a resolved rise: what its shape adds to the reconstruction, learnt from all edges.
 
@@ -26,17 +27,17 @@ _RATIO = 3.0  # from one size of the sines to the next
 _LOCKED_SINES = 0.12, 1.5  # of a sample, and power: standard deviations of sines at places too few to learn them
 
 
-def straight_line(place: FloatArray, time_s: FloatArray, least_scatter_s: float = 0.0) -> Posterior:
+def straight_line(position: FloatArray, time_s: FloatArray, min_scatter_s: float = 0.0) -> Posterior:
     """Fit time_s (E,) = m + h·place by least squares.
 
     The jitter is the scatter about the fit, the covariance that for one of at least `least_scatter_s`.
     """
-    columns = np.column_stack([np.ones_like(place), place])
+    columns = np.column_stack([np.ones_like(position), position])
     inverse, centre = np.linalg.inv(columns.T @ columns), float(time_s.mean())
     value = inverse @ (columns.T @ (time_s - centre))
     residual = time_s - centre - columns @ value
     scatter = float(np.sqrt(residual @ residual / max(len(time_s) - 2, 1)))
-    return Posterior(value + np.array([centre, 0.0]), inverse * max(scatter, least_scatter_s) ** 2, scatter)
+    return Posterior(value + np.array([centre, 0.0]), inverse * max(scatter, min_scatter_s) ** 2, scatter)
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ class ResolvedLine:
 
 
 def fit_resolved(
-    time_s: FloatArray, place: FloatArray, rises: Sequence[Rise], least_scatter_s: float = 0.0
+    time_s: FloatArray, position: FloatArray, rises: Sequence[Rise], min_scatter_s: float = 0.0
 ) -> ResolvedLine:
     """Fit time_s (E,) = m + h·place + e_1(φ_1) - e_2(φ_2) with the phases φ (E,) of crossings between two samples.
 
@@ -85,10 +86,10 @@ def fit_resolved(
     would put all of their drift down to the shape. A locked rise is not learnt: what RC inputs would make of the
     line is in its covariance. The second rise is of the clock on which `place` counts.
     """
-    columns = np.column_stack([np.ones_like(place), place])
+    columns = np.column_stack([np.ones_like(position), position])
     inverse = np.linalg.inv(columns.T @ columns)
-    least = max(least_scatter_s, LEAST_JITTER * max(r.sample_s for r in rises))
-    start, unlearnt = straight_line(place, time_s, least), np.zeros((2, 2))
+    least = max(min_scatter_s, MIN_JITTER * max(r.sample_s for r in rises))
+    start, unlearnt = straight_line(position, time_s, least), np.zeros((2, 2))
     for rise in rises:
         if rise.locked:
             tilt = inverse @ (columns.T @ rise.sines) * (_LOCKED_SINES[0] * _ORDER ** -_LOCKED_SINES[1])
@@ -100,7 +101,7 @@ def fit_resolved(
     sines = np.hstack([sign * rise.sines for sign, rise in learnt])
     into_line = inverse @ (columns.T @ sines)
     left, apart = time_s - columns @ start.mean, sines - columns @ into_line
-    normal, right, edges = apart.T @ apart, apart.T @ left, len(place)
+    normal, right, edges = apart.T @ apart, apart.T @ left, len(position)
     # Standard deviations of the a_j over the scatter of the edges, for every size and power.
     low, high = _SMALLEST / max(start.jitter_s, least), _LARGEST / least
     sizes = np.geomspace(low, high, 1 + int(np.ceil(np.log(high / low) / np.log(_RATIO))))
@@ -133,10 +134,10 @@ def fit_resolved(
 
 # The periodic model of a camera trigger: start, period, jitter, missing, doubled and spurious edges.
 
-LEAST_JITTER = 5e-6  # of a sample: 0.1 ns at 51.2 kHz, what a logic output that a quartz drives has at least
+MIN_JITTER = 5e-6  # of a sample: 0.1 ns at 51.2 kHz, what a logic output that a quartz drives has at least
 _IDLE = 1.05  # periods without an edge at an end of the record that show the burst to begin or end there
 _LOCKED = 0.15  # of a sample: no edge over this range of phases once there are enough of them
-CONTRADICTS = 5.0  # standard uncertainties by which two answers to one question may differ
+MAX_DISAGREEMENT_SIGMAS = 5.0  # standard uncertainties by which two answers to one question may differ
 RINGING = 1e-3  # of a sample: interval that the ringing of the pulse's other edge leaves open of a resolved one
 
 
@@ -240,7 +241,7 @@ class TriggerFit:
         period that contradicts the edges is told and changes nothing.
         """
         apart, both = period_s - self.period_s, np.hypot(u_period_s, np.sqrt(self.covariance[1, 1]))
-        if abs(apart) > CONTRADICTS * both:
+        if abs(apart) > MAX_DISAGREEMENT_SIGMAS * both:
             way = "longer" if apart > 0.0 else "shorter"
             text = (
                 f"what its frames show, or other records, says that its period is {abs(apart) / self.period_s:.2g} of "
@@ -257,10 +258,10 @@ class TriggerFit:
         )
         if self.kind == "resolved":  # no one shape of a rise makes both of a slope and of the middle
             covariance = np.diag(covariance.diagonal())
-        line = slopes.applied(Posterior(mean, covariance, self.jitter_s))
+        line = slopes.update(Posterior(mean, covariance, self.jitter_s))
         if self.kind == "sampled":
             intervals = (number - half) / half, self.lower_s[None], self.upper_s[None]
-            line = line_posterior(*intervals, line, LEAST_JITTER * self.sample_s, slopes)
+            line = line_posterior(*intervals, line, MIN_JITTER * self.sample_s, slopes)
         jacobian = np.array([[1.0, -1.0], [0.0, 1.0 / half]])
         start, period = jacobian @ line.mean
         fit = replace(
@@ -274,7 +275,7 @@ class TriggerFit:
         )
         return replace(fit, notices=_notices(fit))
 
-    def later_by(self, lag_s: float) -> TriggerFit:
+    def delay_by(self, lag_s: float) -> TriggerFit:
         """Return the same trigger on a time axis on which it comes `lag_s` later."""
         return replace(
             self,
@@ -303,7 +304,7 @@ def fit_trigger(edges: Edges) -> TriggerFit:
     43 edges, 21.30 Hz
     """
     numbering = number_edges(edges)
-    kept = numbering.kept
+    kept = numbering.accepted
     n = numbering.number[kept] - numbering.number[kept][0]
     lower, upper, estimate = edges.lower_s[kept], edges.upper_s[kept], edges.estimate_s[kept]
     half = n[-1] / 2.0
@@ -326,7 +327,7 @@ def fit_trigger(edges: Edges) -> TriggerFit:
         more = (RINGING * sample) ** 2 / 12.0
         open_s = float(np.sqrt(12.0 * (more + max(line.covariance[0, 0] - found.noise[0, 0], 0.0))))
     else:
-        line, resolution = line_posterior(place, lower[None], upper[None], rough, LEAST_JITTER * sample), sample
+        line, resolution = line_posterior(place, lower[None], upper[None], rough, MIN_JITTER * sample), sample
         # A gap is open in all instants alike where the period is a simple multiple of the sampling interval. Intervals
         # take any period for as likely: of the two answers the larger one counts.
         open_s = sample * _locked(n, line.mean[1] / half / sample, line.jitter_s / sample)
@@ -384,14 +385,14 @@ def _notices(fit: TriggerFit) -> tuple[Notice, ...]:
     if fit.known_period_s:
         period, u = fit.known_period_s
         text = f"its edges leave its period open; what its frames show, or other records, tells it to {u / period:.2g}"
-        notices.append(Notice("info", f"{text} of itself (standard uncertainty)", "trigger"))
+        notices.append(Notice("note", f"{text} of itself (standard uncertainty)", "trigger"))
     if fit.locked:
         u_middle = float(fit.u_time_s(np.asarray(fit.edges // 2)))
         text = (
             f"the edges always fall on the same places between two samples, which leaves their instants open to "
             f"{u_middle * 1e6:.2g} us; a period that is no simple multiple of the sampling interval removes this"
         )
-        notices.append(Notice("info", text, "trigger"))
+        notices.append(Notice("note", text, "trigger"))
     return tuple(notices)
 
 
@@ -420,7 +421,7 @@ def pulse_width(
     sample_rate_hz: float,
     threshold: float | None = None,
     edge: Literal["rising", "falling"] = "rising",
-    begun: TriggerFit | None = None,
+    begin_fit: TriggerFit | None = None,
 ) -> PulseWidth:
     """Measure the width of the pulses that begin with `edge` in samples (S,), where they cross `threshold`.
 
@@ -437,7 +438,7 @@ def pulse_width(
     low, high = float(np.median(samples[~above])), float(np.median(samples[above]))
     level = (low + high) / 2.0 if threshold is None else threshold
     edges = find_edges(samples, sample_rate_hz, level, edge)
-    begin = begun
+    begin = begin_fit
     if begin is None or not (begin.kind == edges.kind == "sampled" and np.array_equal(begin.upper_s, edges.upper_s)):
         begin = fit_trigger(edges)
     end = fit_trigger(find_edges(samples, sample_rate_hz, level, ends))

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 from evaluation_factory import Choice, make_evaluation
-from recordings import once
-from support import DOCS, Refused, examples, refusals, without_pages
+from recordings import make_once
+from support import DOCS, RefusedCommand, examples, refusals, without_pages
 
 from fusion import simulate_preset
 from fusion.base import Settings, versions
@@ -19,7 +19,7 @@ from fusion.campaign.executor import one_blas_thread
 from fusion.cli import main
 from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.sensitivity.analyse import Evaluation
-from fusion.sensitivity.evaluate import evaluate_recording
+from fusion.sensitivity.recording_evaluation import evaluate_recording
 
 FILES = (
     *(f"{folder}/{frame:04d}.tif" for folder in ("top-left", "top-right") for frame in range(3)),
@@ -107,7 +107,7 @@ def demo_evaluation(demo_recording: Path, tmp_path_factory: pytest.TempPathFacto
         with one_blas_thread():
             return evaluate_recording(load_manifest(find_recordings(demo_recording)[0]), Settings(), {})
 
-    return once(tmp_path_factory, "demo", evaluate)
+    return make_once(tmp_path_factory, "demo", evaluate)
 
 
 COMMANDS = {
@@ -134,7 +134,7 @@ def commanded(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]
             assert main([COMMANDS[preset], str(source), "-q"]) == 0
             return folder
 
-        return once(tmp_path_factory, f"preset-{preset}", write)
+        return make_once(tmp_path_factory, f"preset-{preset}", write)
 
     return made
 
@@ -165,6 +165,6 @@ def no_pages(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def refused(capsys: pytest.CaptureFixture[str]) -> Refused:
+def refused(capsys: pytest.CaptureFixture[str]) -> RefusedCommand:
     """Run a command that refuses its input, and return the one sentence that it says."""
     return refusals(capsys)

@@ -17,19 +17,19 @@ import numpy as np
 import pytest
 from alignment_factory import BODY_M, TARGET, World, between, displaced, face, make_world, target_pose
 from pydantic import BaseModel
-from support import DOCS, Refused, complex_of, examples, key_tables, told_keys, truth_of
+from support import DOCS, RefusedCommand, complex_of, documented_keys, examples, key_tables, truth_of
 
 from fusion.cameras.align import _axis
 from fusion.cameras.align_manifest import (
     AlignmentFile,
     AxisBlock,
+    CalibratedPair,
     CommonView,
-    Face,
-    KnownPose,
-    Motion,
+    FaceBlock,
+    MotionBlock,
     OtherPair,
-    Pair,
-    Point,
+    PointBlock,
+    PosePriorBlock,
     TargetBlock,
     TargetViewBlock,
     read_alignment,
@@ -37,27 +37,27 @@ from fusion.cameras.align_manifest import (
 from fusion.cli import main
 from fusion.recording.rig import Stereo
 from fusion.recording.toml import to_toml
-from photogram.alignment.evidence import calibration_steps
-from photogram.alignment.solve import align
-from photogram.calibration.file import write_calibration, write_camera
+from photogram.alignment.alignment_evidence import calibration_steps
+from photogram.alignment.pose_estimation import align
+from photogram.calibration.calibration_file import write_calibration, write_camera
 from photogram.camera import triangulate
 from photogram.geometry import RigidTransform, rotation_from_vector, vector_from_rotation
 from photogram.motion import fit_motion
 from photogram.synthetic.board import Board, render_board
-from photogram.targets.view import TargetView
+from photogram.targets.target_view import TargetView
 
 DOC = (DOCS / "cameras.md").read_text(encoding="utf-8")
 SECTION = DOC[DOC.index("## The camera frame in the sensor frame") :].split("\n## ")[0]
 MODELS: dict[str, type[BaseModel]] = {
     "Top level": AlignmentFile,
-    "`[pose]`": KnownPose,
+    "`[pose]`": PosePriorBlock,
     "`[target]`": TargetBlock,
     "`[other]`": OtherPair,
-    "`[[point]]`": Point,
-    "`[[face]]`": Face,
+    "`[[point]]`": PointBlock,
+    "`[[face]]`": FaceBlock,
     "`[[target_view]]`": TargetViewBlock,
     "`[[common_view]]`": CommonView,
-    "`[[motion]]`": Motion,
+    "`[[motion]]`": MotionBlock,
     "`[[axis]]`": AxisBlock,
 }
 WRONG_RAD = np.array([3.2e-3, -3.0e-3, 2.4e-3])
@@ -131,7 +131,7 @@ def alone(folder: Path, world: World, **blocks: Any) -> Path:
 
 
 def test_a_camera_alone_is_placed_by_fiducials_and_told_what_it_cannot_see(
-    tmp_path: Path, aligned: Aligned, refused: Refused
+    tmp_path: Path, aligned: Aligned, refused: RefusedCommand
 ) -> None:
     world = make_world(1)
     seen = [{key: value for key, value in point.items() if key != "right"} for point in fiducials(world)]
@@ -176,7 +176,7 @@ def test_a_datum_adds_to_the_uncertainty(tmp_path: Path, aligned: Aligned) -> No
     np.testing.assert_allclose(within**2 - without**2, datum**2, rtol=2e-2, atol=3e-11)
 
 
-def test_what_is_open_is_told_in_one_sentence(tmp_path: Path, refused: Refused) -> None:
+def test_what_is_open_is_told_in_one_sentence(tmp_path: Path, refused: RefusedCommand) -> None:
     world = make_world(4)
     points = fiducials(world, 2)
     pose = displaced(world.sensor_from_camera, np.full(6, 1e-3))
@@ -189,7 +189,9 @@ def test_what_is_open_is_told_in_one_sentence(tmp_path: Path, refused: Refused) 
     assert not output.exists()
 
 
-def test_an_output_that_is_there_is_refused_without_force(tmp_path: Path, aligned: Aligned, refused: Refused) -> None:
+def test_an_output_that_is_there_is_refused_without_force(
+    tmp_path: Path, aligned: Aligned, refused: RefusedCommand
+) -> None:
     world, output = make_world(5), tmp_path / "pose.toml"
     path = write(tmp_path, world, point=fiducials(world))
     output.write_text("mine", encoding="utf-8")
@@ -237,7 +239,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("name", list(WRONG))
-def test_wrong_input_is_told_in_one_sentence(name: str, tmp_path: Path, refused: Refused) -> None:
+def test_wrong_input_is_told_in_one_sentence(name: str, tmp_path: Path, refused: RefusedCommand) -> None:
     blocks, expected = WRONG[name]
     world = make_world(6)
     points = fiducials(world, 3)
@@ -246,7 +248,7 @@ def test_wrong_input_is_told_in_one_sentence(name: str, tmp_path: Path, refused:
 
 
 def test_every_key_stands_in_the_document() -> None:
-    assert key_tables(SECTION[SECTION.index("### Every key") :], "####") == told_keys(MODELS)
+    assert key_tables(SECTION[SECTION.index("### Every key") :], "####") == documented_keys(MODELS)
 
 
 @pytest.mark.parametrize("number", range(3))
@@ -270,7 +272,7 @@ class Pictures:
     def __init__(self, folder: Path, patch: pytest.MonkeyPatch, rendered: bool) -> None:
         self.folder, self.rendered, self.views = folder, rendered, dict[str, TargetView]()
         if not rendered:
-            patch.setattr("fusion.cameras.align_manifest.read_picture", lambda path: (path.read_text(), 1.0))
+            patch.setattr("fusion.cameras.align_manifest.read_image", lambda path: (path.read_text(), 1.0))
             patch.setattr("fusion.cameras.align_manifest.find_target", lambda name, *_: self.views[name])
 
     def take(self, name: str, world: World, left_from_target: RigidTransform) -> dict[str, str]:
@@ -386,7 +388,7 @@ def test_two_axes_place_the_camera() -> None:
     normalised = []
     for seed in range(2):
         world = make_world(seed)
-        pair = Pair(world.rig, calibration_steps(world.rig))
+        pair = CalibratedPair(world.rig, calibration_steps(world.rig))
         evidence = []
         for name, direction in zip("xy", np.eye(3), strict=False):
             place = np.array([0.0, 0.01, 0.02])

@@ -11,10 +11,10 @@ from instrument_factory import TRUTH, moving
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
-from fusion.base import InputError
+from fusion.errors import InputError
 from fusion.recording.load import load_manifest
-from fusion.sensitivity.body import Body, Part, load_body, make_joint, make_part
-from fusion.sensitivity.load import LoadResult, load_phasors
+from fusion.sensitivity.load_phasors import LoadResult, load_phasors
+from fusion.sensitivity.moving_body import Body, MovingPart, load_body, make_joint, make_moving_part
 from fusion.simulate.preset import Preset, face_of, nominal_rig, read_preset
 from fusion.simulate.world import Draws
 from photogram.subsets.texture import textured_area
@@ -28,13 +28,13 @@ def cloud(seed: int) -> tuple[np.ndarray, np.ndarray]:
     return rng.uniform(0.1, 1.0, 12), rng.uniform(-0.1, 0.1, (12, 3)) + np.array([0.01, -0.02, 0.05])
 
 
-def part_of(mass: np.ndarray, place: np.ndarray, name: str = "cloud", u: tuple = (0.0, 0.0, 0.0)) -> Part:
+def part_of(mass: np.ndarray, place: np.ndarray, name: str = "cloud", u: tuple = (0.0, 0.0, 0.0)) -> MovingPart:
     centre = mass @ place / mass.sum()
     arm = place - centre
     inertia = np.einsum(
         "n,nij->ij", mass, np.sum(arm**2, 1)[:, None, None] * np.eye(3) - arm[:, :, None] * arm[:, None]
     )
-    return make_part(name, mass.sum(), centre, inertia, u)
+    return make_moving_part(name, mass.sum(), centre, inertia, u)
 
 
 def test_kinetic_energy_of_point_masses_and_of_parts():
@@ -102,8 +102,8 @@ def test_parameter_changes_are_derivatives(gravity, air_share):
 
 def test_refusals_name_the_argument():
     told = r"centre_of_mass_m: expected an array of shape \(3\), found \(2,\)"
-    refused(told, make_part, "p", 1.0, [0.0, 0.0], np.zeros((3, 3)))
-    refused("symmetric", make_part, "p", 1.0, np.zeros(3), [[0, 1e-3, 0], [0, 0, 0], [0, 0, 0]])
+    refused(told, make_moving_part, "p", 1.0, [0.0, 0.0], np.zeros((3, 3)))
+    refused("symmetric", make_moving_part, "p", 1.0, np.zeros(3), [[0, 1e-3, 0], [0, 0, 0], [0, 0, 0]])
 
 
 FREQUENCY = np.array([106.25, 1000.0])
@@ -114,7 +114,7 @@ LOWER = ("internal mass", 0.77, [0.0, 1e-3, -0.01], np.diag([1e-4, 1e-4, 2e-4]))
 
 
 def load_on(frequency: float, u: float = 0.0, damping: float = 0.0) -> LoadResult:
-    parts = make_part(*UPPER), make_part(*LOWER, below_joint=True)
+    parts = make_moving_part(*UPPER), make_moving_part(*LOWER, below_joint=True)
     return load_phasors(MOVING, Body(parts, make_joint(frequency, u, damping), PULL))
 
 
@@ -134,8 +134,8 @@ def test_force_below_an_elastic_joint_is_that_of_a_chain_of_two_masses():
         _, above = np.linalg.solve(chain, [1.0, 0.0])
         force[line] = 1.0 / (-(w**2) * above) * TRUTH[line, 2]
     parts = (
-        make_part("load", upper, [0, 0, 0], np.zeros((3, 3))),
-        make_part("m", lower, [0, 0, 0], np.zeros((3, 3)), below_joint=True),
+        make_moving_part("load", upper, [0, 0, 0], np.zeros((3, 3))),
+        make_moving_part("m", lower, [0, 0, 0], np.zeros((3, 3)), below_joint=True),
     )
     found = load_phasors(MOVING, Body(parts, make_joint(resonance, 10.0, damping)))
     np.testing.assert_allclose(found.value[:, 2], force, rtol=1e-12)
@@ -165,7 +165,7 @@ def test_weight_in_air_and_the_air_moved_along():
     # A cube of 1 kg/dm³ in air of 1.2 kg/m³: tilted, it is carried by 0.9988 of its weight; moved, it takes air along.
     share = 1.2 / 1000.0
     cube = "load", 2.0, [0.0, 0.0, 0.04], np.zeros((3, 3))
-    body, bare = (Body((make_part(*cube, air_share=s),), gravity_mps2=PULL) for s in (share, 0.0))
+    body, bare = (Body((make_moving_part(*cube, air_share=s),), gravity_mps2=PULL) for s in (share, 0.0))
     tilt, expected = (b.load_matrix(FREQUENCY) - b.weightless.load_matrix(FREQUENCY) for b in (body, bare))
     np.testing.assert_allclose(tilt, (1.0 - share) * expected, rtol=1e-12, atol=1e-14)
     np.testing.assert_allclose(body.mass_matrix, bare.mass_matrix * (1.0 + 0.5 * share), rtol=1e-12)
@@ -176,7 +176,7 @@ def test_weight_in_air_and_the_air_moved_along():
 
 
 def test_uncertain_gravity_acts_through_the_tilt_only():
-    parts = make_part(*UPPER), make_part(*LOWER, below_joint=True)
+    parts = make_moving_part(*UPPER), make_moving_part(*LOWER, below_joint=True)
     for joint in (None, make_joint(3500.0, 50.0)):
         body = Body(parts, joint, PULL, (0.02, 0.0, 0.01))
         base = load_phasors(MOVING, body)
@@ -190,14 +190,14 @@ def test_uncertain_gravity_acts_through_the_tilt_only():
 
 def test_names_tell_another_load_and_another_place_from_the_same():
     def names(mass: float, height: float) -> set[str]:
-        part = make_part("load", mass, [0.0, 0.0, height], np.eye(3), (1e-3, 1e-4, 1e-5))
+        part = make_moving_part("load", mass, [0.0, 0.0, height], np.eye(3), (1e-3, 1e-4, 1e-5))
         return {change.name for change in Body((part,)).matrix_changes(FREQUENCY)}
 
     assert names(7.0, 0.05) == names(7.0, 0.05)
     assert not names(7.0, 0.05) & names(3.0, 0.05)
     moved = names(7.0, 0.05) & names(7.0, 0.06)
     assert len(moved) == 7  # the mass and six elements of the inertia
-    scopes = {c.label: c.scope for c in Body((make_part(*UPPER, (1e-3, 1e-4, 1e-5)),)).matrix_changes(FREQUENCY)}
+    scopes = {c.label: c.scope for c in Body((make_moving_part(*UPPER, (1e-3, 1e-4, 1e-5)),)).matrix_changes(FREQUENCY)}
     assert scopes == {"load: mass": "rig", "load: centre of mass": "mounting", "load: inertia": "rig"}
 
 

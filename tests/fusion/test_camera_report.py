@@ -13,9 +13,9 @@ from calibration_factory import SIZE_PX, SPACING_M, Session, make_calibration
 from contracts import refused
 from page_outline import outline, self_contained
 
-from fusion.cameras import quantities
-from fusion.cameras.figures import draw_coverage, draw_pictures, draw_views
-from fusion.cameras.report import (
+from fusion.cameras import camera_quantities
+from fusion.cameras.camera_figures import draw_coverage, draw_image_residuals, draw_views
+from fusion.cameras.camera_report import (
     camera_headlines,
     correlations_table,
     dropped_table,
@@ -25,12 +25,12 @@ from fusion.cameras.report import (
     verdict,
     views_table,
 )
+from fusion.report.figure_files import render_figure
 from fusion.report.folder import Provenance
-from fusion.report.printed import printed
-from photogram.arrays import Notice
-from photogram.calibration.result import CalibratedPicture, CalibratedView, Calibration, Dropped
+from photogram.calibration.calibration_result import CalibratedImage, CalibratedView, Calibration, Rejection
 from photogram.camera import RIG_PARAMETERS, StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector
+from shakercal._common.notices import Notice
 
 DRAWS = 4000
 PROVENANCE = Provenance({"left-01.tif": "ab" * 32}, {"target": "dots"}, {"shakercal": "0.1.0"}, ("top.json",))
@@ -45,7 +45,7 @@ def calibration() -> Calibration:
 def draws(calibration: Calibration) -> list[StereoRig]:
     """Rigs within the covariance of the calibrated one."""
     rng = np.random.default_rng(1)
-    covariance = quantities.covariance_of(calibration.rig)[:24, :24]
+    covariance = camera_quantities.covariance_of(calibration.rig)[:24, :24]
     u = np.sqrt(np.diagonal(covariance))
     deltas = rng.multivariate_normal(np.zeros(24), covariance / np.outer(u, u), DRAWS) * u
     return [calibration.rig.perturbed(delta) for delta in deltas]
@@ -54,7 +54,7 @@ def draws(calibration: Calibration) -> list[StereoRig]:
 def test_baseline_and_angle_scatter_as_stated_also_of_parallel_axes(
     calibration: Calibration, draws: list[StereoRig]
 ) -> None:
-    baseline, angle = quantities.baseline_m(calibration.rig), quantities.axes_angle_rad(calibration.rig)
+    baseline, angle = camera_quantities.baseline_m(calibration.rig), camera_quantities.axes_angle_rad(calibration.rig)
     lengths = [np.linalg.norm(rig.right_from_left.translation_m) for rig in draws]
     angles = [np.arccos(rig.right_from_left.rotation[2, 2]) for rig in draws]
     assert baseline.value == pytest.approx(np.linalg.norm([0.168, -0.003, 0.036]), abs=4 * baseline.u)
@@ -62,9 +62,9 @@ def test_baseline_and_angle_scatter_as_stated_also_of_parallel_axes(
     assert angle.value == pytest.approx(np.linalg.norm([0.011, 0.42]), abs=4 * angle.u + 1e-4)
     assert angle.u == pytest.approx(np.std(angles), rel=0.06)
     parallel = replace(calibration.rig, right_from_left=RigidTransform(np.eye(3), np.array([-0.1, 0, 0])))
-    angle = quantities.axes_angle_rad(parallel)
+    angle = camera_quantities.axes_angle_rad(parallel)
     assert angle.value == 0.0
-    assert angle.u >= np.sqrt(np.diagonal(quantities.covariance_of(parallel))[18:20]).max()
+    assert angle.u >= np.sqrt(np.diagonal(camera_quantities.covariance_of(parallel))[18:20]).max()
 
 
 def test_distance_scatters_as_stated(calibration: Calibration) -> None:
@@ -78,18 +78,18 @@ def test_distance_scatters_as_stated(calibration: Calibration) -> None:
         + delta[:3]
         for delta in deltas
     ]
-    distance = quantities.distance_m(calibration, view)
+    distance = camera_quantities.distance_m(calibration, view)
     assert distance.value == pytest.approx(np.linalg.norm(view.left_from_target.apply(middle)))
     assert distance.u == pytest.approx(np.std(np.linalg.norm(places, axis=1)), rel=0.06)
 
 
 def test_distortion_is_that_of_opencv_and_scatters_as_stated(calibration: Calibration, draws: list[StereoRig]) -> None:
-    field, camera = quantities.distortion(calibration, "right", columns=7), calibration.rig.right
+    field, camera = camera_quantities.distortion(calibration, "right", columns=7), calibration.rig.right
     ideal = (field.pixel - field.displacement_px).reshape(-1, 2)
     rays = np.column_stack([(ideal - camera.matrix[:2, 2]) / np.diagonal(camera.matrix)[:2], np.ones(len(ideal))])
     pixel, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), camera.matrix, camera.distortion)
     np.testing.assert_allclose(pixel.reshape(field.pixel.shape), field.pixel, atol=1e-6)
-    field = quantities.distortion(calibration, "left", columns=9)
+    field = camera_quantities.distortion(calibration, "left", columns=9)
     corner = field.pixel[0, 0]
     moved = []
     for rig in draws:
@@ -101,14 +101,14 @@ def test_distortion_is_that_of_opencv_and_scatters_as_stated(calibration: Calibr
 
 
 def test_lengths_scale_with_the_baseline_and_depth_is_less_certain(calibration: Calibration) -> None:
-    across, down, away = quantities.length_u(calibration)
+    across, down, away = camera_quantities.length_u(calibration)
     assert calibration.scale_u < min(across, down)
     assert away > 1.5 * across
     assert all(float(row[1]) > 200 * calibration.scale_u for row in lengths_table(calibration).rows)
     baseline = np.zeros(24)
     baseline[21:] = calibration.rig.right_from_left.translation_m
     rig = replace(calibration.rig, covariance=1e-4**2 * np.outer(baseline, baseline))
-    found = quantities.length_u(replace(calibration, rig=rig))
+    found = camera_quantities.length_u(replace(calibration, rig=rig))
     np.testing.assert_allclose(found, 1e-4, rtol=1e-6)
 
 
@@ -117,7 +117,7 @@ def test_systematic_part_of_residuals_is_told_from_noise() -> None:
     position = rng.uniform(0, 2000, (20000, 2))
     noise = rng.normal(0.0, 0.2, position.shape)
     pattern = 0.05 * np.sign(np.sin(2 * np.pi * (position + 0.5) / 400.0))
-    plain, wavy = (quantities.residual_map(position, residual, 100.0) for residual in (noise, noise + pattern))
+    plain, wavy = (camera_quantities.residual_map(position, residual, 100.0) for residual in (noise, noise + pattern))
     assert plain.systematic_px < 0.01
     assert wavy.systematic_px == pytest.approx(0.05 * np.sqrt(2), rel=0.06)
     assert wavy.within_px == pytest.approx(0.2 * np.sqrt(2), rel=0.02)
@@ -129,7 +129,7 @@ def test_errors_of_the_print_are_told_from_those_of_the_lens(calibration: Calibr
     rng = np.random.default_rng(4)
     shift = dict(zip(map(tuple, calibration.shape_index), rng.normal(0.0, 10e-6, (567, 2)), strict=True))
 
-    def moved(view: CalibratedView, side: int, picture: CalibratedPicture | None) -> CalibratedPicture | None:
+    def moved(view: CalibratedView, side: int, picture: CalibratedImage | None) -> CalibratedImage | None:
         if picture is None:
             return None
         flat = np.zeros((2, len(picture.index), 3))
@@ -141,68 +141,68 @@ def test_errors_of_the_print_are_told_from_those_of_the_lens(calibration: Calibr
     views = tuple(
         replace(view, left=moved(view, 0, view.left), right=moved(view, 1, view.right)) for view in calibration.views
     )
-    for side in quantities.SIDES:
-        found = quantities.residual_parts(replace(calibration, views=views), side)
+    for side in camera_quantities.SIDES:
+        found = camera_quantities.residual_parts(replace(calibration, views=views), side)
         assert found.point_m == pytest.approx(10e-6 * np.sqrt(2), rel=0.06)
         assert found.whole_px == pytest.approx(np.hypot(found.point_px, 0.02 * np.sqrt(2)), rel=0.02)
-        assert found.place_px < 0.2 * found.point_px
+        assert found.position_px < 0.2 * found.point_px
         assert found.smooth_px < 0.2 * found.point_px
 
 
 def test_residuals_of_a_lens_that_the_model_does_not_follow(calibration: Calibration) -> None:
     plain = make_calibration(Session(unmodelled_px=0.0))
-    for side in quantities.SIDES:
-        wavy, noise = quantities.residual_parts(calibration, side), quantities.residual_parts(plain, side)
+    for side in camera_quantities.SIDES:
+        wavy, noise = camera_quantities.residual_parts(calibration, side), camera_quantities.residual_parts(plain, side)
         assert noise.alone_px == pytest.approx(0.12 * np.sqrt(2), rel=0.03)
-        assert max(noise.place_px, noise.point_px, noise.smooth_px) < 0.02
-        assert 0.06 < wavy.place_px <= wavy.smooth_px < 0.15
+        assert max(noise.position_px, noise.point_px, noise.smooth_px) < 0.02
+        assert 0.06 < wavy.position_px <= wavy.smooth_px < 0.15
         assert wavy.point_px < 0.02
 
 
 def test_tilt_has_angle_and_direction(calibration: Calibration) -> None:
-    tilts = quantities.tilts_rad(calibration)
+    tilts = camera_quantities.tilts_rad(calibration)
     angle = [np.arccos(abs(view.left_from_target.rotation[2, 2])) for view in calibration.views]
     np.testing.assert_allclose(np.linalg.norm(tilts, axis=1), angle, atol=1e-9)
     facing = rotation_from_vector(np.array([np.pi, 0.0, 0.0]))
     right = rotation_from_vector(np.array([0.0, -0.3, 0.0])) @ facing  # the normal −z turns towards +x
     pose = RigidTransform(right, np.array([0.0, 0.0, 0.4]))
     one = replace(calibration, views=(replace(calibration.views[0], left_from_target=pose),))
-    np.testing.assert_allclose(quantities.tilts_rad(one), [[0.3, 0.0]], atol=1e-12)
+    np.testing.assert_allclose(camera_quantities.tilts_rad(one), [[0.3, 0.0]], atol=1e-12)
     behind = replace(one.views[0], left_from_target=RigidTransform(right @ facing, pose.translation_m))
-    np.testing.assert_allclose(quantities.tilts_rad(replace(one, views=(behind,))), [[0.3, 0.0]], atol=1e-12)
+    np.testing.assert_allclose(camera_quantities.tilts_rad(replace(one, views=(behind,))), [[0.3, 0.0]], atol=1e-12)
 
 
-@pytest.mark.parametrize("side", quantities.SIDES)
-def test_empty_cells_are_what_is_not_covered(calibration: Calibration, side: quantities.Side) -> None:
-    position, residual, view = quantities.used_points(calibration, side)
-    cells = quantities.empty_cells(position, SIZE_PX)
+@pytest.mark.parametrize("side", camera_quantities.SIDES)
+def test_empty_cells_are_what_is_not_covered(calibration: Calibration, side: camera_quantities.Side) -> None:
+    position, residual, view = camera_quantities.used_points(calibration, side)
+    cells = camera_quantities.empty_cells(position, SIZE_PX)
     area = ((cells[:, 2] - cells[:, 0]) * (cells[:, 3] - cells[:, 1])).sum() / SIZE_PX.prod()
-    assert area == pytest.approx(1 - calibration.covered[quantities.SIDES.index(side)])
+    assert area == pytest.approx(1 - calibration.coverage[camera_quantities.SIDES.index(side)])
     assert len(position) == len(residual) == len(view)
     rms = np.sqrt((residual**2).sum(axis=1).mean())
-    assert rms == pytest.approx(calibration.rms_sides_px[quantities.SIDES.index(side)])
+    assert rms == pytest.approx(calibration.rms_sides_px[camera_quantities.SIDES.index(side)])
 
 
 def test_shape_is_laid_onto_its_lattice(calibration: Calibration) -> None:
-    shape = quantities.target_shape(calibration)
+    shape = camera_quantities.target_shape(calibration)
     assert shape is not None
     assert np.ptp(shape.height_m) == pytest.approx(60e-6, rel=1e-3)
     assert abs(shape.height_m.mean()) < 1e-9
     moved = RigidTransform.from_pose(np.array([1e-3, 2e-3, 3e-3, 0.01, -0.02, 0.03]))
-    again = quantities.target_shape(replace(calibration, shape_m=moved.apply(calibration.shape_m)))
+    again = camera_quantities.target_shape(replace(calibration, shape_m=moved.apply(calibration.shape_m)))
     assert again is not None
     np.testing.assert_allclose(again.height_m, shape.height_m, atol=1e-12)
-    assert quantities.target_shape(make_calibration(Session(views=4, bow_m=0.0))) is None
+    assert camera_quantities.target_shape(make_calibration(Session(views=4, bow_m=0.0))) is None
 
 
 def test_correlations_are_sorted_and_none_without_uncertainty(calibration: Calibration) -> None:
     strongest = [abs(float(row[2].replace("−", "-"))) for row in correlations_table(calibration).rows]
     assert strongest == sorted(strongest, reverse=True)
     assert strongest[0] > 0.9
-    refused("covariance", quantities.covariance_of, replace(calibration.rig, covariance=None))
-    covariance = quantities.covariance_of(calibration.rig).copy()
+    refused("covariance", camera_quantities.covariance_of, replace(calibration.rig, covariance=None))
+    covariance = camera_quantities.covariance_of(calibration.rig).copy()
     covariance[8], covariance[:, 8] = 0.0, 0.0
-    found, held = quantities.correlation(covariance), [8, *range(24, 32)]
+    found, held = camera_quantities.correlation(covariance), [8, *range(24, 32)]
     assert np.isnan(found[held]).all()
     np.testing.assert_allclose(np.delete(np.diagonal(found), held), 1.0)
 
@@ -305,9 +305,9 @@ def test_flat_target_missing_pictures_and_odd_names_still_have_a_page() -> None:
 
 def test_figures_of_a_long_session_with_many_dropped_pictures_are_the_same_each_time() -> None:
     made = make_calibration(Session(views=24, missing_right=()))
-    many = tuple(Dropped(f"picture-{n:03d}.tif", 0, "blurred") for n in range(12))
+    many = tuple(Rejection(f"picture-{n:03d}.tif", 0, "blurred") for n in range(12))
     changed = replace(made, dropped=many)
-    for draw in (draw_coverage, draw_views, draw_pictures):
-        svg = printed(draw(changed))
+    for draw in (draw_coverage, draw_views, draw_image_residuals):
+        svg = render_figure(draw(changed))
         assert svg.startswith(b"<?xml")
-        assert svg == printed(draw(changed))
+        assert svg == render_figure(draw(changed))

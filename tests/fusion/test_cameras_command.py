@@ -12,13 +12,13 @@ import cv2
 import numpy as np
 import pytest
 from alignment_factory import rig_error
-from support import Refused
+from support import RefusedCommand
 
 from fusion.cli import main
 from fusion.commands.options import EXIT_DONE, in_metres, length
 from fusion.simulate.preset import read_preset
 from fusion.simulate.statics import SessionPreset
-from photogram.calibration.file import read_calibration, read_camera
+from photogram.calibration.calibration_file import read_calibration, read_camera
 from photogram.geometry import RigidTransform
 from photogram.synthetic.board import random_poses, random_rig, render_board
 
@@ -71,7 +71,7 @@ def test_the_true_pair_comes_back(session: tuple[Path, object], pictures: Path, 
 
 
 def test_a_picture_that_cannot_be_read_is_left_out_by_name_and_a_known_length_sets_the_scale(
-    pictures: Path, capsys: Capture, refused: Refused
+    pictures: Path, capsys: Capture, refused: RefusedCommand
 ) -> None:
     for picture in (*pictures.glob("*/13.png"), *pictures.glob("*/14.png")):
         picture.unlink()
@@ -110,7 +110,9 @@ def test_a_spacing_with_its_unit_and_cameras_of_two_sizes(session: tuple[Path, o
         ("9e-6", "of a target 9.9e-05 m long"),
     ],
 )
-def test_a_spacing_that_no_target_has_needs_its_unit(pictures: Path, refused: Refused, spacing: str, told: str) -> None:
+def test_a_spacing_that_no_target_has_needs_its_unit(
+    pictures: Path, refused: RefusedCommand, spacing: str, told: str
+) -> None:
     assert told in refused(*[spacing if text == "9e-3" else text for text in _command(pictures, "-q")])
     assert not list(pictures.glob("top.*"))
 
@@ -139,7 +141,7 @@ def test_what_is_no_length_is_refused(text: str) -> None:
 
 
 def test_a_single_camera_comes_back(
-    session: tuple[Path, object], pictures: Path, capsys: Capture, refused: Refused
+    session: tuple[Path, object], pictures: Path, capsys: Capture, refused: RefusedCommand
 ) -> None:
     command = ["cameras", str(pictures / "left"), *TARGET, "--mono", "-o", str(pictures / "left.json"), "-q"]
     assert main(command) == EXIT_DONE
@@ -189,7 +191,9 @@ def test_spoilt_pictures_are_named_with_the_reason_and_left_out(pictures: Path, 
         assert reason in line
 
 
-def test_no_calibration_from_spoilt_pictures_and_an_earlier_one_is_kept(pictures: Path, refused: Refused) -> None:
+def test_no_calibration_from_spoilt_pictures_and_an_earlier_one_is_kept(
+    pictures: Path, refused: RefusedCommand
+) -> None:
     reasons = _spoil(pictures, range(8, 8 + VIEWS))
     told = refused(*_command(pictures, "-q"))
     assert f"0 usable of {VIEWS} left pictures" in told
@@ -214,7 +218,7 @@ def test_no_calibration_from_spoilt_pictures_and_an_earlier_one_is_kept(pictures
     ],
 )
 def test_wrong_arguments_get_one_sentence(
-    pictures: Path, refused: Refused, monkeypatch: pytest.MonkeyPatch, arguments: list[str], told: str
+    pictures: Path, refused: RefusedCommand, monkeypatch: pytest.MonkeyPatch, arguments: list[str], told: str
 ) -> None:
     monkeypatch.chdir(pictures)
     assert told in refused("cameras", *arguments, "-o", "top.json", "-q")
@@ -250,7 +254,7 @@ def opencv_file(tmp_path: Path) -> Path:
 
 
 def test_a_calibration_is_written_and_explained(
-    opencv_file: Path, tmp_path: Path, capsys: Capture, refused: Refused
+    opencv_file: Path, tmp_path: Path, capsys: Capture, refused: RefusedCommand
 ) -> None:
     output = tmp_path / "top.json"
     command = ["import-calibration", str(opencv_file), "-o", str(output), "--image-size", "1280x1024"]
@@ -279,13 +283,15 @@ def test_a_calibration_is_written_and_explained(
     ],
 )
 def test_what_is_missing_is_said_in_one_sentence(
-    opencv_file: Path, tmp_path: Path, refused: Refused, file: str, options: list[str], told: str
+    opencv_file: Path, tmp_path: Path, refused: RefusedCommand, file: str, options: list[str], told: str
 ) -> None:
     assert told in refused("import-calibration", tmp_path / file, "-o", tmp_path / "top.json", *options)
     assert not (tmp_path / "top.json").exists()
 
 
-def test_a_calibration_goes_out_and_comes_back(opencv_file: Path, tmp_path: Path, capsys: Capture, refused: Refused):
+def test_a_calibration_goes_out_and_comes_back(
+    opencv_file: Path, tmp_path: Path, capsys: Capture, refused: RefusedCommand
+):
     ours, theirs, again = (tmp_path / name for name in ("top.json", "vic3d.xml", "again.json"))
     command = ["import-calibration", str(opencv_file), "-o", str(ours), "--image-size", "1280x1024"]
     assert main([*command, "--length-unit", "mm"]) == EXIT_DONE

@@ -13,23 +13,24 @@ from pathlib import Path
 
 import h5py
 import pytest
-from crews import Inline
+from cluster_factory import InlineExecutor
 from evaluation_factory import make_evaluation
 from rich.console import Console
-from support import edit, rows, state
+from support import edit, folder_contents, rows
 
-from fusion.base import ComputeError, InputError, Settings
+from fusion.base import Settings
 from fusion.campaign import run as under_test
 from fusion.campaign.run import Outcome, exit_status, run_path
-from fusion.campaign.terminal import main_curve, notices_of, print_outcomes, sensitivity_table
+from fusion.campaign.run_summary import main_curve, notices_of, print_outcomes, sensitivity_table
 from fusion.cli import main
 from fusion.commands.options import EXIT_DONE, EXIT_FAILED, EXIT_INPUT
+from fusion.errors import ComputeError, InputError
 from fusion.estimation.coverage import coverage_factor
 from fusion.report.folder import CURVE_FILE, SENSITIVITY_FILE
 from fusion.report.h5 import write_value
-from fusion.report.recording import CAMPAIGN_FILES, result_tables, row_element
+from fusion.report.recording_report import CAMPAIGN_FILES, result_tables, row_element
 from fusion.report.tables import sensitivity_element
-from shaker.arrays import Notice
+from shakercal._common.notices import Notice
 
 NAMES = ["Fz-0106.25", "Fz-0375.90"]
 TITLES = ["Fz 106.25 Hz", "Fz 375.90 Hz"]
@@ -73,10 +74,10 @@ def _fail(patch: pytest.MonkeyPatch, error: BaseException, *failing: str) -> Non
 
 
 def test_one_folder_each_and_merged_tables_at_the_top(campaign, evaluated, tmp_path, capsys):
-    before = state(campaign)
+    before = folder_contents(campaign)
     outcomes = run_path(campaign, tmp_path / "elsewhere", Settings())
     assert [outcome.folder for outcome in outcomes] == [tmp_path / "elsewhere" / name for name in NAMES]
-    assert state(campaign) == before
+    assert folder_contents(campaign) == before
     assert main(["run", str(campaign)]) == EXIT_DONE
     top = campaign / "results"
     assert evaluated == [*NAMES, *NAMES]
@@ -125,7 +126,7 @@ def test_a_campaign_of_one_recording_is_a_campaign_and_prints_its_sensitivity(ma
 def test_a_recording_that_fails_does_not_stop_the_other(
     workers, failing, error, status, sentence, campaign, evaluated, monkeypatch, capsys
 ):
-    monkeypatch.setattr("fusion.campaign.run.Workers", lambda size: Inline(size, waits=True))
+    monkeypatch.setattr("fusion.campaign.run.Workers", lambda size: InlineExecutor(size, waits=True))
     _fail(monkeypatch, error, failing)
     assert main(["run", str(campaign), "-q", "--workers", workers]) == status
     (other,) = set(NAMES) - {failing}
@@ -139,11 +140,11 @@ def test_a_recording_that_fails_does_not_stop_the_other(
 
 @pytest.mark.usefixtures("evaluated")
 def test_where_all_fail_there_is_no_results_folder_and_a_single_one_tells_it_once(campaign, monkeypatch, refused):
-    monkeypatch.setattr("fusion.campaign.run.Workers", lambda _: Inline())
+    monkeypatch.setattr("fusion.campaign.run.Workers", lambda _: InlineExecutor())
     _fail(monkeypatch, ComputeError("no motion"))
-    before = state(campaign)
+    before = folder_contents(campaign)
     assert main(["run", str(campaign)]) == EXIT_FAILED
-    assert state(campaign) == before
+    assert folder_contents(campaign) == before
     assert not (campaign / "results").exists()
     assert refused("run", campaign / NAMES[0], "--workers", 2, status=EXIT_FAILED) == "shakercal: no motion"
 
@@ -156,10 +157,10 @@ def test_wrong_input_weighs_more_than_what_could_not_be_computed():
 
 def test_a_second_run_computes_only_what_is_damaged_or_has_other_settings(campaign, evaluated, capsys):
     assert main(["run", str(campaign)]) == EXIT_DONE
-    first, times = state(campaign / "results"), _times(campaign / "results")
+    first, times = folder_contents(campaign / "results"), _times(campaign / "results")
     assert main(["run", str(campaign)]) == EXIT_DONE
     assert evaluated == NAMES
-    assert state(campaign / "results") == first
+    assert folder_contents(campaign / "results") == first
     again = _times(campaign / "results")
     assert all(again[name] == times[name] for name in first if "/" in name)  # not even written again
     assert "2 recordings: 2 unchanged since the last run\n" in capsys.readouterr().out
@@ -200,14 +201,14 @@ def test_results_of_changed_input_are_refused_and_force_replaces_them(campaign, 
     assert main(["run", str(campaign)]) == EXIT_DONE
     with h5py.File(campaign / NAMES[1] / "vibrometer.h5", "w") as file:
         file["velocity"] = [1.0]
-    before = state(campaign / "results" / NAMES[1])
+    before = folder_contents(campaign / "results" / NAMES[1])
     capsys.readouterr()
     assert main(["run", str(campaign), "-q"]) == EXIT_INPUT
     told = capsys.readouterr().err
     assert told.startswith(f"shakercal: {campaign / 'results' / NAMES[1]}: expected an empty folder")
     assert told.splitlines()[0].endswith("found results of other input files")
     assert evaluated == NAMES
-    assert state(campaign / "results" / NAMES[1]) == before
+    assert folder_contents(campaign / "results" / NAMES[1]) == before
     assert main(["run", str(campaign), "--force"]) == EXIT_DONE
     assert evaluated == [*NAMES, *NAMES]
     assert _recordings(campaign / "results" / "load.csv") == TITLES
@@ -244,7 +245,7 @@ def test_a_recording_that_is_broken_or_gone_does_not_disturb_the_other(options, 
 @pytest.mark.parametrize("kept", [False, True])
 def test_new_results_take_the_place_of_old_ones_as_a_whole(kept, campaign, evaluated, monkeypatch):
     assert main(["run", str(campaign)]) == EXIT_DONE
-    before = state(campaign / "results" / NAMES[0])
+    before = folder_contents(campaign / "results" / NAMES[0])
     replaced = os.replace
 
     def killed_after_the_first_step(source: Path, target: Path) -> None:
@@ -265,14 +266,14 @@ def test_new_results_take_the_place_of_old_ones_as_a_whole(kept, campaign, evalu
             with pytest.raises(SystemExit):
                 run_path(campaign, None, Settings(subset_radius_px=12))
     assert main(["run", str(campaign), "--subset-radius", "12"]) == EXIT_DONE
-    after = state(campaign / "results" / NAMES[0])
+    after = folder_contents(campaign / "results" / NAMES[0])
     assert set(after) == set(before)
     assert after["result.h5"] != before["result.h5"]
     assert evaluated == ([*NAMES, *NAMES] if kept else [*NAMES, NAMES[0], *NAMES])
 
 
 def test_outcomes_are_in_the_order_of_the_recordings_whoever_was_first(campaign, evaluated, monkeypatch, capsys):
-    monkeypatch.setattr("fusion.campaign.run.Workers", lambda size: Inline(size, waits=True))
+    monkeypatch.setattr("fusion.campaign.run.Workers", lambda size: InlineExecutor(size, waits=True))
     assert main(["run", str(campaign), "--workers", "2"]) == EXIT_DONE
     told = capsys.readouterr()
     assert evaluated == NAMES[::-1]
@@ -296,7 +297,7 @@ def test_a_notice_of_many_recordings_is_told_once_the_worst_first(tmp_path):
         folder = tmp_path / f"{number}"
         folder.mkdir()
         outcomes.append(Outcome(folder / "recording.toml", folder))
-        told = (Notice("info", "all alike", "load"), Notice("warning", text, "laser"))
+        told = (Notice("note", "all alike", "load"), Notice("warning", text, "laser"))
         with h5py.File(folder / "result.h5", "w") as file:
             write_value(file, "notices", told)
     found = notices_of(outcomes, campaign=False)

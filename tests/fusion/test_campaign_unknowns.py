@@ -10,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 from simulated_phasors import CASES, case_setup, simulate_phasors
 
-from fusion.campaign.drive import About, Drive
-from fusion.campaign.recorded import Recorded
-from fusion.campaign.unknowns import BEYOND, Knowledge, carry_unknowns
+from fusion.campaign.excited_line import ExcitedLine, UnknownDescription
+from fusion.campaign.recording_results import RecordingResults
+from fusion.campaign.unknowns import SECOND_ORDER_U, Knowledge, apply_joint_estimate
 from fusion.estimation.fuse import fuse
 from fusion.estimation.least_squares import build_system, solve
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, as_complex, real_stack
@@ -44,7 +44,9 @@ def drawn(rng: np.random.Generator, moved: float = 0.0, mountings: str = "aabc")
         of_mounting = mounted.setdefault(mounting, rng.standard_normal(MOUNTING))
         products = np.array([0.0, 0.4, 0.1, 0.0, 0.2, 0.0, 0.0])
         seen = np.concatenate([rig, of_mounting, rng.standard_normal(LOCAL)])
-        seen[: RIG + MOUNTING] += np.hypot(BEYOND, products)[: RIG + MOUNTING] * rng.standard_normal(RIG + MOUNTING)
+        seen[: RIG + MOUNTING] += np.hypot(SECOND_ORDER_U, products)[: RIG + MOUNTING] * rng.standard_normal(
+            RIG + MOUNTING
+        )
         seen[0] += moved if number == len(mountings) - 1 else 0.0
         design, effects = rng.standard_normal((READINGS, LOADS)), rng.standard_normal((READINGS, len(seen)))
         effects[:, 2] = design @ rng.standard_normal(LOADS)  # as motion: no recording tells of it
@@ -55,14 +57,16 @@ def drawn(rng: np.random.Generator, moved: float = 0.0, mountings: str = "aabc")
     return found
 
 
-def alone(one: Readings) -> Recorded:
+def alone(one: Readings) -> RecordingResults:
     """Return what a program that knows this recording alone tells of it."""
     covariance = np.diag(one.noise) + one.effects @ one.effects.T
     weight = np.linalg.inv(covariance)
     gain = np.linalg.solve(one.design.T @ weight @ one.design, one.design.T @ weight)
     left = weight @ (np.eye(READINGS) - one.design @ gain)
     scopes = ["rig"] * RIG + ["mounting"] * MOUNTING + ["recording"] * LOCAL
-    about: list[About] = [(f"{s} {n}", s, 1.0, "1", s, "B", np.inf, "normal") for n, s in enumerate(scopes)]
+    about: list[UnknownDescription] = [
+        (f"{s} {n}", s, 1.0, "1", s, "B", np.inf, "normal") for n, s in enumerate(scopes)
+    ]
     known = Knowledge(
         tuple(about),
         np.array([scope != "recording" for scope in scopes]),
@@ -79,9 +83,9 @@ def alone(one: Readings) -> Recorded:
     of_load = Uncertainty(random, tuple(Influence(*a[:4], effect[None], *a[4:]) for a, effect in effects))
     output = Uncertainty((Contribution("noise", "A", np.eye(2)[None]),))
     value, z = as_complex(gain @ one.readings), (0.0, 0.0, 1.0)
-    drive = Drive(one.name, one.mounting, 80.0, 80.0, z, value, of_load, np.ones(1, complex), output, ("Fz",))
+    drive = ExcitedLine(one.name, one.mounting, 80.0, 80.0, z, value, of_load, np.ones(1, complex), output, ("Fz",))
     origin = Provenance({}, {}, {}, ())
-    empty = Recorded(one.name, one.name, one.mounting, "rig", "sine", z, (80.0,), None, (drive,), (), origin)
+    empty = RecordingResults(one.name, one.name, one.mounting, "rig", "sine", z, (80.0,), None, (drive,), (), origin)
     return replace(empty, knowledge=partial(lambda found: found, known))
 
 
@@ -102,7 +106,7 @@ def together(recordings: list[Readings]) -> tuple[Floats, Floats]:
         matrix[own, at : at + MOUNTING] = root * one.effects[:, RIG : RIG + MOUNTING]
         at = shared + RIG + sizes[1] + r * (sizes[2] + sizes[3])
         matrix[own, at : at + sizes[2] + sizes[3]] = root * one.effects
-        beyond = BEYOND**2 + one.products[: sizes[2]] ** 2
+        beyond = SECOND_ORDER_U**2 + one.products[: sizes[2]] ** 2
         prior[at : at + sizes[2] + sizes[3]] = np.concatenate([1.0 / beyond, np.ones(LOCAL)])
     right = np.concatenate([one.readings / np.sqrt(one.noise) for one in recordings])
     covariance = np.linalg.inv(matrix.T @ matrix + np.diag(prior))
@@ -110,9 +114,9 @@ def together(recordings: list[Readings]) -> tuple[Floats, Floats]:
     return found[:shared].reshape(rows, LOADS), covariance[:shared, :shared]
 
 
-def joint_covariance(recorded: tuple[Recorded, ...]) -> Floats:
+def joint_covariance(recorded: tuple[RecordingResults, ...]) -> Floats:
     """Return the covariance of the loads of all recordings by the names of what is uncertain of them."""
-    of_load = [entry.drives[0].shared()[0] for entry in recorded]
+    of_load = [entry.excited_lines[0].campaign_uncertainties()[0] for entry in recorded]
     names = {influence.name for one in of_load for influence in one.influences}
     total = np.zeros((LOADS * len(recorded),) * 2)
     for r, one in enumerate(of_load):
@@ -130,23 +134,23 @@ def test_joint_estimate_is_one_least_squares_of_all_readings(mountings: str) -> 
     """Loads, their covariances, and those between recordings."""
     recordings = drawn(np.random.default_rng(3), mountings=mountings)
     own = tuple(alone(one) for one in recordings)
-    found, unknowns, notices = carry_unknowns("c", own, lambda drive: drive)
+    found, unknowns, notices = apply_joint_estimate("c", own, lambda drive: drive)
     value, covariance = together(recordings)
-    np.testing.assert_allclose([real_stack(entry.drives[0].load) for entry in found], value, rtol=0, atol=1e-9)
+    np.testing.assert_allclose([real_stack(entry.excited_lines[0].load) for entry in found], value, rtol=0, atol=1e-9)
     np.testing.assert_allclose(joint_covariance(found), covariance, rtol=0, atol=1e-9)
     before = joint_covariance(own)
     assert np.all(np.linalg.eigvalsh(before - joint_covariance(found))[-10:] > 0.0)
     by_name = {unknown.name: unknown for unknown in unknowns}
-    assert by_name["rig 2"].stated
-    assert not by_name["rig 0"].stated
+    assert by_name["rig 2"].is_as_stated
+    assert not by_name["rig 0"].is_as_stated
     assert by_name["rig 0"].recordings == 4
-    assert [notice.severity for notice in notices] == ["info"]
+    assert [notice.severity for notice in notices] == ["note"]
 
 
 def test_recording_that_contradicts_the_others_is_named_and_all_keep_what_they_have() -> None:
     """An unknown of the rig that moved by twenty times its u, which a single recording does not notice."""
     own = tuple(alone(one) for one in drawn(np.random.default_rng(3), moved=20.0))
-    found, unknowns, (notice,) = carry_unknowns("c", own, lambda drive: drive)
+    found, unknowns, (notice,) = apply_joint_estimate("c", own, lambda drive: drive)
     assert found == own
     assert not unknowns
     assert notice.severity == "warning"
@@ -157,7 +161,9 @@ def test_recordings_that_agree_are_rarely_said_to_contradict() -> None:
     """At 1 % of the campaigns: of 300 no more than 9 (99.9 % point of the binomial distribution)."""
     told = 0
     for seed in range(300):
-        _, unknowns, _ = carry_unknowns("c", [alone(one) for one in drawn(np.random.default_rng(seed))], lambda d: d)
+        _, unknowns, _ = apply_joint_estimate(
+            "c", [alone(one) for one in drawn(np.random.default_rng(seed))], lambda d: d
+        )
         told += not unknowns
     assert told <= 9
 
@@ -170,7 +176,7 @@ def test_a_recording_tells_its_unknowns_by_signs_and_units_of_the_fusion() -> No
     assert fused.posterior is not None
     assert fused.products is not None
     assert fuse([replace(observation, common=()) for observation in own]).posterior is None
-    system = build_system(own, inputs.unseen)
+    system = build_system(own, inputs.unobserved_motion)
     solution = solve(system)
     design, effects, noise = system.design, solution.effects, np.linalg.inv(solution.noise)
     projector = noise - noise @ design @ np.linalg.solve(design.T @ noise @ design, design.T @ noise)

@@ -10,19 +10,19 @@ import numpy as np
 import pytest
 from certificates import FORM, NAMES, SCHEMA, broken_rules, texts
 from lxml import etree
-from support import DOCS, Refused, edit, examples, rows, without_pages
+from support import DOCS, RefusedCommand, edit, examples, rows, without_pages
 
 from fusion.cli import main
 from fusion.recording.dsi import dsi_unit
 from fusion.recording.load import load_manifest
 from fusion.report.folder import hash_files
-from fusion.report.recording import write_results
+from fusion.report.recording_report import write_results
 from fusion.sensitivity.analyse import Evaluation
-from fusion.sensor.certificate.dcc import certificate_xml
-from fusion.sensor.certificate.evaluate import Certificate, evaluate_certificate
-from fusion.sensor.certificate.form import NEW_FORM
-from fusion.sensor.certificate.report import certificate_page
-from fusion.sensor.compare.read import read_result
+from fusion.sensor.certificate.certificate_evaluation import Certificate, evaluate_certificate
+from fusion.sensor.certificate.certificate_form import NEW_FORM
+from fusion.sensor.certificate.certificate_report import certificate_page
+from fusion.sensor.certificate.certificate_xml import certificate_xml
+from fusion.sensor.compare.comparison_inputs import read_result
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +112,7 @@ def test_its_own_certificates_are_read_back(campaign: Path) -> None:
         assert 0.98 < own.u_phase_rad / value.u_phase_rad < 1.1
 
 
-def test_what_is_missing_is_told_in_one_list(campaign: Path, refused: Refused) -> None:
+def test_what_is_missing_is_told_in_one_list(campaign: Path, refused: RefusedCommand) -> None:
     (campaign / "certificate.toml").unlink()
     assert "certificate.toml: expected what a certificate needs (--draft writes a new one)" in refused(
         "certificate", campaign
@@ -145,14 +145,14 @@ def test_what_is_missing_is_told_in_one_list(campaign: Path, refused: Refused) -
     ],
 )
 def test_a_wrong_form_is_refused_in_one_sentence(
-    old: str, new: str, said: str, campaign: Path, refused: Refused
+    old: str, new: str, said: str, campaign: Path, refused: RefusedCommand
 ) -> None:
     edit(campaign / "certificate.toml", old, new)
     assert said in refused("certificate", campaign)
     assert not (campaign / "certificate").exists()
 
 
-def test_results_of_other_inputs_and_none_are_refused(campaign: Path, refused: Refused) -> None:
+def test_results_of_other_inputs_and_none_are_refused(campaign: Path, refused: RefusedCommand) -> None:
     edit(campaign / "rig.toml", "mass = 2.4063", "mass = 2.5")
     said = refused("certificate", campaign)
     assert "results of other input files (rig.toml is not what it was)" in said
@@ -160,7 +160,7 @@ def test_results_of_other_inputs_and_none_are_refused(campaign: Path, refused: R
     assert "expected the results of a recording" in refused("certificate", campaign)
 
 
-def test_an_expired_certificate_of_an_input_refuses_it(campaign: Path, refused: Refused) -> None:
+def test_an_expired_certificate_of_an_input_refuses_it(campaign: Path, refused: RefusedCommand) -> None:
     stated = 'mass = { value = 2.4063, U = 0.0004, k = 2, certificate = "M-1", valid_until = 2020-01-01 }'
     edit(campaign / "rig.toml", "mass = 2.4063\nmass_uncertainty = 0.0002", stated)
     assert "the certificate of load.mass (M-1, valid until 2020-01-01) was not valid" in refused(
@@ -168,7 +168,7 @@ def test_an_expired_certificate_of_an_input_refuses_it(campaign: Path, refused: 
     )
 
 
-def test_a_certificate_that_is_there_stays(campaign: Path, refused: Refused) -> None:
+def test_a_certificate_that_is_there_stays(campaign: Path, refused: RefusedCommand) -> None:
     assert main(["certificate", str(campaign)]) == 0
     before = (campaign / "certificate" / "certificate.xml").read_bytes()
     edit(campaign / "certificate.toml", "2026-0815", "2026-0816")

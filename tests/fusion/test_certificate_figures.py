@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 from certificates import FORM, NAMES, SCHEMA, broken_rules, texts
 from lxml import etree
-from support import Refused, edit, rows
+from support import RefusedCommand, edit, rows
 
 from fusion.cli import main
 from fusion.recording.dcc import read_dcc
 from fusion.recording.load import load_manifest
-from fusion.sensor.certificate.figures import SOURCES
+from fusion.sensor.certificate.certified_numbers import CERTIFIED_COMMANDS
 
 NUMBERED = FORM.replace('model = "W6"', 'model = "W6"\ncustomer_number = "C-1"')
 RULES = SCHEMA.with_name("dcc.sch")
@@ -112,7 +112,7 @@ def test_numbers_of_other_commands_are_those_of_their_tables(
 ) -> None:
     folder = filled(commanded(preset), tmp_path / preset)
     root = certified(folder, tmp_path / "out")
-    found, table = stated(root), rows(folder / command / SOURCES[command].table)
+    found, table = stated(root), rows(folder / command / CERTIFIED_COMMANDS[command].table)
     assert [line[0] for line in found[: len(names)]] == names
     assert texts(root, ".//si:real/si:unit")[: len(units)] == units
     if command == "step":
@@ -144,7 +144,7 @@ def test_schematron_rules_find_what_is_wrong(rotated, tmp_path) -> None:
         assert any(role == "error" and said in told for role, told in broken_rules(wrong, RULES)), said
 
 
-def test_a_draft_names_the_method_and_what_is_missing_is_told(rotated, tmp_path, refused: Refused) -> None:
+def test_a_draft_names_the_method_and_what_is_missing_is_told(rotated, tmp_path, refused: RefusedCommand) -> None:
     folder = filled(rotated, tmp_path / "rotation")
     (folder / "certificate.toml").unlink()
     assert main(["certificate", str(folder), "--draft"]) == 0

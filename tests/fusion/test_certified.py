@@ -14,8 +14,8 @@ import pytest
 from certificates import SIGNED
 from support import DOCS, examples
 
-from fusion.base import InputError
 from fusion.cli import main
+from fusion.errors import InputError
 from fusion.recording import dcc
 from fusion.recording.certified import certified_inputs
 from fusion.recording.dsi import parse_unit
@@ -23,7 +23,7 @@ from fusion.recording.load import load_manifest
 from fusion.recording.response import read_response
 from fusion.recording.values import PathScope
 from fusion.report.uncertainty_tables import inputs_table
-from fusion.sensor.certificate.evaluate import _sources
+from fusion.sensor.certificate.certificate_evaluation import _sources
 
 ENVELOPED = (
     '<ds:Transform Algorithm="http://www.w3.org/2000/09/xmldsig#enveloped-signature"></ds:Transform>'
@@ -123,7 +123,7 @@ def test_a_certificate_counts_as_the_table_that_is_typed_from_it(campaign):
     recording = campaign(certificate(VOLUME, result("load mass", real("6.9605", r"\kilogram", "0.0020"))))
     read = load_manifest(recording)
     assert recording.parent / "a.xml" in read.files
-    assert (recording.parent / "a.xml") in read.read
+    assert (recording.parent / "a.xml") in read.file_identities
     rig = recording.parent / "rig.toml"
     rig.write_text(rig.read_text().replace(FROM_FILE, TYPED))
     typed = load_manifest(recording)
@@ -143,7 +143,7 @@ def test_the_example_of_the_document_is_read(tmp_path):
     mass = result("Mass of the load", real("6.9605", r"\kilogram", "0.002"))
     (tmp_path / "certificates" / "M-2026-117.xml").write_text(certificate(mass))
     found = certified_inputs(text, tmp_path / "rig.toml", PathScope(tmp_path, tmp_path.resolve()))
-    assert found.wrong == []
+    assert found.errors == []
     assert found.text["load"]["mass"]["value"] == 6.9605
 
 
@@ -188,10 +188,10 @@ def test_an_expired_certificate_is_told_as_a_typed_one_is(campaign):
         "</dcc:statements>"
     )
     recording = campaign(certificate(MASS, statement=statement), '{ dcc = "a.xml", valid_until = 2036-01-01 }')
-    (notice,) = load_manifest(recording).expired
+    (notice,) = load_manifest(recording).expiry_notices
     assert "load.mass (K 7, Lab, 2026-03-01, valid until 2026-05-01)" in notice.text
     recording = campaign(certificate(MASS), '{ dcc = "a.xml", valid_until = 2036-01-01 }')
-    assert load_manifest(recording).expired == ()
+    assert load_manifest(recording).expiry_notices == ()
 
 
 def test_a_response_from_a_certificate_is_the_table_of_its_numbers(campaign, tmp_path):
@@ -257,8 +257,8 @@ def read_input(folder: Path, text: str, entry: dict[str, str], key: str = "mass"
     (folder / "a.xml").write_text(text, encoding="utf-8")
     scope = PathScope(folder, folder.resolve())
     found = certified_inputs({"load": {key: {"dcc": "a.xml"} | entry}}, folder / "rig.toml", scope)
-    if found.wrong:
-        raise found.wrong[0]
+    if found.errors:
+        raise found.errors[0]
     return found.text["load"][key]
 
 
@@ -632,17 +632,17 @@ def test_a_signed_certificate_is_what_was_signed_or_refused_or_said_to_be_unchec
             dcc.read_dcc(tmp_path / "a.xml")
         assert "digest" in str(caught.value) or "#r" in str(caught.value)
         return
-    notices = dcc.read_dcc(tmp_path / "a.xml").signed
+    notices = dcc.read_dcc(tmp_path / "a.xml").signature_notices
     assert len(notices) == bool(told)
     for notice in notices:
         assert told in notice.text
-        assert notice.severity == ("info" if told == CHECKED else "warning")
+        assert notice.severity == ("note" if told == CHECKED else "warning")
         assert notice.where == "a.xml"
 
 
 def test_what_a_signature_tells_reaches_check(campaign, capsys):
     recording = campaign(signed(PLAIN, transform=UNKNOWN))
-    (notice,) = load_manifest(recording).certified
+    (notice,) = load_manifest(recording).certificate_notices
     main(["check", str(recording)])
     assert notice.text in " ".join(capsys.readouterr().out.split())
     changed = campaign(signed(PLAIN).replace("6960.5", "2406.3"))
@@ -652,7 +652,7 @@ def test_what_a_signature_tells_reaches_check(campaign, capsys):
 
 @pytest.mark.skipif(not REAL.is_dir(), reason=f"no certificates at {REAL}")
 def test_the_published_signed_certificate_and_the_manipulated_one():
-    assert CHECKED in dcc.read_dcc(REAL / "dcc_gp_temperature_typical_v12_signed.xml").signed[0].text
+    assert CHECKED in dcc.read_dcc(REAL / "dcc_gp_temperature_typical_v12_signed.xml").signature_notices[0].text
     with pytest.raises(InputError, match="ds:Signature"):
         dcc.read_dcc(REAL / "dcc_gp_temperature_typical_v12_signed_manipulated.xml")
 

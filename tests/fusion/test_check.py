@@ -18,14 +18,14 @@ from hypothesis import strategies as st
 from scipy import signal
 from support import AT_ORIGIN, DOCS, block, channel, edit, examples, recording_head, write_daq
 
-from fusion.base import InputError
 from fusion.cli import main
-from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels
-from fusion.instruments.transducer import TRANSDUCERS, placed_at, unit_direction
-from fusion.planning.check import check, observable
+from fusion.errors import InputError
+from fusion.instruments.channel import ChainUncertainty, ChannelReading, observe_channels
+from fusion.instruments.transducer import TRANSDUCERS, measuring_point, unit_direction
+from fusion.planning.check import check, observable_components
 from fusion.recording.load import load_manifest
 from fusion.recording.manifest import ChannelEntry
-from fusion.recording.response import Element, read_chain, read_response
+from fusion.recording.response import ChainElement, read_chain, read_response
 from fusion.simulate import simulate
 from shaker.labels import MOTION_COMPONENTS
 from shaker.sine.phasor import Phasors
@@ -35,7 +35,7 @@ Campaign = Callable[..., Path]
 
 def geometric_row(quantity: str, **place: tuple[float, ...]) -> np.ndarray:
     entry = ChannelEntry(name="a", quantity=quantity, body="load", **place)
-    return TRANSDUCERS[quantity].geometry(placed_at(entry), unit_direction(entry))
+    return TRANSDUCERS[quantity].geometry(measuring_point(entry), unit_direction(entry))
 
 
 @pytest.mark.parametrize(
@@ -48,7 +48,7 @@ def geometric_row(quantity: str, **place: tuple[float, ...]) -> np.ndarray:
 )
 def test_what_axes_see_by_themselves_and_that_gyroscopes_see_rotation(instruments, seen):
     rows = [geometric_row("acceleration", point=point, direction=direction) for point, direction in instruments]
-    assert [MOTION_COMPONENTS[i] for i in np.flatnonzero(observable(np.array(rows)))] == seen.split()
+    assert [MOTION_COMPONENTS[i] for i in np.flatnonzero(observable_components(np.array(rows)))] == seen.split()
     assert geometric_row("angular_velocity", direction=(0, 2, 0)).tolist() == [0, 0, 0, 0, 1, 0]
 
 
@@ -65,7 +65,7 @@ def test_observable_means_that_no_unseen_motion_moves_it(seed, count, scale):
     scaled = rows / np.repeat([1.0, scale], 3)
     values, vectors = np.linalg.eigh(scaled.T @ scaled)
     unseen = vectors[:, values < 1e-9 * max(values.max(), 1.0)]
-    assert observable(rows).tolist() == (np.abs(unseen).max(axis=1, initial=0.0) < 1e-6).tolist()
+    assert observable_components(rows).tolist() == (np.abs(unseen).max(axis=1, initial=0.0) < 1e-6).tolist()
 
 
 @pytest.fixture
@@ -226,7 +226,7 @@ def test_what_is_said_of_an_unstated_scale_is_what_the_fusion_does(make_campaign
     for entry in manifest.daq[0].channel:
         response = None if entry.response is None else read_response(entry.response, lines)
         chain = ChainUncertainty() if response is None else ChainUncertainty(response.u_magnitude, response.u_phase_rad)
-        readings.append(Reading(entry, replace(phasors, channels=(entry.name,)), chain))
+        readings.append(ChannelReading(entry, replace(phasors, channels=(entry.name,)), chain))
     stated = [observation.stated for observation in observe_channels(readings)]
     used = stated if any(stated) else [True, True]
     assert used == ["not fused" not in (one or "") for one in effect]
@@ -252,7 +252,7 @@ def test_the_example_of_the_format_is_a_chain_and_every_key_of_an_element_is_lis
     assert {"gain of charge amplifier", "delay of anti-alias filter"} <= set(response.causes)
     section = DOC[DOC.index("| key of `[[element]]`") : DOC.index("## Inputs as certificates")]
     told = [line.split("`")[1] for line in section.splitlines()[2:] if line.startswith("| `")]
-    assert told == list(Element.model_fields)
+    assert told == list(ChainElement.model_fields)
 
 
 @pytest.mark.parametrize(

@@ -17,14 +17,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support import Refused, state
+from support import RefusedCommand, folder_contents
 
 from fusion import simulate as simulation
-from fusion.base import ComputeError, warnings_first
 from fusion.cli import _parser, commands, main
 from fusion.commands.options import EXIT_DONE, EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED
-from fusion.report.terminal import MOST_NOTES, progress_bar, tell, wrapped
-from shaker.arrays import Notice
+from fusion.errors import ComputeError
+from fusion.report.terminal import MOST_NOTES, log_notices, progress_bar, wrapped
+from shakercal._common.notices import Notice, warnings_first
 
 HEAVY = ("torch", "kornia", "cv2", "numba", "matplotlib", "scipy", "skimage", "h5py", "rich", "pydantic", "numpy")
 
@@ -136,21 +136,21 @@ def test_answers_for_programs_are_one_document(words, key, capsys, monkeypatch):
 
 def test_what_is_said_of_several_places_in_one_text_is_one_notice():
     said = [
-        Notice("info", "a", "Fx"),
+        Notice("note", "a", "Fx"),
         Notice("warning", "b", "Fz"),
-        Notice("info", "a", "Fy"),
-        Notice("info", "a", "Fx"),
+        Notice("note", "a", "Fy"),
+        Notice("note", "a", "Fx"),
     ]
-    assert warnings_first(said) == [Notice("warning", "b", "Fz"), Notice("info", "a", "Fx, Fy")]
+    assert warnings_first(said) == [Notice("warning", "b", "Fz"), Notice("note", "a", "Fx, Fy")]
 
 
 @pytest.mark.parametrize("level", [logging.INFO, logging.DEBUG])
 @pytest.mark.parametrize("notes", [1, MOST_NOTES + 1])
 def test_a_warning_is_whole_and_many_notes_are_counted_unless_all_is_asked_for(level, notes, caplog):
     long = "word " * 200
-    many = [(Notice("info", f"load: light {n}", "load"), "") for n in range(notes)]
+    many = [(Notice("note", f"load: light {n}", "load"), "") for n in range(notes)]
     with caplog.at_level(level, "shakercal"):
-        tell([(Notice("warning", long, "laser"), " (2 recordings)"), *many])
+        log_notices([(Notice("warning", long, "laser"), " (2 recordings)"), *many])
     warning, *rest = caplog.messages
     assert warning == f"laser: {long} (2 recordings)"
     counted = level == logging.INFO and notes > MOST_NOTES
@@ -212,7 +212,7 @@ def _raise(error: BaseException, cause: BaseException | None = None) -> Callable
 
 
 @pytest.mark.usefixtures("evaluated")
-@pytest.mark.parametrize("place", ["fusion.campaign.run.evaluate_recording", "fusion.report.recording.write_h5"])
+@pytest.mark.parametrize("place", ["fusion.campaign.run.evaluate_recording", "fusion.report.recording_report.write_h5"])
 @pytest.mark.parametrize(
     ("error", "status", "sentence"),
     [
@@ -317,10 +317,10 @@ def simulated(made: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(made, tmp_path / "sim", copy_function=os.link))
 
 
-def _refused(arguments: list[object], folder: Path, refused: Refused) -> str:
-    before = state(folder)
+def _refused(arguments: list[object], folder: Path, refused: RefusedCommand) -> str:
+    before = folder_contents(folder)
     told = refused("simulate", *arguments)
-    assert state(folder) == before
+    assert folder_contents(folder) == before
     return told
 
 
@@ -353,12 +353,12 @@ def test_simulate_refuses_what_is_there_and_replaces_no_file(simulated, tmp_path
 
 @pytest.mark.usefixtures("tiny")
 def test_force_replaces_an_earlier_simulation(simulated, capsys):
-    before = state(simulated)
+    before = folder_contents(simulated)
     assert main(["simulate", str(simulated), "--force", "--seed", "2"]) == EXIT_DONE
     told = capsys.readouterr()
     assert told.out == f"simulated recording: {simulated / 'Fz-0080'}\n"
     assert told.err == ""
-    after = state(simulated)
+    after = folder_contents(simulated)
     assert list(after) == list(before)
     assert json.loads(after["Fz-0080/truth.json"]) != json.loads(before["Fz-0080/truth.json"])
     assert [path.name for path in simulated.parent.iterdir()] == ["sim"]
@@ -372,9 +372,9 @@ def test_a_simulation_that_stops_leaves_nothing(error, status, simulated, monkey
         raise error
 
     monkeypatch.setattr("fusion.simulate.sines.write_runs", write)
-    before = state(simulated.parent)
+    before = folder_contents(simulated.parent)
     for arguments in ([str(simulated.parent / "new")], [str(simulated), "--force"]):
         assert main(["simulate", *arguments]) == status
         assert capsys.readouterr().err.count("\n") == 1
-    assert state(simulated.parent) == before
+    assert folder_contents(simulated.parent) == before
     assert [path.name for path in simulated.parent.iterdir()] == ["sim"]

@@ -21,8 +21,8 @@ from scipy.stats import binom, chi2
 from fusion.estimation.fuse import fuse
 from fusion.estimation.least_squares import build_system, solve
 from fusion.estimation.uncertainty import real_stack
-from fusion.phasors.channels import refine_ties
-from fusion.phasors.clocks import frame_distance, seen_period, tied_by_motion
+from fusion.phasors.channel_phasors import refine_ties
+from fusion.phasors.clocks import frame_interval, period_from_motion, tie_clocks_by_motion
 from fusion.sensitivity.analyse import with_estimates
 from fusion.simulate.preset import Preset, read_preset
 from fusion.simulate.violations import violations
@@ -47,7 +47,7 @@ def test_frames_tell_their_distance_as_well_as_their_noise_allows(benchmark: Mod
     for _ in range(5):
         one = benchmark.simulate(benchmark.CASES["0"], rng)
         true_s = float(np.mean(np.diff(one.middle_s)))
-        found = seen_period(one.base, [one.motion], one.lines)
+        found = period_from_motion(one.base, [one.motion], one.lines)
         assert found is not None
         errors.append(found[0] / true_s - 1.0)
         stated.append(found[1] / true_s)
@@ -78,7 +78,7 @@ def test_what_locked_edges_leave_of_the_frames_is_in_the_tie_too(benchmark: Modu
     """Edges at one place: a sample, rectangular, in each block; the tie has the difference, the frames the first."""
     one = locked
     base, lines = refine_ties(one.base, one.lines)
-    tied, (motion,), _ = tied_by_motion(one.manifest, base, [one.motion], lines)
+    tied, (motion,), _ = tie_clocks_by_motion(one.manifest, base, [one.motion], lines)
     of_frames = {e.name: e for e in tied.sight_errors(motion.sight)}
     of_tie = {e.name: e for e in tied.tie_errors("bridge")}
     gap_s = 1.0 / benchmark.RATE_HZ / np.sqrt(12.0)
@@ -145,7 +145,7 @@ def test_a_late_clock_turns_outputs_and_leaves_their_size(benchmark: ModuleType)
 
 def test_edges_that_tell_enough_are_left_alone(benchmark: ModuleType) -> None:
     one = benchmark.simulate(benchmark.CASES["no lock: 500.382 samples"], np.random.default_rng(1))
-    base, motions, lines = tied_by_motion(one.manifest, one.base, [one.motion], one.lines)
+    base, motions, lines = tie_clocks_by_motion(one.manifest, one.base, [one.motion], one.lines)
     assert base is one.base
     assert motions == (one.motion,)
     assert lines is one.lines
@@ -157,7 +157,7 @@ def test_a_motion_that_contradicts_the_edges_is_told_and_changes_nothing(benchma
     line = benchmark.LINE_HZ * (1.0 + 1e-4)  # not what drives the channels
     pose = np.real(np.exp(2j * np.pi * line * one.middle_s)[:, None] * one.truth)
     other = replace(one.motion, motion=replace(one.motion.motion, pose=pose - pose[0]))
-    base, (motion,), _ = tied_by_motion(one.manifest, one.base, [other], one.lines)
+    base, (motion,), _ = tie_clocks_by_motion(one.manifest, one.base, [other], one.lines)
     before, after = (b.triggers["vibrometer", "camera"] for b in (one.base, base))
     assert after.time_s(number) == pytest.approx(before.time_s(number), abs=0.0)
     assert motion.sight.time_s == pytest.approx(sight.time_s, abs=0.0)
@@ -170,13 +170,13 @@ def test_less_than_two_beats_tell_no_period(benchmark: ModuleType, locked: Any) 
     one = locked
     distance_s = float(np.mean(np.diff(one.middle_s)))
     slow = 2.0 / distance_s + 1.5 / (benchmark.FRAMES * distance_s)  # 1.5 beats
-    assert frame_distance(one.motion, replace(one.lines, frequency_hz=np.array([slow]))) is None
-    assert frame_distance(one.motion, one.lines) is not None
+    assert frame_interval(one.motion, replace(one.lines, frequency_hz=np.array([slow]))) is None
+    assert frame_interval(one.motion, one.lines) is not None
 
 
 def test_simulated_frames_drift_past_the_samples_by_as_much_as_asked_for() -> None:
     preset = read_preset(Preset, "sweep")
-    world = make_world(preset, Draws(1, False, broken=violations(("locked-clocks=0.4",), preset)), 0.0)
+    world = make_world(preset, Draws(1, False, violations=violations(("locked-clocks=0.4",), preset)), 0.0)
     place = world.trigger_s * preset.daqs[0].sample_rate_hz
     assert (place - place[0] - np.rint(place - place[0]))[-1] == pytest.approx(0.4, abs=1e-6)
     assert np.ptp(np.diff(place)) < 1e-6

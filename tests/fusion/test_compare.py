@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from support import refusals, rows, state, told_columns
+from support import documented_columns, folder_contents, refusals, rows
 
 from fusion.cli import main
-from fusion.sensor.compare.consistency import (
+from fusion.sensor.compare.comparison_inputs import read_result
+from fusion.sensor.compare.comparison_report import COMPARISON
+from fusion.sensor.compare.reference_value import (
     complex_normalised_error,
     drift,
     normalised_error,
     reference_value,
 )
-from fusion.sensor.compare.read import read_result
-from fusion.sensor.compare.report import COMPARISON
 
 
 def test_reference_of_independent_results_is_that_of_the_closed_form() -> None:
@@ -131,7 +131,7 @@ def test_tables_become_a_page_and_a_table(tmp_path, capsys) -> None:
     assert float(two["E_n_largest_pair"]) == pytest.approx(2e-10 / (2 * 2**0.5 * 1e-10))
     assert float(two["E_n"]) == pytest.approx(1e-10 / (2 * np.sqrt(1e-20 - 0.5e-20)))
     assert float(one["per_year"]) == pytest.approx(1e-10, rel=2e-3)
-    assert list(one) == told_columns("comparison.md", "comparison.csv")
+    assert list(one) == documented_columns("comparison.md", "comparison.csv")
     assert [column.name for column in COMPARISON] == list(one)
     assert float(two["E_n_complex_largest_pair"]) == pytest.approx(2e-10 / (2**0.5 * 1e-10) / 5.99146**0.5)
     assert "Control chart of Fz per Fz" in (out / "comparison.html").read_text(encoding="utf-8")
@@ -304,13 +304,13 @@ BROKEN_CERTIFICATES = [
 def test_certificates_that_cannot_be_compared_are_one_sentence(tmp_path, capsys, text, told) -> None:
     (tmp_path / "a.csv").write_text(GOOD)
     (tmp_path / "b.xml").write_text(text)
-    before = state(tmp_path)
+    before = folder_contents(tmp_path)
     assert main(["compare", str(tmp_path / "a.csv"), str(tmp_path / "b.xml"), "-o", str(tmp_path / "out")]) == 2
     said = capsys.readouterr().err
     assert told in said
     assert "b.xml" in said
     assert len(said.strip().splitlines()) == 1
-    assert state(tmp_path) == before
+    assert folder_contents(tmp_path) == before
 
 
 GOOD = table((80.0, 2e-7, 2e-10))
@@ -341,9 +341,9 @@ BROKEN = [
 def test_tables_that_cannot_be_compared_are_one_sentence(tmp_path, capsys, text, told) -> None:
     (tmp_path / "a.csv").write_text(GOOD)
     (tmp_path / "b.csv").write_text(text)
-    before = state(tmp_path)
+    before = folder_contents(tmp_path)
     assert told in refusals(capsys)("compare", tmp_path / "a.csv", tmp_path / "b.csv", "-o", tmp_path / "out")
-    assert state(tmp_path) == before
+    assert folder_contents(tmp_path) == before
 
 
 @pytest.mark.parametrize(

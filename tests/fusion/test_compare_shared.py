@@ -14,31 +14,31 @@ import pytest
 import simulated_drives
 from contracts import acceptance
 from simulated_drives import CAPACITY, DriveErrors, drive_setup, simulate_drives, true_matrix
-from support import refusals, rows, untold
+from support import refusals, rows, undescribed_datasets
 
-from fusion.campaign.joint import evaluate_campaign
+from fusion.campaign.joint_evaluation import evaluate_campaign
 from fusion.campaign.joint_report import campaign_h5, campaign_tables
-from fusion.campaign.recorded import Recorded, SensorFacts, read_recorded
+from fusion.campaign.recording_results import RecordingResults, SensorFacts, read_recorded
 from fusion.cli import main
 from fusion.recording.load import load_manifest
 from fusion.report.folder import Provenance, hash_files
-from fusion.report.recording import write_results
-from fusion.sensitivity.evidence import Evidence
-from fusion.sensor.compare.consistency import weighted_mean
-from fusion.sensor.compare.evaluate import ComparisonEvaluation, evaluate_comparison
-from fusion.sensor.compare.read import Result, Value, read_result
-from fusion.sensor.compare.shared import covariance_of, shared_inputs
+from fusion.report.recording_report import write_results
+from fusion.sensitivity.input_evidence import InputEvidence
+from fusion.sensor.compare.comparison_evaluation import ComparisonEvaluation, evaluate_comparison
+from fusion.sensor.compare.comparison_inputs import ComparedResult, ComparedValue, read_result
+from fusion.sensor.compare.reference_value import weighted_mean
+from fusion.sensor.compare.shared_inputs import covariance_of, find_shared_inputs
 from shaker.labels import LOAD_COMPONENTS
 
-MASS = Evidence("load: mass", "mass", 9.73, 6e-3, "kg", "M-1", "", "", "rig.toml: load.mass")
+MASS = InputEvidence("load: mass", "mass", 9.73, 6e-3, "kg", "M-1", "", "", "rig.toml: load.mass")
 SENSOR = SensorFacts("transducer", "1", LOAD_COMPONENTS, "V/V", "on_load", CAPACITY, None, 0.0)
 MAIN = "Fz", "magnitude"
 U_MASS = 6e-3  # kg of 9.73 kg: 6.2e-4 beside 3.0e-4 of each laboratory's own
 
 
 def laboratory(
-    seed: int, mass: float | None, evidence: Sequence[Evidence] = (MASS,), day: date | None = None
-) -> tuple[Recorded, complex]:
+    seed: int, mass: float | None, evidence: Sequence[InputEvidence] = (MASS,), day: date | None = None
+) -> tuple[RecordingResults, complex]:
     """One laboratory's recording of one sensor along z, and the true sensitivity; `mass`: error of its load in u."""
     sensor = np.random.default_rng(0)
     setup, truth = drive_setup(sensor, "Fz 100 Hz", "z", (0.0, 0.0, 0.08)), true_matrix(sensor)
@@ -49,10 +49,10 @@ def laboratory(
     drives = simulate_drives([setup], truth, errors)
     origin = Provenance({"rig.toml": f"{seed:064x}"}, {}, {"shakercal": "0.2.0"}, ())
     named = "Fz 100 Hz", "Fz 100 Hz", "1", "rig", "sine", (0.0, 0.0, 1.0), (100.0,)
-    return Recorded(*named, SENSOR, drives, (), origin, day, tuple(evidence)), complex(truth[2, 2])
+    return RecordingResults(*named, SENSOR, drives, (), origin, day, tuple(evidence)), complex(truth[2, 2])
 
 
-def results_of(folder: Path, recorded: Recorded, name: str) -> Result:
+def results_of(folder: Path, recorded: RecordingResults, name: str) -> ComparedResult:
     """What a comparison reads of a campaign of one recording."""
     evaluation = evaluate_campaign(name, [recorded], {})
     folder.mkdir(exist_ok=True)
@@ -67,13 +67,13 @@ def heavy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(simulated_drives, "_U_MASS_KG", U_MASS)
 
 
-def compared(results: Sequence[Result]) -> ComparisonEvaluation:
+def compared(results: Sequence[ComparedResult]) -> ComparisonEvaluation:
     return evaluate_comparison(results, {}, 1e-3, {})
 
 
 def agreement(evaluation: ComparisonEvaluation, truth: complex) -> list[float]:
     """E_n of the pair's magnitudes and of its complex values, and of the reference value from the truth (or NaN)."""
-    found = next(c for c in evaluation.compared if c.quantity == "magnitude")
+    found = next(c for c in evaluation.quantities if c.quantity == "magnitude")
     assert found.complex_normalised is not None
     off = abs(found.reference.value - abs(truth)) / (2.0 * found.reference.u)
     return [found.largest, found.complex_normalised[0, 1], off]
@@ -90,10 +90,10 @@ def test_two_laboratories_with_one_mass_agree_in_95_percent(tmp_path) -> None:
         error, own = float(rng.standard_normal()), []
         for place, result in enumerate(read):
             recorded, truth = laboratory(2 + 2 * draw + place, error)
-            (drive,) = recorded.drives
+            (drive,) = recorded.excited_lines
             value = complex(drive.outputs[2] / drive.load[2])
             (stated,) = (v for v in result.values if v.channel == "Fz")
-            found: Value = replace(stated, magnitude=abs(value), phase_rad=float(np.angle(value)))
+            found: ComparedValue = replace(stated, magnitude=abs(value), phase_rad=float(np.angle(value)))
             own.append(replace(result, values=(found,)))
         held["shared"].append(agreement(compared(own), truth))
         held["independent"].append(agreement(compared([replace(r, evidence=()) for r in own]), truth))
@@ -114,7 +114,7 @@ def test_a_shared_mass_is_the_covariance_of_two_results(tmp_path) -> None:
     own = [results_of(tmp_path / n, laboratory(k, 0.3, day=date(2020 + k, 7, 1))[0], n) for k, n in enumerate("ab")]
     evaluation = compared(own)
     assert [(item.of, item.evidence) for item in evaluation.shared] == [("mass", "certificate M-1")]
-    found = next(c for c in evaluation.compared if (c.channel, c.quantity) == ("Fz", "magnitude"))
+    found = next(c for c in evaluation.quantities if (c.channel, c.quantity) == ("Fz", "magnitude"))
     common = (U_MASS / 9.73) ** 2 * found.value[0] * found.value[1]
     assert found.covariance[0, 1] == pytest.approx(common, rel=1e-3)
     spread = found.u[0] ** 2 + found.u[1] ** 2 - 2.0 * common
@@ -150,29 +150,35 @@ def test_a_shared_relative_error_pulls_no_mean_below_its_values() -> None:
     ],
 )
 def test_inputs_are_shared_by_evidence_only(other, shared) -> None:
-    one = Result("one", Path("a"), (), evidence=(MASS,))
-    two = Result("two", Path("b"), (), evidence=(replace(MASS, **other),))
-    assert len(shared_inputs([one, two])) == shared
+    one = ComparedResult("one", Path("a"), (), evidence=(MASS,))
+    two = ComparedResult("two", Path("b"), (), evidence=(replace(MASS, **other),))
+    assert len(find_shared_inputs([one, two])) == shared
 
 
 def test_a_file_is_evidence_and_several_axes_are_told_apart() -> None:
-    table = Evidence("amp: response phase", "response of output phase", np.nan, 1.0, "1", "", "", "cd" * 32, "")
+    table = InputEvidence("amp: response phase", "response of output phase", np.nan, 1.0, "1", "", "", "cd" * 32, "")
     axes = [
-        Evidence(f"a{axis}: scale", "scale of acceleration", 100.0, 0.003, "1", "K-9", "", "", "") for axis in "xyz"
+        InputEvidence(f"a{axis}: scale", "scale of acceleration", 100.0, 0.003, "1", "K-9", "", "", "")
+        for axis in "xyz"
     ]
-    one = Result("one", Path("a"), (), evidence=(table, *axes))
+    one = ComparedResult("one", Path("a"), (), evidence=(table, *axes))
     renamed = [replace(row, unknown=f"b{n}: scale") for n, row in enumerate(axes)]
-    two = Result("two", Path("b"), (), evidence=(replace(table, unknown="bridge: response phase"), *renamed))
-    assert [item.of for item in shared_inputs([one, two])] == ["response of output phase"], "nothing tells the axes"
-    three = Result("three", Path("c"), (), evidence=(axes[1],))
-    assert [item.unknowns for item in shared_inputs([one, three])] == [{"one": "ay: scale", "three": "ay: scale"}]
+    two = ComparedResult("two", Path("b"), (), evidence=(replace(table, unknown="bridge: response phase"), *renamed))
+    assert [item.of for item in find_shared_inputs([one, two])] == ["response of output phase"], (
+        "nothing tells the axes"
+    )
+    three = ComparedResult("three", Path("c"), (), evidence=(axes[1],))
+    assert [item.unknowns for item in find_shared_inputs([one, three])] == [{"one": "ay: scale", "three": "ay: scale"}]
 
 
 def test_two_certificates_behind_one_unknown_are_both_needed() -> None:
     both = (MASS, replace(MASS, certificate="M-2"))
-    one, two = Result("one", Path("a"), (), evidence=both), Result("two", Path("b"), (), evidence=(MASS,))
-    assert not shared_inputs([one, two])
-    assert len(shared_inputs([one, replace(two, evidence=both)])) == 1
+    one, two = (
+        ComparedResult("one", Path("a"), (), evidence=both),
+        ComparedResult("two", Path("b"), (), evidence=(MASS,)),
+    )
+    assert not find_shared_inputs([one, two])
+    assert len(find_shared_inputs([one, replace(two, evidence=both)])) == 1
 
 
 @pytest.mark.usefixtures("heavy")
@@ -257,7 +263,7 @@ def test_a_recording_tells_date_and_evidence_of_its_unknowns(tmp_path, demo_reco
     recorded = read_recorded(tmp_path / "out")
     assert recorded.date == date(2026, 3, 2)
     found = {row.unknown: row for row in recorded.evidence}
-    load = {i.name: i for i in (*recorded.drives[0].load_uncertainty.influences,)}
+    load = {i.name: i for i in (*recorded.excited_lines[0].load_uncertainty.influences,)}
     mass, laser = found["load 2.4063 kg: mass"], found["laser: scale"]
     assert (mass.of, mass.value, mass.u, mass.unit, mass.certificate) == ("mass", 2.4063, 2e-4, "kg", "M-1")
     assert (laser.of, laser.certificate) == ("scale of velocity", "L-7")
@@ -273,4 +279,4 @@ def test_a_recording_tells_date_and_evidence_of_its_unknowns(tmp_path, demo_reco
     assert mass_effect[0] == pytest.approx(-u_relative, rel=0.01), "a heavier load, a smaller sensitivity"
     assert value.year == pytest.approx(2026.17, abs=0.01)
     with h5py.File(tmp_path / "out" / "result.h5") as file:
-        assert untold(file) == []
+        assert undescribed_datasets(file) == []

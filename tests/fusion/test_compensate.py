@@ -21,16 +21,16 @@ from page_outline import self_contained
 from scipy.stats import binom
 from support import block, channel, rows
 
-from fusion.base import InputError
 from fusion.cli import main
-from fusion.sensor.compensate.evaluate import evaluate_compensation, white_noise
-from fusion.sensor.compensate.report import header_text, json_text, read_compensation_filters
-from fusion.sensor.compensate.source import Wish, read_sources
-from fusion.sensor.models_file import (
+from fusion.errors import InputError
+from fusion.sensor.compensate.compensation_evaluation import evaluate_compensation, white_noise
+from fusion.sensor.compensate.compensation_report import header_text, json_text, read_compensation_filters
+from fusion.sensor.compensate.compensation_subjects import CompensationSettings, read_sources
+from fusion.sensor.model_files import (
     MODELS_FILE,
     ModelEntry,
     ModelsFile,
-    Rests,
+    UncertaintyBasis,
     model_text,
     models_text,
     read_models,
@@ -79,7 +79,7 @@ def _write_loads(folder: Path, *, known: bool = False) -> Path:
         covariance=covariance, load_masses=(0.0, 0.048, 0.198),
     )  # fmt: skip
     file = folder / "load.json"
-    file.write_text(model_text([(model, Rests())], "bench", "sensor", "shakercal"), encoding="utf-8")
+    file.write_text(model_text([(model, UncertaintyBasis())], "bench", "sensor", "shakercal"), encoding="utf-8")
     return file
 
 
@@ -167,7 +167,10 @@ def test_force_feedback_with_and_without_knowing_the_load(tmp_path):
 
 
 def test_one_mode_of_two_is_told(tmp_path):
-    sources, wish = read_sources([_write_loads(tmp_path / "load")]), Wish(frequency_hz=1000.0, load_masses=(0.198,))
+    sources, wish = (
+        read_sources([_write_loads(tmp_path / "load")]),
+        CompensationSettings(frequency_hz=1000.0, load_masses=(0.198,)),
+    )
     found = evaluate_compensation(sources, wish, None, {})
     told = [notice.text for notice in found.notices if notice.severity == "warning"]
     assert any("--modes compensates it too" in text for text in told)
@@ -177,7 +180,7 @@ def test_one_mode_of_two_is_told(tmp_path):
 def test_a_recording_is_filtered_for_the_load_of_its_rig(tmp_path):
     """The record of a sensor that rings comes out as the step of the target, within its uncertainty."""
     file, out = tmp_path / "load.json", tmp_path / "out"
-    file.write_text(model_text([(TWO_MASSES, Rests())], "bench", "sensor", "shakercal"), encoding="utf-8")
+    file.write_text(model_text([(TWO_MASSES, UncertaintyBasis())], "bench", "sensor", "shakercal"), encoding="utf-8")
     _write_recording(tmp_path / "release")
     wish = ["--frequency", "1000", "--damping", "0.6", "--calibrated", "--apply", str(tmp_path / "release")]
     assert main(["compensate", str(file), *wish, "-o", str(out)]) == 0
@@ -227,7 +230,9 @@ def test_the_c_header_gives_the_same_bits(tmp_path):
         pytest.skip("no C compiler (cc) on this machine")
     out = tmp_path / "out"
     out.mkdir()
-    wish = Wish(frequency_hz=1000.0, damping_ratio=0.5, modes=2, load_masses=(0.0, 0.198), calibrated=True)
+    wish = CompensationSettings(
+        frequency_hz=1000.0, damping_ratio=0.5, modes=2, load_masses=(0.0, 0.198), calibrated=True
+    )
     evaluation = evaluate_compensation(read_sources([_write_loads(tmp_path / "load")]), wish, None, {})
     (out / "compensation.h").write_text(header_text(evaluation), encoding="utf-8")
     (out / "compensation.json").write_text(json_text(evaluation), encoding="utf-8")
@@ -383,7 +388,9 @@ def test_figures_carry_what_is_open_of_all_poles_and_zeros(tmp_path, times):
     )
     file = tmp_path / "models.json"
     file.write_text(models_text(ModelsFile("bench", "sensor", "7", (entry(model),))), encoding="utf-8")
-    found = evaluate_compensation(read_sources([file]), Wish(frequency_hz=1000.0, damping_ratio=0.5), None, {})
+    found = evaluate_compensation(
+        read_sources([file]), CompensationSettings(frequency_hz=1000.0, damping_ratio=0.5), None, {}
+    )
     ((made,),) = (subject.filters for subject in found.subjects)
     rng, drawn = np.random.default_rng(8), []
     for vector in model.vector + spread * rng.normal(size=(DRAWN, len(spread))):
@@ -417,7 +424,7 @@ def test_a_band_that_a_peak_may_cut_short_is_covered(tmp_path):
     model = replace(model, covariance=np.outer(slope, slope))
     file = tmp_path / "models.json"
     file.write_text(models_text(ModelsFile("bench", "sensor", "7", (entry(model),))), encoding="utf-8")
-    found = evaluate_compensation(read_sources([file]), Wish(frequency_hz=2550.0), None, {})
+    found = evaluate_compensation(read_sources([file]), CompensationSettings(frequency_hz=2550.0), None, {})
     ((made,),) = (subject.filters for subject in found.subjects)
     value, u_value = made.after.indices.band_10_hz, made.after.u["band_10_hz"]
     lags = 1 / pole + u * np.random.default_rng(4).normal(size=100)

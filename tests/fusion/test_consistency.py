@@ -18,25 +18,25 @@ from instrument_factory import (
     TRUTH,
     beam,
     camera,
+    drop_readings,
     lasers,
-    measured,
+    rotated_frame,
+    simulated_readings,
     triaxial,
-    turned,
     with_values,
-    without,
 )
 from scipy.optimize import brentq
 from scipy.stats import binom, chi2, f, ncf, ncx2, t
-from support import far
+from support import region_distance
 
-from fusion.estimation.consistency import as_stated, explanations, not_allowed_for, suspicion
 from fusion.estimation.fuse import INCONSISTENCY, Acceleration, fuse, fuse_sources, untested
+from fusion.estimation.instrument_consistency import as_stated, explanations, missing_covariance, suspicion
 from fusion.estimation.least_squares import build_system, solve
 from fusion.estimation.measurement_model import Observation
 from fusion.estimation.uncertainty import as_complex
 from fusion.estimation.variance_components import Contrasts, EstimatedNoise, variance_components
-from fusion.sensitivity.body import Body, make_part
-from fusion.sensitivity.load import load_phasors
+from fusion.sensitivity.load_phasors import load_phasors
+from fusion.sensitivity.moving_body import Body, make_moving_part
 
 TURN_RAD = 5e-3
 
@@ -82,8 +82,8 @@ def test_the_same_errors_at_all_lines_count_once():
 
 def test_an_instrument_that_cannot_test_itself_has_no_scatter_of_its_own():
     rng = np.random.default_rng(3)
-    seen = measured([camera(), lasers(3), triaxial()], rng)
-    seen[0] = turned(seen[0], 1, 0.02)
+    seen = simulated_readings([camera(), lasers(3), triaxial()], rng)
+    seen[0] = rotated_frame(seen[0], 1, 0.02)
     result = fuse(seen)
     assert result.scatter == ()
     assert any(c.label == "inconsistency of instruments" for c in result.uncertainty.random)
@@ -92,7 +92,7 @@ def test_an_instrument_that_cannot_test_itself_has_no_scatter_of_its_own():
 @pytest.mark.parametrize("spread", [1.0, 1.0j])
 def test_scatter_of_amplitudes_is_told_from_that_of_phases(spread):
     rng = np.random.default_rng(4)
-    (clean,) = measured([lasers(8, 2e-7, AXIAL, **BARE)], rng, AXIAL)
+    (clean,) = simulated_readings([lasers(8, 2e-7, AXIAL, **BARE)], rng, AXIAL)
     value = clean.phasors.value * (1 + 1e-3 * spread * rng.normal(size=8))
     (found,) = fuse([with_values(clean, value)]).scatter
     large, small = (found.amplitude, found.phase) if spread == 1.0 else (found.phase, found.amplitude)
@@ -104,7 +104,7 @@ def test_scatter_of_amplitudes_is_told_from_that_of_phases(spread):
 
 def test_scatter_at_a_harmonic_stays_there():
     rng = np.random.default_rng(5)
-    (clean,) = measured([lasers(8, 1e-5, AXIAL, **BARE)], rng, AXIAL)
+    (clean,) = simulated_readings([lasers(8, 1e-5, AXIAL, **BARE)], rng, AXIAL)
     value = clean.phasors.value * (1 + np.array([[1e-4], [0.1]]) * rng.normal(size=(2, 8)))
     (found,) = fuse([with_values(clean, value)]).scatter
     assert found.amplitude[0] < 3e-4
@@ -113,7 +113,7 @@ def test_scatter_at_a_harmonic_stays_there():
 
 def test_two_instruments_of_different_scale_are_both_covered_and_nothing_else_is():
     rng = np.random.default_rng(6)
-    optical, array = measured([camera(), lasers(8)], rng)
+    optical, array = simulated_readings([camera(), lasers(8)], rng)
     agreed = fuse([optical, array])
     result = fuse([optical, with_values(array, array.phasors.value * 1.002)])
     assert {test.instrument for test in result.consistency if test.suspect} == {"stereo top", "laser as a whole"}
@@ -128,8 +128,8 @@ def test_two_instruments_of_different_scale_are_both_covered_and_nothing_else_is
 def test_a_turned_camera_is_named_and_covered(others, axis):
     rng = np.random.default_rng(7)
     more = {"triaxial": [triaxial()], "beam": [beam()], "both": [beam(), triaxial()]}[others]
-    seen = measured([camera(), lasers(3), *more], rng)
-    result = fuse([turned(seen[0], axis, 5e-3), *seen[1:]])
+    seen = simulated_readings([camera(), lasers(3), *more], rng)
+    result = fuse([rotated_frame(seen[0], axis, 5e-3), *seen[1:]])
     if others == "beam" and axis == 0:
         # A beam along x says nothing of a turn about x, and the report says so.
         assert "stereo top: pose rotation x" in {row.name for row in untested(result)}
@@ -145,8 +145,8 @@ def test_a_turned_camera_is_named_and_covered(others, axis):
 
 
 def test_axial_beams_alone_do_not_test_a_turn_and_the_result_says_so():
-    seen = measured([camera(), lasers(8)], np.random.default_rng(8))
-    result = fuse([turned(seen[0], 1, 5e-3), *seen[1:]])
+    seen = simulated_readings([camera(), lasers(8)], np.random.default_rng(8))
+    result = fuse([rotated_frame(seen[0], 1, 5e-3), *seen[1:]])
     assert not any(notice.severity == "warning" for notice in result.notices)
     rows = {row.name: row for row in untested(result)}
     assert {"stereo top: pose rotation x", "stereo top: pose rotation y"} <= set(rows)
@@ -161,13 +161,13 @@ def test_axial_beams_alone_do_not_test_a_turn_and_the_result_says_so():
 def test_where_instruments_agree_fused_is_no_worse_than_the_best_of_them():
     rng = np.random.default_rng(9)
     for _ in range(5):
-        fused, *single = fuse_sources(measured([camera(), lasers(8), triaxial()], rng), "load")
+        fused, *single = fuse_sources(simulated_readings([camera(), lasers(8), triaxial()], rng), "load")
         assert not any(notice.severity == "warning" for notice in fused.notices)
         for component in range(6):
             best = min(expanded(one, component) for one in single if one.observed[0, component])
             assert expanded(fused, component) <= best * (1 + 1e-3)
     # One kind of instrument alone is the fused result.
-    fused, single = fuse_sources(measured([lasers(8)], np.random.default_rng(10)), "load")
+    fused, single = fuse_sources(simulated_readings([lasers(8)], np.random.default_rng(10)), "load")
     assert single.source == "vibrometer"
     np.testing.assert_array_equal(single.phasors.value, fused.phasors.value)
 
@@ -178,10 +178,10 @@ def test_whatever_is_missing_or_wrong_values_have_uncertainties(seed):
     rng = np.random.default_rng(seed)
     every = [camera(), lasers(int(rng.integers(1, 9))), triaxial(), beam()]
     seen = []
-    for observation in measured([o for o in every if rng.random() < 0.7] or [lasers(8)], rng):
+    for observation in simulated_readings([o for o in every if rng.random() < 0.7] or [lasers(8)], rng):
         value = observation.phasors.value * (1 + 10 ** rng.uniform(-5, 1) * rng.normal(size=len(observation.members)))
         gone = (rng.random(value.shape) < 0.15) | np.array([[False], [seed % 3 == 0]])
-        seen.append(without(with_values(observation, value), gone))
+        seen.append(drop_readings(with_values(observation, value), gone))
     for result in fuse_sources(seen, "load"):
         assert np.array_equal(np.isfinite(result.phasors.value), result.observed)
         variances = result.phasors.covariance.diagonal(axis1=1, axis2=2)
@@ -200,14 +200,14 @@ def disagreement(result: Acceleration) -> np.ndarray:
 
 def covered(result: Acceleration, truth: np.ndarray = TRUTH) -> np.ndarray:
     """Which components' 95 % regions hold the truth at the first line."""
-    return np.array(far(result.phasors.value[0], truth[0], result.uncertainty)) <= 1.0
+    return np.array(region_distance(result.phasors.value[0], truth[0], result.uncertainty)) <= 1.0
 
 
 @pytest.mark.parametrize("axis", [0, 1])
 def test_a_camera_that_may_be_turned_is_so_in_rotations_too(axis):
     """Two instruments that differ by 5 mrad as one of 1 mrad would: half of the excess variance is each one's."""
-    seen = measured([camera(), lasers(3), triaxial()], np.random.default_rng(1), drawn=False)
-    result = fuse([turned(seen[0], axis, TURN_RAD), *seen[1:]])
+    seen = simulated_readings([camera(), lasers(3), triaxial()], np.random.default_rng(1), drawn=False)
+    result = fuse([rotated_frame(seen[0], axis, TURN_RAD), *seen[1:]])
     # The camera states 0.5 mrad, the accelerometer 0.5 mrad and 1 mrad / √2 across its axis.
     stated = 0.5e-3**2 + 0.5e-3**2 + 1e-3**2 / 2.0
     turn = np.sqrt((TURN_RAD**2 - stated) / 2.0)
@@ -220,8 +220,8 @@ def test_a_camera_that_may_be_turned_is_so_in_rotations_too(axis):
 
 
 def test_an_instrument_that_two_others_contradict_is_alone_in_doubt():
-    seen = measured([camera(), lasers(3), beam(), triaxial()], np.random.default_rng(2), drawn=False)
-    found = disagreement(fuse([turned(seen[0], 1, TURN_RAD), *seen[1:]]))
+    seen = simulated_readings([camera(), lasers(3), beam(), triaxial()], np.random.default_rng(2), drawn=False)
+    found = disagreement(fuse([rotated_frame(seen[0], 1, TURN_RAD), *seen[1:]]))
     # All of the excess is the camera's; what the other two state between them is 0.43 mrad.
     turn = np.sqrt(TURN_RAD**2 - 0.5e-3**2 - 0.43e-3**2)
     assert np.sqrt(found[11, 11]) == pytest.approx(turn * abs(TRUTH[0, 3]), rel=0.15)
@@ -236,8 +236,8 @@ def test_what_is_missing_is_the_least_that_makes_up_for_what_is_wanted(seed, ran
     wanted = half @ half.swapaxes(1, 2)
     scale = np.sqrt(np.einsum("kii->ki", wanted))
     scale = scale[:, :, None] * scale[:, None, :]
-    np.testing.assert_allclose(not_allowed_for(wanted, 0.0 * wanted) / scale, wanted / scale, atol=1e-6)
-    assert np.max(np.abs(not_allowed_for(wanted, 1.001 * wanted) / scale)) <= 1e-9
+    np.testing.assert_allclose(missing_covariance(wanted, 0.0 * wanted) / scale, wanted / scale, atol=1e-6)
+    assert np.max(np.abs(missing_covariance(wanted, 1.001 * wanted) / scale)) <= 1e-9
     # Real and imaginary part of each value, allowed for in one direction of the plane only.
     angle = rng.uniform(0.0, np.pi)
     direction, across = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
@@ -245,7 +245,7 @@ def test_what_is_missing_is_the_least_that_makes_up_for_what_is_wanted(seed, ran
     blocks = [np.ix_([0, 1], [value, value + 3], [value, value + 3]) for value in range(3)]
     for both in blocks:
         allowed[both] = 1e3 * np.trace(wanted[both], axis1=1, axis2=2)[:, None, None] * np.outer(direction, direction)
-    missing = not_allowed_for(wanted, allowed)
+    missing = missing_covariance(wanted, allowed)
     for both in blocks:
         some = np.trace(wanted[both], axis1=1, axis2=2)[:, None]
         made_up = np.linalg.eigvalsh(missing[both] + allowed[both] - wanted[both]) / some
@@ -260,8 +260,8 @@ def test_where_a_turn_is_noticed_every_component_is_covered(axis):
     rng = np.random.default_rng(3)
     clean, held = [camera(), lasers(3), triaxial()], []
     for _ in range(60):
-        seen = measured(clean, rng)
-        result = fuse([turned(seen[0], axis, TURN_RAD), *seen[1:]])
+        seen = simulated_readings(clean, rng)
+        result = fuse([rotated_frame(seen[0], axis, TURN_RAD), *seen[1:]])
         if any(notice.severity == "warning" for notice in result.notices):
             held.append(covered(result))
     # Of a 5 σ contradiction 7 in 10 or more are beyond the limit for all unknowns together.
@@ -293,7 +293,7 @@ def test_eight_lasers_with_unstated_scatter_are_unbiased_and_covered():
     clean = lasers(8, 2e-7, AXIAL, **BARE)
 
     def make() -> list[Observation]:
-        (read,) = measured([clean], rng, AXIAL)
+        (read,) = simulated_readings([clean], rng, AXIAL)
         return [with_values(read, read.phasors.value * (1 + 1e-3 * rng.normal(size=8)))]
 
     errors, spread = judged(make, AXIAL, cautious=True)
@@ -305,7 +305,7 @@ def test_eight_lasers_with_unstated_scatter_are_unbiased_and_covered():
 @pytest.mark.slow
 def test_nothing_is_inflated_where_all_is_as_stated():
     rng, clean = np.random.default_rng(12), [camera(), lasers(8), triaxial()]
-    judged(lambda: measured(clean, rng), TRUTH, cautious=False)
+    judged(lambda: simulated_readings(clean, rng), TRUTH, cautious=False)
 
 
 def scaled(observation: Observation, factor: float, member: int | None = None) -> Observation:
@@ -321,7 +321,7 @@ CENTRE = lasers([(0.0, 0.0, 0.04)])
 @pytest.mark.parametrize("wrong", [0, 1])
 def test_two_instruments_thirty_per_cent_apart_give_both_values_and_no_mean(wrong):
     """Of several absurd causes the largest (a laser displaced by 0.78 m) was taken for the true one: u stayed 2e-4."""
-    seen = measured([camera(), lasers([(0.03, 0.0, 0.04)])], np.random.default_rng(1))
+    seen = simulated_readings([camera(), lasers([(0.03, 0.0, 0.04)])], np.random.default_rng(1))
     seen[wrong] = scaled(seen[wrong], 1.3)
     fused, *single = fuse_sources(seen, "load")
     assert not fused.observed[0, 2]
@@ -335,13 +335,13 @@ def test_two_instruments_thirty_per_cent_apart_give_both_values_and_no_mean(wron
     assert "; gross error or wrong statement: " in text
     assert "U was enlarged" not in text
     assert single[0].phasors.value[0, 2].real == pytest.approx(189.0 * (1.3 if wrong == 0 else 1.0), rel=2e-3)
-    load = load_phasors(fused, Body((make_part("cube", 1.0, (0.0, 0.0, 0.03), np.eye(3) * 1e-3),)))
+    load = load_phasors(fused, Body((make_moving_part("cube", 1.0, (0.0, 0.0, 0.03), np.eye(3) * 1e-3),)))
     assert not load.observed.any()
     assert any("no load, and no sensitivity" in notice.text for notice in load.notices)
 
 
 def test_both_values_of_a_dispute_are_told_with_their_u():
-    seen = measured([camera(), lasers(3)], np.random.default_rng(1))
+    seen = simulated_readings([camera(), lasers(3)], np.random.default_rng(1))
     result = fuse([seen[0], scaled(seen[1], 1.3)])
     by_laser, by_camera = (np.array(one.value[0, 2]) for one in result.explanations)
     assert abs(by_laser) == pytest.approx(1.3 * 189.0, rel=2e-3)
@@ -354,7 +354,7 @@ def test_both_values_of_a_dispute_are_told_with_their_u():
 
 def test_what_one_of_three_gets_grossly_wrong_is_left_out_and_nothing_else():
     rng = np.random.default_rng(2)
-    seen = measured([camera(), lasers(3), triaxial(), beam()], rng)
+    seen = simulated_readings([camera(), lasers(3), triaxial(), beam()], rng)
     right = fuse([seen[0], *seen[2:]])
     result = fuse([seen[0], scaled(seen[1], 1.3), *seen[2:]])
     (left,) = (test for test in result.consistency if test.left_out)
@@ -368,7 +368,7 @@ def test_what_one_of_three_gets_grossly_wrong_is_left_out_and_nothing_else():
 
 def test_explanations_are_what_a_fit_without_the_suspect_finds():
     """Against a dense generalised least squares of the other readings with the same linearised common errors."""
-    system = build_system(measured([camera(), lasers(3), triaxial()], np.random.default_rng(3)))
+    system = build_system(simulated_readings([camera(), lasers(3), triaxial()], np.random.default_rng(3)))
     solution = solve(system)
     rows = np.flatnonzero(system.observation == 1)
     rest = np.flatnonzero(system.observation != 1)
@@ -399,14 +399,14 @@ def test_explanations_are_what_a_fit_without_the_suspect_finds():
 def test_a_reversed_channel_and_a_mistaken_unit_are_named(factor, words, alone):
     second = replace(lasers(3, common="second", scale_uncertainty=2.5e-4), members=("q0", "q1", "q2"))
     clean = [camera(), CENTRE, *([] if alone else [second])]
-    seen = measured(clean, np.random.default_rng(4))
+    seen = simulated_readings(clean, np.random.default_rng(4))
     result = fuse([seen[0], scaled(seen[1], factor), *seen[2:]])
     assert f"as if {words}" in warning(result)
     assert any(test.instrument == "p0" and test.suspect for test in result.consistency)
 
 
 def test_two_exchanged_channels_are_named():
-    (optical, axes) = measured([camera(), triaxial()], np.random.default_rng(5))
+    (optical, axes) = simulated_readings([camera(), triaxial()], np.random.default_rng(5))
     value = axes.phasors.value[:, [2, 1, 0]]
     result = fuse([optical, with_values(axes, value)])
     assert "all agree if ax and az are exchanged" in warning(result)
@@ -430,7 +430,7 @@ def wrong_by(case: str, times: float, trials: int) -> tuple[int, int, int]:
     members = clean[bad].members if member is None else clean[bad].members[member : member + 1]
     right = {clean[bad].title, f"{clean[bad].title} as a whole", *members}
     for _ in range(trials):
-        seen = measured(clean, rng)
+        seen = simulated_readings(clean, rng)
         seen[bad] = scaled(seen[bad], 1.0 + times * u, member)
         result = fuse(seen)
         holds = not result.observed[0, 2] or covered(result)[2]
@@ -469,7 +469,7 @@ def test_where_all_is_as_stated_alarms_are_rare_and_u_is_not_enlarged(case):
     clean, rng, trials = GROSS_CASES[case][0], np.random.default_rng(6), 200
     alarms, spread, held = 0, [], []
     for _ in range(trials):
-        result = fuse(measured(clean, rng))
+        result = fuse(simulated_readings(clean, rng))
         alarms += any(notice.severity == "warning" for notice in result.notices)
         spread.append(expanded(result, 2))
         held.append(covered(result))
@@ -522,7 +522,7 @@ def test_what_is_told_to_be_unnoticed_is():
     """One of four points 5 u high, 2.5 of their one contrast: ry lies 5/√2 of its u off wherever no test sees it."""
     rng, silent = np.random.default_rng(18), []
     for _ in range(200):
-        (drawn,) = measured([circle(4)], rng, AXIAL)
+        (drawn,) = simulated_readings([circle(4)], rng, AXIAL)
         result = fuse([scaled(drawn, 1.0 + 5e-4, 0)])
         if not any(notice.severity == "warning" for notice in result.notices):
             silent.append(covered(result, AXIAL)[[3, 4]])
@@ -556,7 +556,7 @@ def estimated(trial: int, dof: int) -> list[Observation]:
     """Camera and channels as stated; the camera's noise and its covariance drawn, Re and Im with one Wishart matrix."""
     rng = np.random.default_rng([20, trial])
     root = 3e-8 * np.array([1, 1, 3, 30, 30, 10.0])[:, None] * np.linalg.cholesky(0.5 * np.eye(6) + 0.5)
-    stereo, *others = measured([camera(1e-15), lasers(4, 1e-4), triaxial()], rng)
+    stereo, *others = simulated_readings([camera(1e-15), lasers(4, 1e-4), triaxial()], rng)
     samples = root @ rng.normal(size=(2, 6, dof))
     covariance = np.kron(np.eye(2), samples @ samples.swapaxes(1, 2) / dof)
     value = stereo.phasors.value + (rng.normal(size=(2, 6)) + 1j * rng.normal(size=(2, 6))) @ root.T
@@ -585,7 +585,7 @@ def test_the_cause_of_a_contradiction_is_named_where_noise_was_estimated():
     named = []
     for trial in range(60):
         stereo, *others = estimated(trial, 8)
-        result = fuse([turned(stereo, 1, 3.5e-3), *others])
+        result = fuse([rotated_frame(stereo, 1, 3.5e-3), *others])
         named += ["pose rotation y would have to be" in n.text for n in result.notices if "disagree" in n.text]
     assert len(named) > 10
     assert np.mean(named) > 0.9

@@ -13,8 +13,8 @@ import pytest
 from fusion import Settings, run_path
 from fusion.report import folder
 from photogram import bspline
-from photogram.direct import fit
-from photogram.images import files, tiff
+from photogram.direct import direct_fit
+from photogram.images import image_files, tiff
 from photogram.subsets import find
 from photogram.subsets.reference import TrackStatus
 
@@ -23,7 +23,12 @@ PICTURES, CAMERAS = 96, 4
 DRAWING = ("matplotlib", "jinja2", "PIL")
 FOLLOWING = ("numba", "llvmlite", "torch", "photogram.bspline", "photogram.measure")
 SELDOM = ("scipy.interpolate", "scipy.stats", "scipy.signal", "lxml")
-OF_CAMPAIGNS = ("fusion.campaign.joint", "fusion.campaign.curve", "fusion.campaign.matrix", "scipy.sparse.csgraph")
+OF_CAMPAIGNS = (
+    "fusion.campaign.joint_evaluation",
+    "fusion.campaign.curve",
+    "fusion.campaign.matrix",
+    "scipy.sparse.csgraph",
+)
 SOLVING = ("scipy.optimize", "scipy.fft", "scipy.ndimage", "scipy.spatial", "scipy.sparse")
 
 
@@ -41,7 +46,7 @@ def costs(tmp_path_factory):
 
         patch.setattr(module, name, outer)
 
-    compare, pixels = fit.compare_cells, list[int]()
+    compare, pixels = direct_fit.compare_cells, list[int]()
 
     def compared(own, *arguments):
         pixels.append(own.pixels.shape[1])
@@ -56,12 +61,12 @@ def costs(tmp_path_factory):
 
     with pytest.MonkeyPatch.context() as patch:
         for module, name in (
-            (files, "tiff_header"), (files, "read_tiff"), (tiff, "_inflated"), (bspline, "_prefilter"),
+            (image_files, "tiff_header"), (image_files, "read_tiff"), (tiff, "_inflated"), (bspline, "_prefilter"),
             (folder, "still_svg"),
         ):  # fmt: skip
             counted(patch, module, name)
         patch.setattr(find, "register", registered)
-        patch.setattr(fit, "compare_cells", compared)
+        patch.setattr(direct_fit, "compare_cells", compared)
         run_path(DEMO, tmp_path_factory.mktemp("results"), Settings(), force=True)
     calls["pixels of a body"], calls["pixels compared"] = max(pixels), sum(pixels)
     return calls, iterations
@@ -125,6 +130,6 @@ def test_lines_need_no_images():
 
 def test_a_recording_by_itself_is_run_without_what_joins_a_campaign():
     """Everything that a run imports before it computes, and a table that is printed afterwards."""
-    modules = "fusion.campaign.run", "fusion.campaign.terminal", "photogram.measure.body", "photogram.epipolar"
+    modules = "fusion.campaign.run", "fusion.campaign.run_summary", "photogram.measure.body", "photogram.epipolar"
     found = imported("\n".join(f"import {name}" for name in modules))
     assert not found & {*SELDOM, *OF_CAMPAIGNS, "torch", "scipy.optimize"}

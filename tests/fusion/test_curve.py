@@ -11,17 +11,17 @@ from contracts import refused
 from numpy.typing import ArrayLike, NDArray
 from simulated_drives import CAPACITY, MAIN, DriveErrors, drive_setup, eight_setups, simulate_drives, true_matrix
 
+from fusion.campaign.campaign_figures import IN_LEGEND, SPREAD_OVER, _draw_mountings
 from fusion.campaign.curve import (
     INTERPOLATION,
-    LEAST_POINTS,
+    MIN_POINTS,
     interpolate,
     interpolation_weights,
     matrix_curve,
     ratio_curves,
     relative_curve,
 )
-from fusion.campaign.drive import Drive
-from fusion.campaign.figures import IN_LEGEND, SPREAD_OVER, _draw_mountings
+from fusion.campaign.excited_line import ExcitedLine
 from fusion.campaign.matrix import fit_matrix
 from fusion.report.figure import Panel, Points
 from fusion.sensitivity.ratio import StatedMatrix
@@ -35,11 +35,11 @@ def response(frequency_hz: ArrayLike) -> AnyArray:
     return np.asarray(1.0 / (1.0 - (np.asarray(frequency_hz) / RESONANCE_HZ) ** 2))
 
 
-def sweep(lines: int = 12) -> tuple[list[Drive], AnyArray]:
+def sweep(lines: int = 12) -> tuple[list[ExcitedLine], AnyArray]:
     """Two mountings of an axial recording at every frequency, below a resonance; and the matrix at rest."""
     rng = np.random.default_rng(1)
     truth, errors = true_matrix(rng), DriveErrors(rng)
-    found: list[Drive] = []
+    found: list[ExcitedLine] = []
     for frequency in np.geomspace(50.0, 1000.0, lines).tolist():
         base = replace(drive_setup(rng, "", "z", (0.0, 0.0, 0.08)), frequency_hz=frequency)
         setups = [replace(base, recording=f"{frequency:.0f}-{m}", mounting=f"{m}") for m in range(2)]
@@ -183,8 +183,8 @@ def test_weights_reproduce_a_parabola_and_points_without_noise():
     exact = interpolation_weights(frequency, value, np.zeros(14), frequency)
     np.testing.assert_allclose(exact.weight @ value, value, rtol=1e-6)
     assert np.all(exact.variance < 1e-10)
-    few = np.arange(1.0, LEAST_POINTS)
-    refused(f"at least {LEAST_POINTS} points, found {LEAST_POINTS - 1}", interpolation_weights, few, few, few, few)
+    few = np.arange(1.0, MIN_POINTS)
+    refused(f"at least {MIN_POINTS} points, found {MIN_POINTS - 1}", interpolation_weights, few, few, few, few)
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ import scipy.io
 from nptdms import ChannelObject, TdmsWriter
 from support import AT_ORIGIN, channel, evaluated, write_daq
 
-from fusion.base import InputError
+from fusion.errors import InputError
 from fusion.sensitivity.analyse import Evaluation
 
 RATE_HZ, SAMPLES, FREQUENCY_HZ, PHASOR = 4096.0, 4096, 100.01, 0.6 * np.exp(1.1j)

@@ -10,13 +10,13 @@ import h5py
 import numpy as np
 import pytest
 from page_outline import self_contained
+from support import documented_columns
 from support import rows as read_rows
-from support import told_columns
 
-from fusion.base import InputError
 from fusion.cli import main
-from fusion.sensor.decouple.evaluate import DecoupleEvaluation, evaluate_decoupling, read_decoupling_filter
-from fusion.sensor.decouple.report import DECOUPLE, draw_step
+from fusion.errors import InputError
+from fusion.sensor.decouple.decoupling_evaluation import DecoupleEvaluation, evaluate_decoupling, read_decoupling_filter
+from fusion.sensor.decouple.decoupling_report import DECOUPLE, draw_step
 from fusion.simulate.preset import read_preset
 from fusion.simulate.releases import StepRig, sensor_model, write_steps
 from fusion.simulate.world import Draws
@@ -53,7 +53,7 @@ def evaluation(campaign: Path) -> DecoupleEvaluation:
         return kept[-1]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fusion.sensor.decouple.report.evaluate_decoupling", keep)
+        patch.setattr("fusion.sensor.decouple.decoupling_report.evaluate_decoupling", keep)
         assert main(["decouple", str(campaign), "--frequency", "90", "--damping", "0.6", "-q"]) == 0
     return kept[0]
 
@@ -75,7 +75,7 @@ def test_all_files_are_written(results):
 
 def test_modes_are_the_simulated_ones(results):
     quantities = read_rows(results / "model.csv")
-    assert list(quantities[0]) == told_columns("decoupling.md", "model.csv")
+    assert list(quantities[0]) == documented_columns("decoupling.md", "model.csv")
     rows = [row for row in quantities if row["quantity"] == "frequency_hz"]
     found = sorted((float(row["value"]), float(row["u"])) for row in rows)
     for frequency in RIG.frequency_hz:

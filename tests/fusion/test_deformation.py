@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from contracts import refused
 
-from fusion.base import InputError
+from fusion.errors import InputError
 from fusion.phasors.deformation import ShapePhasors, shape_phasors
 from fusion.planning.check import _measured_modes
 from fusion.recording.load import load_manifest
 from fusion.recording.rig import Elastic
-from fusion.sensitivity.body import Body, elastic_part, stated_modes
 from fusion.sensitivity.mode_shapes import mode_shapes, with_measured_modes
+from fusion.sensitivity.moving_body import Body, elastic_part, stated_modes
 from photogram.direct.shapes import PlainShapes, ShapeAmplitudes
 from shaker.sine.phasor import Phasors
 
@@ -153,7 +153,7 @@ def test_a_measured_mode_has_the_force_that_it_has_and_the_uncertainty_that_it_n
             value, u = pulled(measured)
             errors.append(((value - force[2]) / value * abs(value)).real / u)
             assert u < u_stated
-            assert told[0].severity == "info"
+            assert told[0].severity == "note"
             assert "plate: axial" in told[0].text
             assert "nm" in told[0].text
         inside = np.count_nonzero(np.abs(errors) < 1.96)
@@ -167,7 +167,7 @@ def test_a_response_that_contradicts_what_is_stated_stands_alone():
     measured, told = with_measured_modes(stated, SimpleNamespace(elastic=(PLATE,)), (pair,))
     value, u = pulled(measured)
     assert abs(value - force[2]) < 4 * u < 0.2 * abs(value)
-    assert [notice.severity for notice in told] == ["info", "warning"]
+    assert [notice.severity for notice in told] == ["note", "warning"]
     assert "1020.3 Hz" in told[1].text
 
 

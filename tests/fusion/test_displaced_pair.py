@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support import evaluated
 
-from fusion.base import ComputeError
+from fusion.errors import ComputeError
 from fusion.phasors.stereo_phasors import _step
 from fusion.simulate import simulate
 
@@ -52,7 +52,7 @@ def test_a_small_step_is_told():
 def test_frames_too_few_to_tell_are_told():
     (notice,) = _step("top", *motion(1, 8), FREQUENCY_HZ)
     needed = 2 * len(FREQUENCY_HZ) + 7
-    assert notice.severity == "info"
+    assert notice.severity == "note"
     assert notice.text.startswith("8 frames are too few to tell whether its body stayed elsewhere")
     assert notice.text.endswith(f"that takes {needed}")
     assert _step("top", *motion(1, needed), FREQUENCY_HZ) == []

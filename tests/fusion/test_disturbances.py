@@ -9,11 +9,10 @@ from contracts import coverage_contract
 from fusion.estimation.fuse import fuse
 from fusion.estimation.measurement_model import Deviates
 from fusion.estimation.uncertainty import Contribution, Uncertainty
-from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels, output_phasors
+from fusion.instruments.channel import ChainUncertainty, ChannelReading, observe_channels, output_phasors
 from fusion.recording.environment import Environment
 from fusion.recording.manifest import ChannelEntry
-from fusion.recording.rig import Load, Rig, Sensor
-from fusion.sensitivity.body import load_body
+from fusion.recording.rig import Rig, RigLoad, Sensor
 from fusion.sensitivity.disturbances import (
     at_reference_temperature,
     not_assessed,
@@ -21,6 +20,7 @@ from fusion.sensitivity.disturbances import (
     with_base_strain,
     with_support_motion,
 )
+from fusion.sensitivity.moving_body import load_body
 from fusion.sensitivity.ratio import Sensitivity
 from shaker.labels import LOAD_COMPONENTS
 from shaker.sine.phasor import Phasors
@@ -37,7 +37,7 @@ SENSOR = Sensor(
     reference_temperature=20.0,
     base_strain_sensitivity=2e-3,
 )
-LOAD = Load(
+LOAD = RigLoad(
     mass=5.0,
     centre_of_mass=(0.0, 0.0, 0.0),
     inertia=np.diag([0.01, 0.01, 0.01]).tolist(),
@@ -46,11 +46,11 @@ LOAD = Load(
 )
 
 
-def reading(entry: ChannelEntry, value: complex, u: float = 1e-10) -> Reading:
+def reading(entry: ChannelEntry, value: complex, u: float = 1e-10) -> ChannelReading:
     values = np.full((2, 1), value, dtype=np.complex128)
     covariance = np.repeat(u**2 * abs(value) ** 2 * np.eye(2)[None], 2, axis=0)
     channels, unit = (entry.name,), ("1",)
-    return Reading(
+    return ChannelReading(
         entry, Phasors(FREQUENCY_HZ, values, covariance, channels, unit, np.full(2, 1e3)), ChainUncertainty()
     )
 
@@ -105,7 +105,9 @@ def test_a_shaken_support_is_in_u_of_lasers_alone_and_accelerometers_find_it():
             # Noise far below the disc, yet within what double precision tells apart in squares.
             own = reading(entry, true * (1.0 - support) if optical else true, 1e-7)
             factor = -1.0 / (2.0 * np.pi * FREQUENCY_HZ[:, None]) ** 2 if optical else 1.0
-            given.append(Reading(entry, own.phasors.scaled(np.broadcast_to(factor, (2, 1)).astype(complex)), own.chain))
+            given.append(
+                ChannelReading(entry, own.phasors.scaled(np.broadcast_to(factor, (2, 1)).astype(complex)), own.chain)
+            )
         return with_support_motion(observe_channels(given), 0.02)
 
     def deviations(entries, trials):

@@ -12,10 +12,10 @@ import pytest
 from contracts import refused
 from support import AT_ORIGIN, block, channel, evaluated, recording_head, write_daq
 
-from fusion.base import ComputeError
 from fusion.cli import main
+from fusion.errors import ComputeError
 from fusion.phasors.steadiness import line_stationarity, stationarity_notices
-from fusion.report.recording import write_h5
+from fusion.report.recording_report import write_h5
 from fusion.report.tables import drift_table
 from fusion.sensitivity.analyse import Evaluation
 from shaker.timebase.tie import ClockTie

@@ -8,23 +8,23 @@ import numpy as np
 import pytest
 from bench_factory import ACCELERATION, FORCE_OUTPUT, Bench, write_bench
 from contracts import acceptance
-from instrument_factory import FREQUENCY, channels, exact, with_values
+from instrument_factory import FREQUENCY, channels, exact_reading, with_values
 from simulated_phasors import lines_at
-from support import evaluated, far
+from support import evaluated, region_distance
 
-from fusion.base import ComputeError
+from fusion.errors import ComputeError
 from fusion.estimation.least_squares import Unbounded
-from fusion.instruments.transducer import across
+from fusion.instruments.transducer import perpendicular_axes
 from fusion.planning.check import check
 from fusion.recording.load import load_manifest
 from fusion.sensitivity.analyse import Inputs, analyse, driven_motion
-from fusion.sensitivity.body import Body, make_part
+from fusion.sensitivity.moving_body import Body, make_moving_part
 
 LINES = lines_at(FREQUENCY[:1].tolist(), [1])
 AIMED, LIMIT = 0.02, 0.1
 STATED = {"direction_uncertainty": AIMED, "scale_uncertainty": 1e-4, "individual_uncertainty": 1e-5}
 SIZE = np.array([1.0, 1.0, 1.0, 10.0, 10.0, 10.0])
-BODY = Body((make_part("load", 2.0, (0.0, 0.0, 0.0), np.diag([1e-3] * 3)),))
+BODY = Body((make_moving_part("load", 2.0, (0.0, 0.0, 0.0), np.diag([1e-3] * 3)),))
 X, Y, Z = np.eye(3)
 
 
@@ -45,7 +45,7 @@ def read(along: list[np.ndarray], motion: np.ndarray, rng: np.random.Generator) 
     """Accelerometers that look aside and scale by what is stated of them, and read a motion (6,)."""
     found = []
     for blank, nominal in zip(seen(along), along, strict=True):
-        aside = AIMED * rng.normal(size=2) @ across(nominal)
+        aside = AIMED * rng.normal(size=2) @ perpendicular_axes(nominal)
         value = (nominal + aside) @ motion[:3] * (1.0 + 1e-4 * rng.normal())
         noise = 1e-4 * (rng.normal() + 1j * rng.normal())
         found.append(with_values(blank, np.array([[value + noise]])))
@@ -79,7 +79,7 @@ def test_regions_cover_whatever_the_drive_does_beside_what_is_observed(case):
         motion = drawn(direction, rng)
         fused = analyse(Inputs(LINES, tuple(read(along, motion, rng)), body=BODY, direction=direction)).accelerations[0]
         assert fused.observed[0, component]
-        held += far(fused.phasors.value[0], motion, fused.uncertainty)[component] <= 1.0
+        held += region_distance(fused.phasors.value[0], motion, fused.uncertainty)[component] <= 1.0
     assert held >= acceptance(trials)[0]
 
 
@@ -96,7 +96,7 @@ UNBOUNDED = {
 @pytest.mark.parametrize("case", UNBOUNDED)
 def test_without_a_limit_there_is_no_value_of_what_could_contain_the_drive(case):
     direction, along, missing = UNBOUNDED[case]
-    observations = [exact(o, np.array([[1.0, 2.0, 3.0, 0.0, 0.0, 0.0]])) for o in seen(along)]
+    observations = [exact_reading(o, np.array([[1.0, 2.0, 3.0, 0.0, 0.0, 0.0]])) for o in seen(along)]
     inputs = Inputs(LINES, tuple(observations), body=BODY, direction=direction)
     with pytest.raises(Unbounded) as refused:
         analyse(inputs)
@@ -108,7 +108,7 @@ def test_without_a_limit_there_is_no_value_of_what_could_contain_the_drive(case)
 def test_what_the_drive_cannot_reach_keeps_its_value():
     # Directions are exact: what is observed along x holds no z.
     (across_z,) = (
-        exact(o, np.array([[1.0, 0, 3.0, 0, 0, 0]])) for o in seen([X], "velocity", direction_uncertainty=0.0)
+        exact_reading(o, np.array([[1.0, 0, 3.0, 0, 0, 0]])) for o in seen([X], "velocity", direction_uncertainty=0.0)
     )
     found = analyse(Inputs(LINES, (across_z,), body=BODY, direction=(0.0, 0.0, 1.0)))
     assert found.accelerations[0].observed[0].tolist() == [True, *[False] * 5]
@@ -123,7 +123,7 @@ def test_sources_are_bounded_by_the_drive_that_others_observe():
         laser, accelerometer = read([Z, X], motion, rng)
         found = analyse(Inputs(LINES, (laser_of(laser), accelerometer), body=BODY, direction=(0.0, 0.0, 1.0)))
         alone = next(a for a in found.accelerations if a.source == "accelerometer")
-        held += far(alone.phasors.value[0], motion, alone.uncertainty)[0] <= 1.0
+        held += region_distance(alone.phasors.value[0], motion, alone.uncertainty)[0] <= 1.0
     assert held >= acceptance(trials)[0]
 
 

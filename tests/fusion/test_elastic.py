@@ -14,24 +14,24 @@ from scipy.special import iv, jv, kv, yv
 from simulated_phasors import lines_at
 from support import block, channel, evaluated, recording_head, write_daq
 
-from fusion.base import ComputeError, InputError
+from fusion.errors import ComputeError, InputError
 from fusion.estimation.fuse import fuse
-from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels
+from fusion.instruments.channel import ChainUncertainty, ChannelReading, observe_channels
 from fusion.instruments.stereo import StereoReading
 from fusion.recording.load import load_manifest
 from fusion.recording.manifest import ChannelEntry
-from fusion.recording.rig import Load, Rig, Stereo
+from fusion.recording.rig import Rig, RigLoad, Stereo
 from fusion.sensitivity.analyse import Inputs, analyse, elastic_rows
-from fusion.sensitivity.body import Body, elastic_part, load_body
 from fusion.sensitivity.elastic import (
-    Modes,
-    Place,
+    InstrumentPosition,
+    NaturalModes,
     Plate,
     Rod,
-    joined,
+    join_modes,
 )
-from fusion.sensitivity.load import likely_frequencies, load_phasors
+from fusion.sensitivity.load_phasors import likely_frequencies, load_phasors
 from fusion.sensitivity.monte_carlo import propagate
+from fusion.sensitivity.moving_body import Body, elastic_part, load_body
 from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.sine.phasor import Phasors
 
@@ -43,13 +43,13 @@ SKEW = np.array([2.0, -1.0, 2.0]) / 3.0
 ACROSS = np.array([1.0, 2.0, 0.0]) / np.sqrt(5.0)
 
 
-def beaten(modes: Modes, seconds: float) -> Modes:
+def beaten(modes: NaturalModes, seconds: float) -> NaturalModes:
     """Modes of a material whose modulus is E·(1 + jω·seconds)."""
     return replace(modes, damping=np.pi * modes.frequency_hz * seconds)
 
 
-def top_of(rod: Rod) -> Place:
-    return Place("top", rod.foot_m + rod.length_m * rod.axis)
+def top_of(rod: Rod) -> InstrumentPosition:
+    return InstrumentPosition("top", rod.foot_m + rod.length_m * rod.axis)
 
 
 @pytest.mark.parametrize("length", [0.05, 0.10, 0.15])
@@ -58,7 +58,7 @@ def test_a_rod_driven_along_its_axis_obeys_the_wave_equation(length):
     rod = replace(ROD, length_m=length, poisson_ratio=0.0, axis=SKEW)
     frequency, lag = np.array([300.0, 1000.0, 4000.0, 15000.0]), 2e-7
     k = 2.0 * np.pi * frequency * np.sqrt(7850.0 / (2.0e11 * (1.0 + 2j * np.pi * frequency * lag)))
-    modes = beaten(joined(list(rod.families().values())), lag)
+    modes = beaten(join_modes(list(rod.families().values())), lag)
     # The axial motion of the foot, which is not the sensor origin.
     drive = np.concatenate([SKEW, np.zeros(3)])
     force = rod.mass_kg * drive[:3] + np.einsum("kij,j->ki", modes.wrench(frequency), drive)[:, :3]
@@ -68,7 +68,7 @@ def test_a_rod_driven_along_its_axis_obeys_the_wave_equation(length):
     bending = force - rod.mass_kg * SKEW
     np.testing.assert_allclose(moment, np.cross(rod.foot_m, bending), atol=1e-9)
     for share in (0.3, 1.0):
-        place = Place("", rod.foot_m + share * length * SKEW + 0.004 * np.cross(SKEW, UP))
+        place = InstrumentPosition("", rod.foot_m + share * length * SKEW + 0.004 * np.cross(SKEW, UP))
         moved = drive[:3] + np.einsum("kij,j->ki", modes.stretch(frequency, place), drive)[:, :3]
         wave = np.cos(k * length * (1.0 - share)) / np.cos(k * length)
         np.testing.assert_allclose(moved, wave[:, None] * SKEW, rtol=1e-6, atol=1e-7)
@@ -132,7 +132,7 @@ def test_a_bending_rod_moves_and_pulls_as_finite_elements_do(frequency, base):
     expected = (4.0 * values[1] - values[0]) / 3.0
     # Moved along `ACROSS`, or turned about UP × ACROSS at the foot.
     rod = replace(ROD, foot_m=np.zeros(3))
-    modes = beaten(joined(list(rod.families().values())), lag)
+    modes = beaten(join_modes(list(rod.families().values())), lag)
     about = np.cross(UP, ACROSS)
     drive = np.concatenate([base[0] * ACROSS, base[1] * about])
     mass, half, second = rod.mass_kg, rod.length_m / 2, rod.length_m**2 / 3 + rod.diameter_m**2 / 16
@@ -141,7 +141,7 @@ def test_a_bending_rod_moves_and_pulls_as_finite_elements_do(frequency, base):
     found = [wrench[:3] @ ACROSS + rigid[0], wrench[3:] @ about + rigid[1]]
     for share in (1.0, 0.5):
         height = share * rod.length_m
-        own = modes.stretch(np.array([frequency]), Place("", height * UP))[0] @ drive + drive
+        own = modes.stretch(np.array([frequency]), InstrumentPosition("", height * UP))[0] @ drive + drive
         found += [own[:3] @ ACROSS + own[3:] @ about * height, own[3:] @ about]
     np.testing.assert_allclose(found, expected, rtol=2e-5)
 
@@ -210,7 +210,7 @@ def test_a_plate_yields_to_slow_motion_as_it_does_statically(n):
     drive = np.zeros(6)
     drive[3 if n else 2] = 1.0  # turned about x, the rigid plate moves by y
     for radius in (0.05, 0.1):
-        moved = modes.stretch(frequency, Place("", np.array([0.0, radius, 0.0])))[0] @ drive
+        moved = modes.stretch(frequency, InstrumentPosition("", np.array([0.0, radius, 0.0])))[0] @ drive
         deflection = sum(size * w(radius) for size, (w, _) in zip(sizes, parts, strict=True)) * omega**2
         assert (moved[2] + moved[3] * radius).real == pytest.approx(deflection, rel=2e-3)
     r = np.linspace(inner, outer, 4001)
@@ -290,7 +290,7 @@ def test_a_rod_of_15_cm_is_corrected_at_1_khz_or_noticed(tmp_path):
 # At the level of phasors: drawn materials, sideways motion, tables of modes, the Monte Carlo run.
 
 
-def laser_readings(value: np.ndarray, frequency: np.ndarray) -> list[Reading]:
+def laser_readings(value: np.ndarray, frequency: np.ndarray) -> list[ChannelReading]:
     """Four accelerometers on the top of the rod with a noise of 1e-5; `value` (K,) along z."""
     entries = [
         ChannelEntry.model_validate(
@@ -302,7 +302,7 @@ def laser_readings(value: np.ndarray, frequency: np.ndarray) -> list[Reading]:
     noise = (1e-5 * np.abs(value))[:, None, None] ** 2 * np.eye(2)
     dof = np.full(len(value), 1e4)
     return [
-        Reading(e, Phasors(frequency, value[:, None], noise, (e.name,), ("m/s^2",), dof), ChainUncertainty())
+        ChannelReading(e, Phasors(frequency, value[:, None], noise, (e.name,), ("m/s^2",), dof), ChainUncertainty())
         for e in entries
     ]
 
@@ -349,23 +349,23 @@ def test_a_camera_on_the_top_of_a_bending_rod(shape, frequency):
     camera = StereoReading("top", pair, phasors, face_m=np.array([0.0, 0.0, LENGTH]))
     body = body_of()
     if shape == "modes":
-        modes = joined(list(rod.families().values()))
+        modes = join_modes(list(rod.families().values()))
         kept = np.argsort(modes.frequency_hz)[:24]
-        at_top = modes.motion(Place("", camera.face_m))
+        at_top = modes.motion(InstrumentPosition("", camera.face_m))
         table = [
             {"frequency": modes.frequency_hz[n], "participation": (2.0 * modes.participation[n]).tolist()}
             | {"modal_mass": 4.0, "displacement": {"top": (2.0 * at_top[n]).tolist()}, "frequency_uncertainty": 1.0}
             for n in kept
         ]
         own = elastic_part(
-            Load.model_validate(LOAD | {"elastic": [{"name": "m", "shape": "modes", "mode": table}]}).elastic[0]
+            RigLoad.model_validate(LOAD | {"elastic": [{"name": "m", "shape": "modes", "mode": table}]}).elastic[0]
         )
         body = replace(body, elastic=(own,))
-    found = fuse(elastic_rows((camera.observed(),), body.elastic))
+    found = fuse(elastic_rows((camera.observation(),), body.elastic))
     np.testing.assert_allclose(found.phasors.value[0, [0, 4]], foot, rtol=2e-4)
     load = load_phasors(found, body)
     np.testing.assert_allclose(load.value[0, [0, 4]], reaction, rtol=2e-4)
-    rigid = load_phasors(fuse((camera.observed(),)), body.rigid)
+    rigid = load_phasors(fuse((camera.observation(),)), body.rigid)
     assert abs(rigid.value[0, 0] / reaction[0] - 1.0) > 2e-3
     assert any("may not be rigid" in notice.text for notice in rigid.notices)
 
@@ -394,7 +394,7 @@ def test_the_monte_carlo_run_draws_what_the_first_order_says():
 
 
 def test_a_tap_test_moves_the_modes_of_its_family_alone():
-    table = Load.model_validate(
+    table = RigLoad.model_validate(
         LOAD | {"elastic": [STEEL_ROD | {"bending_frequency": 500.0, "damping": 0.01}]}
     ).elastic[0]
     modes = elastic_part(table).modes
@@ -414,7 +414,7 @@ def test_estimates_from_mass_and_size_alone():
     np.testing.assert_allclose(found[3:5], expected[:2], rtol=0.03)
     # A point mass of steel is a cube: 7.8 kg has edges of 10 cm.
     point = LOAD | {"mass": 7.8, "inertia": np.zeros((3, 3)).tolist(), "centre_of_mass": [0.0, 0.0, 0.0]}
-    cube = likely_frequencies(load_body(rig.model_copy(update={"load": Load.model_validate(point)}), ()).mass_matrix)
+    cube = likely_frequencies(load_body(rig.model_copy(update={"load": RigLoad.model_validate(point)}), ()).mass_matrix)
     assert np.all((cube > 4000.0) & (cube < 3e4))
 
 
@@ -466,6 +466,6 @@ def test_a_bound_beside_modes_and_a_place_without_a_shape_are_refused(make_campa
     refused("load.first_frequency: expected either the modes", load_manifest, folder, error=InputError)
     mode = {"frequency": 900.0, "participation": [0.0] * 6, "displacement": {"elsewhere": [0.0, 0.0, 1.0]}}
     table = {"name": "m", "shape": "modes", "mode": [mode]}
-    parts = (elastic_part(Load.model_validate(LOAD | {"elastic": [table]}).elastic[0]),)
+    parts = (elastic_part(RigLoad.model_validate(LOAD | {"elastic": [table]}).elastic[0]),)
     seen = observe_channels(laser_readings(np.array([1.0 + 0j]), np.array([100.0])))
     refused("does not tell how a0 moves", elastic_rows, seen, parts, error=ComputeError)

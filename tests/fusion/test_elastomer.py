@@ -15,13 +15,13 @@ import h5py
 import numpy as np
 import pytest
 from page_outline import self_contained
-from support import DOCS, rows, told_columns
+from support import DOCS, documented_columns, rows
 
-from fusion.base import InputError
 from fusion.cli import main
+from fusion.errors import InputError
 from fusion.recording.toml import models_in, to_toml
-from fusion.sensor.elastomer.definition import ElementFile, read_definition
-from fusion.sensor.elastomer.evaluate import (
+from fusion.sensor.elastomer.element_definition import ElementFile, read_definition
+from fusion.sensor.elastomer.element_evaluation import (
     ComparedColumn,
     ElementEvaluation,
     dominant,
@@ -32,7 +32,7 @@ from fusion.sensor.elastomer.evaluate import (
     spread,
 )
 from fusion.simulate.statics import write_element
-from shaker.elastomer.frame import NAMES
+from shaker.elastomer.frame import MODE_NAMES
 from shaker.lti.system import ModalModel
 
 
@@ -65,7 +65,7 @@ def element(simulated: Path, tmp_path: Path) -> Path:
 @pytest.fixture
 def no_pictures(monkeypatch: pytest.MonkeyPatch, no_pages: None) -> None:
     """Leave page and pictures empty where they are not what is tested."""
-    monkeypatch.setattr("fusion.sensor.elastomer.report.shape_pictures", lambda _: {})
+    monkeypatch.setattr("fusion.sensor.elastomer.element_report.shape_pictures", lambda _: {})
 
 
 def _edit(folder: Path, **changes: object) -> None:
@@ -93,10 +93,10 @@ def test_command_writes_a_folder_that_holds_what_it_prints(simulated, evaluated)
     assert {file.name for file in out.iterdir()} == names | {"elastomer.html", "shapes-frame.png"}
     assert (out / "shapes-frame.png").read_bytes().startswith(b"\x89PNG")
     compared = rows(out / "comparison.csv")
-    assert list(compared[0]) == told_columns("elastomer.md", "comparison.csv")
+    assert list(compared[0]) == documented_columns("elastomer.md", "comparison.csv")
     comparison = {(row["column"], row["mode"]): float(row["frequency_hz"]) for row in compared}
     truth = json.loads((simulated / "truth.json").read_text(encoding="utf-8"))["frequency_hz"]
-    for name in NAMES:
+    for name in MODE_NAMES:
         assert comparison["measured", name] == pytest.approx(truth[name], rel=4e-4)
         assert comparison["frame", name] == pytest.approx(truth[name], rel=0.05)
         columns = [value for (column, mode), value in comparison.items() if mode == name and column != "spread"]
@@ -108,7 +108,7 @@ def test_command_writes_a_folder_that_holds_what_it_prints(simulated, evaluated)
     assert max(float(row["largest_misfit"]) for row in family) < 1e-6
     assert f"{comparison['frame', 'Rz']:.1f}" in told
     with h5py.File(out / "elastomer.h5") as file:
-        assert file["frame/modes/frequency_hz"][()].tolist() == [comparison["frame", name] for name in NAMES]
+        assert file["frame/modes/frequency_hz"][()].tolist() == [comparison["frame", name] for name in MODE_NAMES]
         assert file["frame/node_motion"].shape[1] == 6
         assert "provenance" in file
 
@@ -253,5 +253,5 @@ def test_every_key_is_documented():
     for name, field in ElementFile.model_fields.items():
         assert name in named, name
         for model in models_in(field.annotation):
-            missing = set(model.model_fields) - named - set(NAMES)
+            missing = set(model.model_fields) - named - set(MODE_NAMES)
             assert not missing, f"{name}: {missing}"

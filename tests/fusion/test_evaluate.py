@@ -16,29 +16,30 @@ import pytest
 from contracts import coverage_contract
 from scipy.stats import binom
 from simulated_phasors import CASES, case_setup, simulate_phasors
-from support import complex_of, evaluated, far, rows, truth_of
+from support import complex_of, evaluated, region_distance, rows, truth_of
 
-from fusion.base import ComputeError, Settings, no_progress
+from fusion.base import Settings, no_progress
 from fusion.cli import main
 from fusion.commands.options import EXIT_DONE
+from fusion.errors import ComputeError
 from fusion.instruments.stereo import CALIBRATION
-from fusion.phasors.channels import find_channel_lines
-from fusion.phasors.stereo_motion import known_depth, measure_images, open_images
+from fusion.phasors.channel_phasors import find_channel_lines
+from fusion.phasors.stereo_motion import depth_range_m, measure_images, prepare_images
 from fusion.phasors.stereo_phasors import stereo_phasors
 from fusion.phasors.timing import tie_daqs
-from fusion.recording.files import read_daqs
+from fusion.recording.daq_records import read_daqs
 from fusion.recording.load import find_recordings, load_manifest
 from fusion.recording.toml import to_toml
-from fusion.report.recording import write_results
+from fusion.report.recording_report import write_results
 from fusion.sensitivity.analyse import Evaluation, analyse
 from fusion.simulate import simulate
 from fusion.simulate.preset import Preset, read_preset
 from fusion.simulate.world import Draws, TrueStereo, frame_bounds, make_world
-from photogram.calibration.file import read_calibration, write_calibration
+from photogram.calibration.calibration_file import read_calibration, write_calibration
 from photogram.geometry import RigidTransform, rotation_from_vector
-from photogram.subsets.track import without_aside
+from photogram.subsets.track import drop_rejected
 from photogram.synthetic.board import Board, random_poses, render_board
-from photogram.targets.view import Target
+from photogram.targets.target_view import Target
 from shaker.arrays import brief
 
 DRIVEN = 2  # z, Fz
@@ -167,7 +168,7 @@ def test_subsets_that_are_lost_now_and_then_tell_what_the_calibration_does(tmp_p
 
     def losing(share: float) -> np.ndarray:
         aside = rng.random(whole.left.status.shape) < share
-        left, right = without_aside((whole.left, whole.right), aside)
+        left, right = drop_rejected((whole.left, whole.right), aside)
         view = replace(measured.view, tracks=(replace(whole, cameras=(left, right)),))
         assert aside.any(axis=0).all()
         return stereo_phasors(base, replace(measured, view=view), lines).reading.effects[CALIBRATION]
@@ -307,9 +308,11 @@ def test_regions_hold_the_truth_as_often_as_they_claim(place):
         true = truth.outputs[0, driven] / truth.load[0, driven]
         own = ratio.uncertainty.at([ratio.elements.index((driven, driven))])
         off = [
-            *far(fused.phasors.value[0, [driven]], truth.acceleration[0, driven], fused.uncertainty.at([driven])),
-            *far(load.value[0, [driven]], truth.load[0, driven], load.uncertainty.at([driven])),
-            *far(ratio.value[0, driven, [driven]], true, own),
+            *region_distance(
+                fused.phasors.value[0, [driven]], truth.acceleration[0, driven], fused.uncertainty.at([driven])
+            ),
+            *region_distance(load.value[0, [driven]], truth.load[0, driven], load.uncertainty.at([driven])),
+            *region_distance(ratio.value[0, driven, [driven]], true, own),
         ]
         return off, np.ones(3)
 
@@ -320,11 +323,11 @@ def test_regions_hold_the_truth_as_often_as_they_claim(place):
 def test_where_a_body_can_be_follows_from_the_points_on_it(demo_recording):
     """The top pair sees the load 0.40 to 0.43 m away, as triangulated; of the base too few points are known."""
     manifest = load_manifest(find_recordings(demo_recording)[0])
-    top = known_depth(manifest, manifest.rig.stereo["top"])
+    top = depth_range_m(manifest, manifest.rig.stereo["top"])
     assert top is not None
     assert 0.2 < top[0] < 0.40
     assert 0.43 < top[1] < 0.6
-    assert known_depth(manifest, manifest.rig.stereo["base"]) is None
+    assert depth_range_m(manifest, manifest.rig.stereo["base"]) is None
 
 
 @pytest.mark.slow
@@ -338,7 +341,7 @@ def test_a_calibration_of_cameras_that_stood_otherwise_is_told(demo_recording, t
     write_calibration(path, replace(rig, right_from_left=turn @ rig.right_from_left))
     manifest = load_manifest(find_recordings(campaign)[0])
     (entry,) = (entry for entry in manifest.images if entry.stereo == "base")
-    opened = open_images(manifest, tie_daqs(manifest, read_daqs(manifest)), entry)
+    opened = prepare_images(manifest, tie_daqs(manifest, read_daqs(manifest)), entry)
     measured = measure_images(opened, Settings(), no_progress)
     told = [notice for notice in measured.notices if notice.where == "epipolar residual"]
     if not any(turn_mrad):

@@ -11,7 +11,7 @@ import pyuff
 
 from fusion import read_results
 from fusion.cli import main
-from fusion.report.recording import write_h5
+from fusion.report.recording_report import write_h5
 from fusion.sensitivity.analyse import Evaluation
 from shaker import read_channels, read_universal_functions, read_universal_shapes
 

@@ -22,16 +22,16 @@ from typing import Any
 
 import faults
 import pytest
-from crews import environment, wait_until
+from cluster_factory import environment, wait_until
 from support import without_pages
 
-from fusion.base import ComputeError, InputError
 from fusion.cli import main
 from fusion.commands.options import EXIT_CLOSED, EXIT_DONE, EXIT_FAILED, EXIT_INPUT
-from fusion.report import files
-from fusion.report.files import claimed, remove_abandoned, write_files, write_together, write_whole
+from fusion.errors import ComputeError, InputError
+from fusion.report import atomic_files
+from fusion.report.atomic_files import file_lock, remove_abandoned, write_atomically, write_files, write_together
 from fusion.report.folder import hash_files, hashing, read_provenance, sha256
-from fusion.report.table import Column, csv_text, read_rows
+from fusion.report.table import TableColumn, csv_text, read_rows
 from fusion.report.terminal import Terminal, printable
 from fusion.simulate import simulate
 
@@ -227,18 +227,18 @@ def test_a_path_longer_than_windows_takes_is_told(tmp_path, monkeypatch):
         raise FileNotFoundError(errno.ENOENT, "No such file or directory", str(path))
 
     with monkeypatch.context() as patch:
-        patch.setattr(files.os, "open", no_file)
+        patch.setattr(atomic_files.os, "open", no_file)
         for path, told in (
             (place, r".* takes no files; its path of \d+ characters may be longer"),
             (Path("/tmp/a"), r"/tmp takes no files; what"),
         ):
-            with pytest.raises(ComputeError, match=f"could not be written: {told}"), claimed(path):
+            with pytest.raises(ComputeError, match=f"could not be written: {told}"), file_lock(path):
                 pass
     assert not place.exists()
     assert not list(tmp_path.iterdir())
     name = "x" * 250  # which leaves no room for the names beside it
     with pytest.raises(ComputeError, match="could not be written: file name too long"):
-        write_whole(tmp_path / name, "text")
+        write_atomically(tmp_path / name, "text")
 
 
 def test_folders_below_results_come_and_go_with_them(tmp_path):
@@ -420,7 +420,7 @@ def test_an_output_is_named_where_the_system_takes_no_file(capsys):
     assert main(["simulate", "/proc/results", "--preset", "elastomer", "-q"]) == EXIT_FAILED
     told = capsys.readouterr().err
     assert told.startswith("shakercal: /proc/results: could not be written: ")
-    assert files.LOCK not in told
+    assert atomic_files.LOCK not in told
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of Linux")
@@ -452,7 +452,7 @@ def test_a_folder_whose_name_is_no_text_is_refused(make_campaign, evaluated, cap
 HOLD = """
 import sys, time
 from pathlib import Path
-from fusion.report.files import claimed, temporary
+from fusion.report.atomic_files import claimed, temporary
 place = Path(sys.argv[1])
 with claimed(place), temporary(place) as made:
     made.mkdir()
@@ -506,7 +506,7 @@ def test_only_what_a_process_left_that_is_gone_is_removed(holder, tmp_path):
     for name in (".DS_Store", ".hidden-123", ".poetry.lock", ".x-0123456789.part"):
         (tmp_path / name).write_text("")
     removed = {path.name.partition("-0200")[2].rpartition(".")[2] for path in remove_abandoned(tmp_path)}
-    assert removed == {"part", files.LOCK}
+    assert removed == {"part", atomic_files.LOCK}
     left = sorted(path.name for path in tmp_path.iterdir())
     assert len(left) == 6
     assert sum("Fz-0100" in name for name in left) == 2
@@ -531,17 +531,17 @@ def test_results_whose_replacement_was_killed_in_between_are_put_back(tmp_path):
 
 
 def test_where_there_are_no_locks_only_what_is_a_day_old_is_removed(tmp_path, monkeypatch):
-    monkeypatch.setattr(files, "_lock", lambda _: (_ for _ in ()).throw(OSError(errno.ENOLCK, "no locks")))
-    for name, age in ((".a-0123456789ab.part", 0.0), (".b-0123456789ab.part", 2.0 * files.FORGOTTEN_S)):
+    monkeypatch.setattr(atomic_files, "_lock", lambda _: (_ for _ in ()).throw(OSError(errno.ENOLCK, "no locks")))
+    for name, age in ((".a-0123456789ab.part", 0.0), (".b-0123456789ab.part", 2.0 * atomic_files.ABANDONED_AGE_S)):
         (tmp_path / name).write_text("")
         os.utime(tmp_path / name, (time.time() - age,) * 2)
     assert [path.name for path in remove_abandoned(tmp_path)] == [".b-0123456789ab.part"]
-    write_whole(tmp_path / "a", "text")
+    write_atomically(tmp_path / "a", "text")
     assert sorted(path.name for path in tmp_path.iterdir()) == [".a-0123456789ab.part", "a"]
 
 
 def test_a_place_that_nothing_came_of_leaves_no_folder(tmp_path):
-    with suppress(ZeroDivisionError), claimed(tmp_path / "a" / "b" / "results"):
+    with suppress(ZeroDivisionError), file_lock(tmp_path / "a" / "b" / "results"):
         assert (tmp_path / "a" / "b").is_dir()
         raise ZeroDivisionError
     assert list(tmp_path.iterdir()) == []
@@ -644,7 +644,7 @@ def test_an_output_that_nobody_reads_or_that_is_full_is_no_traceback():
 def test_no_name_is_a_formula_in_a_spreadsheet_and_every_name_is_read_back(tmp_path):
     names = ["=1+1", "+z", "-Fz", "@x", "'=1", "''-a", "'quoted'", "plain", "-1.5e-3", "\tx", "a=b", ""]
     rows = [{"name": name, "number": -1.5} for name in names]
-    columns = [Column("name", lambda row: row["name"]), Column("n", lambda row: row["number"])]
+    columns = [TableColumn("name", lambda row: row["name"]), TableColumn("n", lambda row: row["number"])]
     text = csv_text(columns, rows)
     cells = list(csv.reader(io.StringIO(text)))[1:]
     assert all(cell[:1] not in "=+@\t" or not cell for cell, _ in cells)

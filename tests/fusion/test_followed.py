@@ -14,14 +14,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from speckle import rendered
+from speckle import render_images
 
-from fusion.base import ComputeError
-from fusion.phasors import followed as room
-from fusion.phasors.followed import Followed
-from fusion.report.files import Kept, remove_abandoned
+from fusion.errors import ComputeError
+from fusion.phasors import tracked_blocks as room
+from fusion.phasors.tracked_blocks import TrackedBlocks
+from fusion.report.atomic_files import Checkpoint, remove_abandoned
 from fusion.report.folder import check_folder
-from photogram.direct.fit import DirectFit
+from photogram.direct.direct_fit import DirectFit
 from photogram.geometry import RigidTransform
 from photogram.images.sequence import ImageSequence
 from photogram.measure import body, follow
@@ -33,9 +33,9 @@ BLOCKS_OF_THREE = range(2, 5), range(5, 8)
 IMAGES = SimpleNamespace(sight=SimpleNamespace(name="top"), left=ImageSequence(("a",) * 9, (1, 1), 255, None))
 
 
-def followed(kept: Any) -> Followed:
+def followed(kept: Any) -> TrackedBlocks:
     """What was followed of two blocks of a pair."""
-    return Followed(IMAGES, SimpleNamespace(blocks=BLOCKS_OF_THREE), "cpu", kept)
+    return TrackedBlocks(IMAGES, SimpleNamespace(blocks=BLOCKS_OF_THREE), "cpu", kept)
 
 
 def drawn_block(seed: int) -> FollowedBlock:
@@ -77,11 +77,11 @@ class Refusing:
 
 
 def test_blocks_come_back_to_the_last_bit_and_damaged_ones_not_at_all(tmp_path):
-    kept, block = Kept(tmp_path / "results", lambda: "key"), drawn_block(1)
+    kept, block = Checkpoint(tmp_path / "results", lambda: "key"), drawn_block(1)
     followed(kept).add(BLOCKS_OF_THREE[0], block)
     assert bits(next(iter(followed(kept)))) == bits(block)
     assert followed(kept).missing() == [BLOCKS_OF_THREE[1]]
-    assert followed(Kept(tmp_path / "results", lambda: "other")).missing() == [*BLOCKS_OF_THREE]
+    assert followed(Checkpoint(tmp_path / "results", lambda: "other")).missing() == [*BLOCKS_OF_THREE]
     (file,) = (tmp_path / ".results.so-far").iterdir()
     content = bytearray(file.read_bytes())
     content[len(content) // 2] ^= 1
@@ -128,13 +128,13 @@ def test_in_a_mounted_folder_blocks_are_kept_and_the_next_run_is_let_in(tmp_path
     place = tmp_path / "results"
     place.mkdir()
     monkeypatch.setattr(os.path, "ismount", lambda path: Path(path) == place)
-    kept, block = Kept(place, lambda: "key"), drawn_block(1)
+    kept, block = Checkpoint(place, lambda: "key"), drawn_block(1)
     followed(kept).add(BLOCKS_OF_THREE[0], block)
     assert kept.disk == place
     assert [entry.name for entry in tmp_path.iterdir()] == ["results"]
     check_folder(place, {}, force=False)
     assert remove_abandoned(place) == []
-    assert bits(next(iter(followed(Kept(place, lambda: "key"))))) == bits(block)
+    assert bits(next(iter(followed(Checkpoint(place, lambda: "key"))))) == bits(block)
     kept.remove()
     assert list(place.iterdir()) == []
 
@@ -152,11 +152,13 @@ def test_a_disk_without_room_for_the_subsets_is_one_sentence(tmp_path, monkeypat
 def test_a_run_that_ended_behind_its_first_block_goes_on_to_the_same_bits(tmp_path, monkeypatch):
     monkeypatch.setattr(follow, "BLOCK_FRAMES", 2)
     poses = np.sin(2.1 * np.arange(6))[:, None] * np.array([6e-4, 9e-4, 2e-4, 2e-3, -2e-3, 3e-3])
-    series = (*rendered(poses, (0.013, 0.012), (100, 90), 41), TrackSettings(radius_px=8, degree=5))
+    series = (*render_images(poses, (0.013, 0.012), (100, 90), 41), TrackSettings(radius_px=8, degree=5))
     whole = body.measure_body(*series)
 
-    def run() -> tuple[Followed, int]:
-        found = Followed(IMAGES, follow.prepare_body(*series), "cpu", Kept(tmp_path / "results", lambda: "key"))
+    def run() -> tuple[TrackedBlocks, int]:
+        found = TrackedBlocks(
+            IMAGES, follow.prepare_body(*series), "cpu", Checkpoint(tmp_path / "results", lambda: "key")
+        )
         missing = found.missing()
         for frames in missing:
             found.add(frames, follow.follow_block(found.scene, frames))

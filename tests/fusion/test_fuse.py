@@ -15,26 +15,26 @@ from instrument_factory import (
     TRUTH,
     camera,
     channel_entry,
+    drop_readings,
     lasers,
-    measured,
     phasors,
+    simulated_readings,
     stereo_entry,
     with_values,
-    without,
 )
 from scipy.spatial.transform import Rotation
-from support import far
+from support import region_distance
 
 from fusion.estimation.fuse import fuse, fuse_sources
 from fusion.estimation.least_squares import build_system, solve
 from fusion.estimation.measurement_model import Deviates
-from fusion.instruments.channel import ChainUncertainty, Reading, late, observe_channels
+from fusion.instruments.channel import ChainUncertainty, ChannelReading, delay_errors, observe_channels
 from fusion.instruments.stereo import StereoReading
 from fusion.instruments.transducer import TRANSDUCERS
 
 
-def reading(**changes: Any) -> Reading:
-    return Reading(channel_entry(**changes), phasors(np.ones((2, 1)), 1e-6), ChainUncertainty())
+def reading(**changes: Any) -> ChannelReading:
+    return ChannelReading(channel_entry(**changes), phasors(np.ones((2, 1)), 1e-6), ChainUncertainty())
 
 
 def first_harmonic(series: np.ndarray, omega: float, times: np.ndarray) -> complex:
@@ -83,7 +83,7 @@ def test_draws_of_a_misplaced_channel_scatter_as_its_errors_say(quantity):
 
 
 def test_stereo_rows_are_displacements():
-    observation = StereoReading("top", stereo_entry(), phasors(np.ones((2, 6)), 1e-6)).observed()
+    observation = StereoReading("top", stereo_entry(), phasors(np.ones((2, 6)), 1e-6)).observation()
     motion = np.arange(1.0, 7.0) + 1j
     np.testing.assert_allclose(observation.design @ motion, -motion / OMEGA[:, None] ** 2, rtol=1e-14)
     assert not observation.stated
@@ -95,7 +95,7 @@ def test_stereo_pose_errors_are_those_of_a_wrong_frame():
     u = 1e-4
     observation = StereoReading(
         "top", stereo_entry(pose_uncertainty=(u,) * 6), phasors(np.ones((2, 6)), 1e-6)
-    ).observed()
+    ).observation()
     shift, turn = np.array([1.0, -2.0, 3.0]) * 1e-7, np.array([2.0, 1.0, -1.0]) * 1e-7
     motion = -(OMEGA[:, None] ** 2) * np.concatenate([shift, turn])
     matrix = Rotation.from_rotvec(turn).as_matrix()
@@ -141,14 +141,14 @@ def test_placement_errors_are_those_of_a_channel_really_misplaced():
         else:
             across = np.linalg.svd(np.array([[0.0, 0.6, 0.8]]))[2][1 + int(axis)]
             changed.direction = tuple(np.array([0.0, 0.6, 0.8]) + 1e-4 * across)
-        (moved,) = observe_channels([Reading(changed, item.phasors, item.chain)], GRAVITY)
+        (moved,) = observe_channels([ChannelReading(changed, item.phasors, item.chain)], GRAVITY)
         expected = np.einsum("kmj,kj->km", moved.design, motion) - base
         np.testing.assert_allclose(error.effect(motion), expected, atol=2e-6, err_msg=error.name)
 
 
 def test_clock_tie_alone_does_not_count_as_a_stated_uncertainty():
     item = reading()
-    tied = replace(item, further=late("clock bridge: time", item.phasors.frequency_hz, 1e-6))
+    tied = replace(item, further=delay_errors("clock bridge: time", item.phasors.frequency_hz, 1e-6))
     (observation,) = observe_channels([tied], clock_uncertainty=1e-6)
     assert [error.name for error in observation.common] == ["clock bridge: time", "clock rate"]
     assert not observation.stated
@@ -172,7 +172,7 @@ def test_without_errors_the_truth_comes_back():
 
 def test_equals_generalised_least_squares_with_the_common_errors_in_the_covariance():
     rng = np.random.default_rng(1)
-    system = build_system(measured([camera(), lasers(8, 1e-4)], rng))
+    system = build_system(simulated_readings([camera(), lasers(8, 1e-4)], rng))
     solution = solve(system)
     spread = system.noise + solution.effects @ solution.effects.T
     weight = np.linalg.inv(spread)
@@ -189,7 +189,7 @@ def test_equals_generalised_least_squares_with_the_common_errors_in_the_covarian
 def test_leave_one_out_equals_a_fit_without_the_instrument():
     rng = np.random.default_rng(2)
     stated = {"individual_uncertainty": 1e-3, "scale_uncertainty": 1e-3}
-    (every,) = measured([lasers(8, 1e-3, TRUTH[:1], **stated)], rng, TRUTH[:1])
+    (every,) = simulated_readings([lasers(8, 1e-3, TRUTH[:1], **stated)], rng, TRUTH[:1])
     result = fuse([every])
     less = with_values(every, np.where(np.arange(8) > 0, every.phasors.value, np.nan))
     others = fuse([less])
@@ -230,7 +230,7 @@ def test_peelles_puzzle_is_no_trap():
 @pytest.mark.parametrize("laser", [0, 5])
 def test_one_laser_three_per_cent_off_is_left_out_by_name(laser):
     rng = np.random.default_rng(4)
-    array = measured([lasers(8, 1e-5)], rng)[0]
+    array = simulated_readings([lasers(8, 1e-5)], rng)[0]
     gain = np.where(np.arange(8) == laser, 1.03, 1.0)
     result = fuse([with_values(array, array.phasors.value * gain)])
     worst = max(result.consistency, key=lambda test: test.normalised_deviation)
@@ -241,7 +241,7 @@ def test_one_laser_three_per_cent_off_is_left_out_by_name(laser):
     assert f"p{laser} is left out of the load, a gross error or a wrong statement" in warning.text
     assert "without it all others agree" in warning.text
     # Nothing of the 0.4 % that it would move the mean of eight, in value or U.
-    gone = without(array, np.tile(np.arange(8) == laser, (2, 1)))
+    gone = drop_readings(array, np.tile(np.arange(8) == laser, (2, 1)))
     np.testing.assert_allclose(result.phasors.value[:, 2:5], fuse([gone]).phasors.value[:, 2:5], rtol=1e-9)
     u = np.hypot(result.phasors.u_re[0, 2], result.phasors.u_im[0, 2])
     assert abs(result.phasors.value[0, 2] - TRUTH[0, 2]) < 2 * u
@@ -250,10 +250,10 @@ def test_one_laser_three_per_cent_off_is_left_out_by_name(laser):
 
 def test_an_artefact_at_a_harmonic_leaves_the_fundamental_alone():
     rng = np.random.default_rng(8)
-    false = measured([camera()], rng)[0]
+    false = simulated_readings([camera()], rng)[0]
     value = false.phasors.value.copy()
     value[1, 2] *= 30.0
-    seen = [with_values(false, value), measured([lasers(8, 1e-5)], rng)[0]]
+    seen = [with_values(false, value), simulated_readings([lasers(8, 1e-5)], rng)[0]]
     result = fuse(seen)
     error = np.abs(result.phasors.value[0, 2] - TRUTH[0, 2])
     u = np.hypot(result.phasors.u_re, result.phasors.u_im)[0, 2]
@@ -283,9 +283,9 @@ def test_regions_cover_and_tests_pass_as_often_as_they_claim():
     clean = [camera(), lasers(3)]
 
     def estimate(_: int) -> tuple[list[float], np.ndarray]:
-        result = fuse(measured(clean, rng))
+        result = fuse(simulated_readings(clean, rng))
         warned.append(any(notice.severity == "warning" for notice in result.notices))
-        return far(result.phasors.value[0], TRUTH[0], result.uncertainty), np.ones(6)
+        return region_distance(result.phasors.value[0], TRUTH[0], result.uncertainty), np.ones(6)
 
     coverage_contract(estimate, np.zeros(6), 200)
     assert sum(warned) <= 8
@@ -296,7 +296,7 @@ def test_transverse_motion_that_nobody_sees_is_in_the_uncertainty():
     rng = np.random.default_rng(9)
     clean = lasers(8, 1e-6)
     for _ in range(40):
-        result = fuse(measured([clean], rng))
+        result = fuse(simulated_readings([clean], rng))
         assert not any(notice.severity == "warning" for notice in result.notices)
     hidden = next(entry for entry in result.contributions if entry.label == "unobserved motion")
     # 10 % of z in x and in y, each half real and half imaginary, times 5 mrad: of every laser by itself and of all.
@@ -305,7 +305,7 @@ def test_transverse_motion_that_nobody_sees_is_in_the_uncertainty():
 
 def test_fused_is_no_worse_than_the_best_instrument():
     rng = np.random.default_rng(6)
-    sources = fuse_sources(measured([camera(), lasers(8, 1e-5)], rng), "load")
+    sources = fuse_sources(simulated_readings([camera(), lasers(8, 1e-5)], rng), "load")
     assert [found.source for found in sources] == ["fused", "photogrammetry", "vibrometer"]
     fused, optical, laser = (found.phasors.u_re[0, 2] for found in sources)
     assert fused <= min(optical, laser) * (1 + 1e-6)
@@ -331,7 +331,7 @@ def test_only_what_the_geometry_determines_is_given(points, observed):
 
 
 def test_lines_that_a_camera_cannot_use_are_left_to_the_others():
-    dropped = without(camera(), np.array([[False] * 6, [True] * 6]))
+    dropped = drop_readings(camera(), np.array([[False] * 6, [True] * 6]))
     result = fuse([dropped, lasers(8, 1e-6)])
     assert result.observed.tolist() == [[True] * 6, [False, False, True, True, True, False]]
     assert np.isfinite(result.phasors.covariance[0]).all()
@@ -363,5 +363,5 @@ def test_channels_whose_noise_is_one_and_the_same_are_no_obstacle():
 def test_effects_of_another_shape_and_a_body_without_instruments_are_refused():
     effects = {"calibration": np.zeros((3, 1, 6), complex)}
     pair = StereoReading("top", stereo_entry(scale_uncertainty=None), camera().phasors, effects)
-    refused(r"offset of stereo top: calibration 0: expected an array of shape \(2, 6\)", pair.observed)
+    refused(r"offset of stereo top: calibration 0: expected an array of shape \(2, 6\)", pair.observation)
     refused("body base", fuse, [camera()], "base")

@@ -12,20 +12,20 @@ from typing import Annotated, Any, get_args
 import fuzz_manifests
 import pytest
 from pydantic import BaseModel, TypeAdapter, ValidationError
-from support import Refused, edit
+from support import RefusedCommand, edit
 
-from fusion.base import InputError
 from fusion.cameras.align_manifest import AlignmentFile
+from fusion.errors import InputError
 from fusion.recording.load import load_manifest
 from fusion.recording.manifest import RecordingFile
-from fusion.recording.response import Chain
+from fusion.recording.response import MeasuringChainFile
 from fusion.recording.rig import Rig
 from fusion.recording.toml import LARGEST_TOML, read_toml
 from fusion.recording.values import Context, PathScope
-from fusion.sensor.elastomer.definition import ElementFile, read_definition
+from fusion.sensor.elastomer.element_definition import ElementFile, read_definition
 from fusion.simulate import simulate
 
-MANIFESTS = (Rig, RecordingFile, AlignmentFile, ElementFile, Chain)
+MANIFESTS = (Rig, RecordingFile, AlignmentFile, ElementFile, MeasuringChainFile)
 PATH_KEYS = {
     "Stereo.calibration", "ChannelEntry.response", "Daq.file", "Images.left", "Images.right", "PointFiles.files",
     "Excitation.file", "AlignmentFile.calibration", "OtherPair.calibration", "Face.pixels", "TargetViewBlock.left",
@@ -296,7 +296,7 @@ def test_a_drawing_in_another_unit_is_refused(old, new, told, element, tmp_path)
         ("--frequency 1e6 --sample-rate 10", "--sample-rate (Fx): expected at least"),
     ],
 )
-def test_a_wish_that_cannot_be_met_names_its_option(arguments, told, element, tmp_path, refused: Refused):
+def test_a_wish_that_cannot_be_met_names_its_option(arguments, told, element, tmp_path, refused: RefusedCommand):
     said = refused("compensate", element / "models.json", *arguments.split(), "-o", tmp_path / "out")
     assert told in said
     assert not (tmp_path / "out").exists()

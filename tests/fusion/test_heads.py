@@ -16,21 +16,21 @@ from scipy.spatial.transform import Rotation
 from simulated_phasors import lines_at
 from support import channel
 
-from fusion.base import InputError
+from fusion.errors import InputError
 from fusion.estimation.coverage import coverage_factor
 from fusion.estimation.fuse import fuse
-from fusion.estimation.measurement_model import Deviates, Observation, UnseenMotion
-from fusion.instruments.channel import ChainUncertainty, Reading, geometry_errors, observe_channels
-from fusion.instruments.transducer import TRANSDUCERS, Beams
+from fusion.estimation.measurement_model import Deviates, Observation, UnobservedMotion
+from fusion.instruments.channel import ChainUncertainty, ChannelReading, geometry_errors, observe_channels
+from fusion.instruments.transducer import TRANSDUCERS, LaserBeams
 from fusion.instruments.vibrometer import beam_notices
 from fusion.planning.check import check
 from fusion.recording.load import load_manifest
-from fusion.recording.rig import Head, NamedHead
+from fusion.recording.rig import InstrumentHead, NamedHead
 from fusion.sensitivity.analyse import Inputs, analyse
-from fusion.sensitivity.body import Body, make_part
-from fusion.sensitivity.load import load_phasors
+from fusion.sensitivity.load_phasors import load_phasors
 from fusion.sensitivity.monte_carlo import propagate
-from fusion.sensor.identify.measured import placement_errors
+from fusion.sensitivity.moving_body import Body, make_moving_part
+from fusion.sensor.identify.identification_inputs import placement_errors
 from shaker.sine.phasor import Phasors
 
 LINES = lines_at([106.25], [1])
@@ -40,11 +40,11 @@ EIGHT = [(0.05 * np.cos(a), 0.05 * np.sin(a), 0.03) for a in 2.0 * np.pi * np.ar
 UP = np.array([0.0, 0.0, 1.0])
 TILT_RAD = 5e-3
 LASER: dict[str, Any] = {"common": "laser", "scale_uncertainty": 1e-5}
-BODY = Body((make_part("load", 7.0, [0.0, 0.0, 0.03], np.diag([0.01] * 3)),))
+BODY = Body((make_moving_part("load", 7.0, [0.0, 0.0, 0.03], np.diag([0.01] * 3)),))
 
 
 def head(name: str = "psv", **stated: Any) -> NamedHead:
-    return NamedHead(name, Head.model_validate(stated))
+    return NamedHead(name, InstrumentHead.model_validate(stated))
 
 
 def motion(**components: complex) -> np.ndarray:
@@ -67,7 +67,7 @@ def observed(entries: Sequence[Any], values: Sequence[complex], u: float = 1e-9)
         covariance = (u * DRIVE * abs(size)) ** 2 * np.eye(2)[None]
         one, dof = np.array([[value * size]]), np.full(1, 1e6)
         found = Phasors(LINES.frequency_hz, one, covariance, (entry.name,), ("SI",), dof)
-        readings.append(Reading(entry, found, ChainUncertainty()))
+        readings.append(ChannelReading(entry, found, ChainUncertainty()))
     return observe_channels(readings)
 
 
@@ -90,9 +90,9 @@ def anew(seen: Sequence[Observation], values: Sequence[complex]) -> tuple[Observ
     return (with_values(one, np.array([values]) * size),)
 
 
-def of_load(seen: Sequence[Observation], unseen: UnseenMotion | None = None) -> tuple[list[float], list[float]]:
+def of_load(seen: Sequence[Observation], unseen: UnobservedMotion | None = None) -> tuple[list[float], list[float]]:
     """Magnitudes of z and Fz with their U."""
-    fused = fuse(seen, unseen=unseen)
+    fused = fuse(seen, unobserved_motion=unseen)
     load = load_phasors(fused, BODY)
     assert load.observed[0, 2]
     found = (fused.phasors.value, fused.phasors.covariance), (load.value, load.uncertainty.covariance)
@@ -136,7 +136,7 @@ def test_without_a_head_points_of_one_direction_are_covered_whether_they_err_tog
 def test_a_measured_motion_aside_is_not_assumed_and_a_stated_limit_holds():
     entries = lasers(head=head(rotation_uncertainty=TILT_RAD))
     seen = observed(entries, [at(MOVED_ASIDE, np.array(p), UP) for p in EIGHT])
-    usual, quiet = (of_load(seen, unseen)[1][1] for unseen in (None, UnseenMotion(0.01, 0.01)))
+    usual, quiet = (of_load(seen, unseen)[1][1] for unseen in (None, UnobservedMotion(0.01, 0.01)))
     assert usual == pytest.approx(1.96 * 0.1 * TILT_RAD * 7.0 * DRIVE, rel=0.02)
     assert quiet == pytest.approx(usual / 10.0, rel=0.05)
     (told,) = (n for n in load_phasors(fuse(seen), BODY).notices if "nothing measures" in n.text)
@@ -183,7 +183,7 @@ def test_motion_aside_that_a_fan_takes_for_rocking_is_one_cause_of_what_is_read_
     They are equal where the mirror is at the centre of percussion, q = h + J/(m h).
     """
     entries = lasers(head=head(mirror=MIRROR.tolist()), direction=None)
-    body = Body((make_part("load", 7.0, [0.0, 0.0, 0.03], np.diag([inertia] * 3)),))
+    body = Body((make_moving_part("load", 7.0, [0.0, 0.0, 0.03], np.diag([inertia] * 3)),))
     load = load_phasors(fuse(observed(entries, fan(motion(), MIRROR))), body)
     (aside,) = (part for part in load.contributions if part.label == "unobserved x")
     expected = abs((inertia + 7.0 * 0.03**2) / 0.53 - 7.0 * 0.03) * 0.1 * DRIVE / np.sqrt(2.0)
@@ -257,7 +257,7 @@ def test_drawn_heads_are_their_first_order_effects_for_small_errors(stated):
     entries = lasers(EIGHT[:3], head=head(**stated), direction_uncertainty=1e-3, **laid)
     (seen,) = observed(entries, [0.0] * 3)
     drawn = seen.geometry.rows(seen.design, Deviates(1, 0, 20_000))[:, 0].imag.reshape(20_000, -1) * -OMEGA
-    beams = Beams.of(entries)
+    beams = LaserBeams.of(entries)
     effects: dict[str, np.ndarray] = {}
     for place, entry in enumerate(entries):
         for error in geometry_errors(TRANSDUCERS["velocity"], entry, beams):
@@ -321,13 +321,13 @@ def test_a_channel_of_a_head_with_a_mirror_needs_no_direction_and_check_names_th
     folder = make_campaign(replace=(("rig.toml", "[administration]", HEAD), NAMED))
     manifest = load_manifest(folder)
     assert manifest.daq[0].channel[0].head.stated.mirror == (0.03, 0.0, 0.6)
-    assert manifest.shaker.unseen == UnseenMotion(0.1, 0.1)
+    assert manifest.shaker.unobserved_motion == UnobservedMotion(0.1, 0.1)
     assert any("head top: mirror at (0.03, 0, 0.6) m, 1 channels" in line for line in check(manifest).contents)
     aimed = ("recording.toml", "direction = [0.0, 0.0, 1.0]           # positive sense\n", "")
     shaken = ("recording.toml", "[excitation]", "[shaker]\ntransverse_motion = 0.03\n\n[excitation]")
     manifest = load_manifest(make_campaign(replace=(("rig.toml", "[administration]", HEAD), NAMED, aimed, shaken)))
     assert manifest.daq[0].channel[0].direction is None
-    assert manifest.shaker.unseen == UnseenMotion(0.03, 0.1)
+    assert manifest.shaker.unobserved_motion == UnobservedMotion(0.03, 0.1)
 
 
 @pytest.mark.parametrize(

@@ -14,20 +14,25 @@ import pytest
 from contracts import refused
 from identify_factory import DAMPING, LAG_S, SENSITIVITY, SINES_HZ, SMALL, STIFFNESS, write_campaign, write_sines
 from page_outline import self_contained
-from support import DOCS, rows, told_columns, without_pages
+from support import DOCS, documented_columns, rows, without_pages
 
-from fusion.base import InputError, Settings
+from fusion.base import Settings
 from fusion.campaign.run import run_path
 from fusion.cli import main
+from fusion.errors import InputError
 from fusion.recording.excitation import kinds_of
-from fusion.recording.load import find_recordings, for_kinds
+from fusion.recording.load import find_recordings, select_kinds
 from fusion.report.figure import Line
-from fusion.sensor.identify.evaluate import ComponentResult, IdentifyEvaluation, evaluate_identification
-from fusion.sensor.identify.figures import POINTS, draw_explained
-from fusion.sensor.identify.fit import modelled
-from fusion.sensor.identify.measured import IdentifySettings, read_campaign
-from fusion.sensor.identify.report import IDENTIFY, read_sensor_models
-from fusion.sensor.transfer.evaluate import KINDS as TRANSFER_KINDS
+from fusion.sensor.identify.identification_evaluation import (
+    IdentifiedComponent,
+    IdentifyEvaluation,
+    evaluate_identification,
+)
+from fusion.sensor.identify.identification_figures import POINTS, draw_explained
+from fusion.sensor.identify.identification_inputs import IdentifySettings, read_campaign
+from fusion.sensor.identify.identification_report import IDENTIFY, read_sensor_models
+from fusion.sensor.identify.joint_fit import model_sensitivity
+from fusion.sensor.transfer.transfer_evaluation import KINDS as TRANSFER_KINDS
 from fusion.simulate.chirp import write_masses
 from fusion.simulate.world import Draws, true_part
 from shaker.identification.sensor import Load, correct_phasors
@@ -55,7 +60,7 @@ def evaluation(campaign: Path) -> IdentifyEvaluation:
 
 
 @pytest.fixture(scope="module")
-def component(evaluation: IdentifyEvaluation) -> ComponentResult:
+def component(evaluation: IdentifyEvaluation) -> IdentifiedComponent:
     (found,) = evaluation.components
     return found
 
@@ -111,7 +116,7 @@ def test_the_lag_of_the_chain_is_told_from_the_spring(evaluation, component):
     assert abs(comparison.best.spring_time_s - DAMPING / STIFFNESS) < 3.5 * comparison.best.u("spring_time_s")
     assert comparison.damping.contradicts
     told = [notice for notice in evaluation.notices if notice.where == "sensitivity Fz"]
-    assert [notice.severity for notice in told] == ["info", "warning"]
+    assert [notice.severity for notice in told] == ["note", "warning"]
     assert "the data support a first-order lag" in told[0].text
     assert "they contradict each other" in told[1].text
 
@@ -119,7 +124,7 @@ def test_the_lag_of_the_chain_is_told_from_the_spring(evaluation, component):
 def test_what_is_to_be_doubted_of_the_chain_is_told(evaluation, component):
     measured = component.sensitivity.measured
     early = measured.value * np.exp(2j * np.pi * measured.frequency_hz * 50e-6)
-    found = modelled(component.fit, replace(measured, value=early), evaluation.sensor)
+    found = model_sensitivity(component.fit, replace(measured, value=early), evaluation.sensor)
     doubts = [notice for notice in found.notices if notice.where == "Fz"]
     assert [notice.severity for notice in doubts] == ["warning"]
     assert doubts[0].text.startswith("the output leads by (")
@@ -171,7 +176,7 @@ def test_the_files_hold_what_was_found(results, component):
     names = {"parameters.csv", "readings.csv", "model.json", "identify.h5", "identify.html"}
     assert {entry.name for entry in results.iterdir()} == names
     parameters = rows(results / "parameters.csv")
-    assert list(parameters[0]) == told_columns("identify.md", "parameters.csv")
+    assert list(parameters[0]) == documented_columns("identify.md", "parameters.csv")
     named = {row["name"]: row for row in parameters}
     estimate, row = component.fit.identification["stiffness_z"], named["stiffness_z"]
     assert (row["component"], row["unit"], row["method"]) == ("z", "N/m", "joint fit, translation")
@@ -265,7 +270,7 @@ def test_a_file_that_is_no_model_is_refused(results, tmp_path):
 
 @pytest.mark.usefixtures("no_pages")
 def test_the_command_prints_and_keeps_to_the_rules_of_folders(campaign, evaluation, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("fusion.sensor.identify.report.evaluate_identification", lambda *_: evaluation)
+    monkeypatch.setattr("fusion.sensor.identify.identification_report.evaluate_identification", lambda *_: evaluation)
     run, out = ["identify", str(campaign), "-o", str(tmp_path / "out")], tmp_path / "out"
     assert main([*run, "-v"]) == 0
     told = capsys.readouterr()
@@ -281,19 +286,19 @@ def test_the_command_prints_and_keeps_to_the_rules_of_folders(campaign, evaluati
 
 def test_every_command_takes_the_kinds_it_evaluates_out_of_a_mixed_campaign(campaign, tmp_path):
     found = find_recordings(campaign)
-    assert [path.parent.name for path in for_kinds(found, TRANSFER_KINDS)] == ["chirp-4kg", "chirp-9kg"]
-    assert [path.parent.name for path in for_kinds(found, kinds_of("run"))] == [f"sine-{f:04.0f}" for f in SINES_HZ]
-    assert for_kinds(found, ["step"]) == found
+    assert [path.parent.name for path in select_kinds(found, TRANSFER_KINDS)] == ["chirp-4kg", "chirp-9kg"]
+    assert [path.parent.name for path in select_kinds(found, kinds_of("run"))] == [f"sine-{f:04.0f}" for f in SINES_HZ]
+    assert select_kinds(found, ["step"]) == found
     broken = tmp_path / "recording.toml"
     broken.write_text("format =", encoding="utf-8")
-    assert broken in for_kinds([*found, broken], TRANSFER_KINDS)
+    assert broken in select_kinds([*found, broken], TRANSFER_KINDS)
 
 
 @pytest.mark.slow
 def test_a_simulated_campaign_is_identified_by_the_commands_that_a_laboratory_types(tmp_path, capsys):
     folder = tmp_path / "try"
     folder.mkdir()
-    write_masses(folder, 7, stand=SMALL, steps=(1, 5, 11, 15, 19))
+    write_masses(folder, 7, suspension=SMALL, steps=(1, 5, 11, 15, 19))
     assert main(["run", str(folder), "-q"]) == 0
     assert main(["identify", str(folder)]) == 0
     assert "internal mass m_i" in capsys.readouterr().out

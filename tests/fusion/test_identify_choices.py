@@ -28,25 +28,25 @@ from support import edit, rows, without_pages
 from fusion.base import Settings
 from fusion.campaign.run import run_path
 from fusion.cli import main
-from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels
+from fusion.instruments.channel import ChainUncertainty, ChannelReading, observe_channels
 from fusion.recording.manifest import ChannelEntry
 from fusion.recording.rig import ModelChanges
 from fusion.recording.toml import to_toml
 from fusion.report.folder import Provenance, write_provenance
-from fusion.sensor.identify.evaluate import evaluate_identification, read_curves
-from fusion.sensor.identify.fit import JointFit, joint_fits, mechanics, modelled
-from fusion.sensor.identify.measured import (
+from fusion.sensor.identify.identification_evaluation import evaluate_identification, read_curves
+from fusion.sensor.identify.identification_inputs import (
     IdentifySettings,
-    Prepared,
+    PreparedTransfer,
     placement_errors,
     prepare,
     read_campaign,
     transducer_placement,
 )
-from fusion.sensor.identify.report import read_sensor_models
+from fusion.sensor.identify.identification_report import read_sensor_models
+from fusion.sensor.identify.joint_fit import JointFit, joint_fits, mechanics, model_sensitivity
 from fusion.simulate.chirp import (
     Chirp,
-    Suspension,
+    SimulatedSuspension,
     chirp_channels,
     chirp_samples,
     chirp_tables,
@@ -56,7 +56,13 @@ from fusion.simulate.chirp import (
 )
 from fusion.simulate.preset import PartSpec, read_preset
 from fusion.simulate.world import Draws, true_part
-from shaker.identification.measured import AT_THE_BASE, MeasuredTransfer, Placement, PlacementError, RelativeError
+from shaker.identification.measured_curves import (
+    REFERENCE_INDEX,
+    CurveError,
+    MeasuredTransfer,
+    Placement,
+    PlacementError,
+)
 from shaker.mechanics import MassChain
 from shaker.sine.phasor import Phasors
 
@@ -79,16 +85,18 @@ def spoiled(campaign: Path, tmp_path: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def prepared(campaign: Path) -> list[Prepared]:
+def prepared(campaign: Path) -> list[PreparedTransfer]:
     return [prepare(manifest, manifest.name, None)[0] for manifest in read_campaign(campaign).transfers]
 
 
-def _fit(prepared: list[Prepared], **choices: object) -> JointFit:
+def _fit(prepared: list[PreparedTransfer], **choices: object) -> JointFit:
     (found,) = joint_fits(prepared, IdentifySettings(**choices))
     return found
 
 
-def _moved(item: Prepared, *stages: tuple[str, float, float, float], seed: int | None = None) -> Prepared:
+def _moved(
+    item: PreparedTransfer, *stages: tuple[str, float, float, float], seed: int | None = None
+) -> PreparedTransfer:
     """The recording of stages (name, mass, stiffness, damping) in a row, the last the load's, exact but for noise."""
     ratio, (names, *numbers) = item.measured.ratio, zip(*stages, strict=True)
     value = MassChain(names, *map(np.array, numbers)).transfer(ratio.frequency_hz, names[-1]).value
@@ -154,7 +162,7 @@ def test_a_mount_that_gives_is_fitted_with_the_sensor(prepared):
     assert abs(sensor.value - 6e8) < 4.0 * sensor.u
     assert abs(found.value("stiffness_z_adapter") - 2e9) < 4.0 * found.u("stiffness_z_adapter")
     assert fit.reason == "as wanted"
-    model = modelled(fit, None, prepared[0].manifest.rig.sensor).model
+    model = model_sensitivity(fit, None, prepared[0].manifest.rig.sensor).model
     assert (model.stiffness, model.chain.kind, model.unit) == (sensor.value, "none", "(V/V)/N")
 
 
@@ -164,7 +172,7 @@ def test_an_internal_mass_below_zero_leaves_a_model_without_one(prepared):
     fit = _fit([_moved(item, ("sensor", mass, STIFFNESS, DAMPING)) for item, mass in pairs])
     assert fit.identification.value("internal_mass") < 0.0
     assert any("below zero" in notice.text for notice in fit.identification.notices)
-    found = modelled(fit, None, None)
+    found = model_sensitivity(fit, None, None)
     assert found.model.internal_mass == 0.0
     assert (found.model.sensitivity, found.model.unit) == (1.0, "1/N")
 
@@ -173,7 +181,7 @@ ROD_HZ, HEIGHT_M, JOINT_HZ, CABLE_NPM = 8400.0, 0.1, 9000.0, 4e5
 
 
 @dataclass(frozen=True)
-class BentStand(Suspension):
+class BentStand(SimulatedSuspension):
     """A load that is a uniform rod, on a joint above the sensor's own mass, tied to the room at its foot.
 
     By the wave equation of the rod and Newton's law at the joint, not by modes: foot force m·a·tan(kL)/(kL), motion at
@@ -274,7 +282,7 @@ def test_two_axes_have_a_result_each(prepared):
 
 
 def test_a_second_peak_calls_for_pitching(tmp_path):
-    stand = read_preset(Suspension, "pitching", chirp=replace(QUICK, period_s=0.32))
+    stand = read_preset(SimulatedSuspension, "pitching", chirp=replace(QUICK, period_s=0.32))
     folder = write_campaign(tmp_path / "campaign", stand)
     found = [prepare(manifest, manifest.name, None)[0] for manifest in read_campaign(folder).transfers]
     fit = _fit(found)
@@ -297,7 +305,7 @@ def test_a_second_peak_calls_for_pitching(tmp_path):
 def _lines(measured: MeasuredTransfer, low_hz: float, high_hz: float) -> MeasuredTransfer:
     """The lines between two frequencies."""
     chosen = (measured.ratio.frequency_hz > low_hz) & (measured.ratio.frequency_hz < high_hz)
-    errors = tuple(RelativeError(error.name, error.relative[chosen]) for error in measured.errors)
+    errors = tuple(CurveError(error.name, error.relative[chosen]) for error in measured.errors)
     return replace(measured, ratio=measured.ratio.at_lines(chosen), errors=errors)
 
 
@@ -407,7 +415,7 @@ def _write(folder: Path, *, rate: bool, loads: dict[str, Load] = LOADS, chirp: C
     for name, (mass, height, inertia) in loads.items():
         part = PartSpec(f"load {name}", mass, 3e-4, (0.0, 0.0, height), 0.0, (inertia,) * 3, U_J)
         (folder / rig_file(name)).write_text(
-            to_toml(suspension_rig(read_preset(Suspension, "pitching", internal=internal), part, draws))
+            to_toml(suspension_rig(read_preset(SimulatedSuspension, "pitching", internal=internal), part, draws))
         )
         true = (mass, height, inertia + U_J * float(rng.standard_normal()))
         samples = chirp_samples(chirp, draws, {"top": _turned(true, off)}, f"{name}.")
@@ -519,7 +527,7 @@ def test_unknowns_have_the_names_and_signs_of_a_run():
     entry = _entry("top", "load", common="crystal")
     frequency = np.array([1000.0])
     phasors = Phasors(frequency, np.ones((1, 1), complex), np.eye(2)[None], ("top",), ("m/s2",), np.full(1, np.inf))
-    (observed,) = observe_channels([Reading(entry, phasors, ChainUncertainty())])
+    (observed,) = observe_channels([ChannelReading(entry, phasors, ChainUncertainty())])
     placed = {f"{error.name} [B]": error.slope[0, 0] for error in observed.common if error.scope == "mounting"}
     found = {
         name: error.change for name, error in _by_name(placement_errors(entry, [], "B")).items() if np.any(error.change)
@@ -534,7 +542,7 @@ def test_another_mounting_is_another_unknown_and_what_is_exact_is_none():
     first, again, anew = (placement_errors(base, [top], mounting) for mounting in ("1", "1", "2"))
     assert [error.name for error in first] == [error.name for error in again]
     assert not {error.name for error in first} & {error.name for error in anew}
-    assert {error.place for error in first} == {AT_THE_BASE, 0}
+    assert {error.response_index for error in first} == {REFERENCE_INDEX, 0}
     exact = {"point_uncertainty": 0.0, "direction_uncertainty": 0.0, "transverse_sensitivity": 0.0}
     assert placement_errors(_entry("base", "base", **exact), [_entry("top", "load", **exact)], "1") == ()
 

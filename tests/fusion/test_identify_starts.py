@@ -16,19 +16,19 @@ from support import without_pages, write_daq
 from fusion.campaign.run import run_path
 from fusion.recording.load import load_manifest
 from fusion.recording.toml import to_toml
-from fusion.sensitivity.evaluate import Settings
-from fusion.sensor.identify.evaluate import evaluate_identification
-from fusion.sensor.identify.fit import joint_fits
-from fusion.sensor.identify.measured import (
+from fusion.sensitivity.recording_evaluation import Settings
+from fusion.sensor.identify.identification_evaluation import evaluate_identification
+from fusion.sensor.identify.identification_inputs import (
     CLOCK,
     IdentifySettings,
-    Prepared,
+    PreparedTransfer,
+    add_clock_errors,
     prepare,
     read_campaign,
-    with_clocks_of,
 )
+from fusion.sensor.identify.joint_fit import joint_fits
 from fusion.simulate.world import Draws, true_part
-from shaker.identification.measured import RelativeError
+from shaker.identification.measured_curves import CurveError
 
 RATE_HZ, PERIOD = 12800.0, 256.05  # of the trigger, in samples: its edges move by a sample in 20 of them
 BELOW_HZ = (800.0, 815.0)  # of all resonances: there a late response looks like damping
@@ -36,7 +36,7 @@ TIE_S = 3e-7
 
 
 @pytest.fixture(scope="module")
-def prepared(tmp_path_factory: pytest.TempPathFactory) -> list[Prepared]:
+def prepared(tmp_path_factory: pytest.TempPathFactory) -> list[PreparedTransfer]:
     """Two loads, twice each; of a curve nothing but its noise and loads is uncertain."""
     folder = write_campaign(tmp_path_factory.mktemp("starts") / "campaign", replace(SMALL, tops={"top": (0, 0, 0.1)}))
     loads = [prepare(load_manifest(folder / f"chirp-{name}"), name, BELOW_HZ)[0] for name in SMALL.loads]
@@ -47,7 +47,7 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> list[Prepared]:
     ]
 
 
-def late(item: Prepared, by_s: float, rng: np.random.Generator) -> Prepared:
+def late(item: PreparedTransfer, by_s: float, rng: np.random.Generator) -> PreparedTransfer:
     """The curve of loads as stated, with its noise, its response late by an error of a tie of `TIE_S`."""
     measured, none = item.measured, Draws(0, False)
     load = true_part(SMALL.loads[measured.name[:3]], none)
@@ -56,17 +56,17 @@ def late(item: Prepared, by_s: float, rng: np.random.Generator) -> Prepared:
     true = SMALL.transfer(load, true_part(SMALL.internal, none), (0.0, 0.0, 0.1), ratio.frequency_hz)[:, None]
     parts = np.linalg.cholesky(ratio.covariance) @ rng.standard_normal((len(true), 2, 1))
     value = true * np.exp(-turn * by_s) + parts[:, :1, 0] + 1j * parts[:, 1:, 0]
-    errors = (RelativeError(f"{CLOCK}b [{measured.name}]", -TIE_S * turn),)
+    errors = (CurveError(f"{CLOCK}b [{measured.name}]", -TIE_S * turn),)
     return replace(item, measured=replace(measured, ratio=replace(ratio, value=value), errors=errors))
 
 
-def errors_of_damping(prepared: list[Prepared], anew: bool, shared: bool, trials: int) -> np.ndarray:
+def errors_of_damping(prepared: list[PreparedTransfer], anew: bool, shared: bool, trials: int) -> np.ndarray:
     """Errors over u of campaigns, the curves' ties named as those of one start or of their own."""
     rng, found = np.random.default_rng(3), []
     for _ in range(trials):
         tie = TIE_S * rng.standard_normal(len(prepared))
         drawn = [late(item, tie[n if anew else 0], rng) for n, item in enumerate(prepared)]
-        named = [with_clocks_of(item, "first" if shared else item.measured.name) for item in drawn]
+        named = [add_clock_errors(item, "first" if shared else item.measured.name) for item in drawn]
         (fit,) = joint_fits(named, IdentifySettings(internal_mass="stated"))
         damping = fit.identification["damping_z"]
         found.append((damping.value - DAMPING) / damping.u)

@@ -12,12 +12,13 @@ import pytest
 import tifffile
 from contracts import refused
 
-from fusion.base import InputError, Settings, no_progress
+from fusion.base import Settings, no_progress
 from fusion.cli import main
-from fusion.phasors.stereo_motion import OpenImages, measure_images, open_images
+from fusion.errors import InputError
+from fusion.phasors.stereo_motion import PreparedImages, measure_images, prepare_images
 from fusion.phasors.timing import tie_daqs
 from fusion.planning.check import check
-from fusion.recording.files import read_daqs
+from fusion.recording.daq_records import read_daqs
 from fusion.recording.load import load_manifest
 
 FRAMES = 24
@@ -54,9 +55,9 @@ def stated(run: Path, line: str) -> None:
     path.write_text(text.replace('stereo = "top"\n', f'stereo = "top"\n{line}\n', 1), encoding="utf-8")
 
 
-def opened(run: Path) -> OpenImages:
+def opened(run: Path) -> PreparedImages:
     manifest = load_manifest(run)
-    return open_images(manifest, tie_daqs(manifest, read_daqs(manifest)), manifest.images[0])
+    return prepare_images(manifest, tie_daqs(manifest, read_daqs(manifest)), manifest.images[0])
 
 
 def told(run: Path) -> str:

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from fusion.base import ComputeError
+from fusion.errors import ComputeError
 from fusion.phasors.shutter import check_in_step
 from photogram.camera import Camera, StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector

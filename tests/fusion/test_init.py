@@ -11,17 +11,17 @@ import h5py
 import numpy as np
 import pytest
 from scipy.io import wavfile
-from support import DOCS, examples, refusals, rows, state, write_daq
+from support import DOCS, examples, folder_contents, refusals, rows, write_daq
 
 from fusion import draft
-from fusion.base import InputError
 from fusion.cli import main
+from fusion.errors import InputError
 from fusion.phasors.timing import tie_daqs
 from fusion.planning.check import check
-from fusion.planning.draft.channels import guess, recorders
+from fusion.planning.draft.channel_guess import guess_channel, guess_recorders
 from fusion.planning.draft.init import example, run_init
-from fusion.planning.draft.inventory import FoundChannel, look_into
-from fusion.recording.files import read_set_ups
+from fusion.planning.draft.inventory import FoundChannel, survey_folder
+from fusion.recording.daq_records import read_set_ups
 from fusion.recording.load import find_recordings, load_manifest
 from fusion.recording.toml import to_toml
 from fusion.simulate import simulate
@@ -162,7 +162,7 @@ def test_a_recording_of_one_laser_and_one_pair_asks_for_less_than_15_values(tmp_
     drafted = draft(tmp_path)
     text = drafted.files[tmp_path / "Mx-0050" / "recording.toml"]
     recording = tomllib.loads(text)
-    assert drafted.asked < 15
+    assert drafted.unfilled < 15
     assert recording["excitation"]["direction"] == [0.0, 0.0, 0.0, 1.0, 0.0, 0.0]
     assert recording["excitation"]["frequencies"] == [50.0]
     laser, output, trigger = recording["daq"][0]["channel"]
@@ -340,7 +340,7 @@ GUESSED = [
 
 @pytest.mark.parametrize(("name", "unit", "quantity", "scale"), GUESSED)
 def test_what_names_and_units_suggest(name, unit, quantity, scale):
-    made = guess(FoundChannel(name, unit, 1e3, 100, -1.0, 1.0, None))
+    made = guess_channel(FoundChannel(name, unit, 1e3, 100, -1.0, 1.0, None))
     assert made.quantity == quantity
     assert made.scale == (None if scale is None else pytest.approx(scale))
 
@@ -366,7 +366,7 @@ def test_cameras_become_pairs_by_their_names(tmp_path, names, pairs, demo_record
             path = tmp_path / name.format(frame)
             path.parent.mkdir(exist_ok=True)
             shutil.copy(picture, path)
-    found = look_into(tmp_path).sights
+    found = survey_folder(tmp_path).camera_systems
     assert {pair.name: (pair.left.pattern, pair.right.pattern) for pair in found} == pairs
 
 
@@ -420,10 +420,10 @@ def _wrong_from(folder: Path) -> str:
 @pytest.mark.parametrize("make", [_nothing, _a_file, _has_recording, _all_have, _wrong_rig, _wrong_from])
 def test_what_cannot_be_drafted_is_one_sentence_and_changes_nothing(tmp_path, refused, make):
     told = make(tmp_path)
-    before = state(tmp_path)
+    before = folder_contents(tmp_path)
     more = ["--from", tmp_path / "nowhere"] if make is _wrong_from else []
     assert told in refused("init", tmp_path, *more)
-    assert state(tmp_path) == before
+    assert folder_contents(tmp_path) == before
 
 
 @pytest.mark.parametrize("content", [b"", b"\x89HDF\r\n", b"CDF\x01" * 200])
@@ -462,5 +462,5 @@ def test_pulses_of_one_rate_have_one_name(tmp_path):
     for name, channel in (("a", "ai1"), ("b", "sync out")):
         pulses = 3.0 * ((time_s - 0.02) % (1 / 20.5) < 1e-3)
         write_daq(tmp_path / f"{name}.h5", 10e3, {channel: pulses, "other": 3.0 * (time_s % (1 / 31.0) < 1e-3)})
-    names = [[item.name for item in recorder.channels] for recorder in recorders(look_into(tmp_path).daqs)]
+    names = [[item.name for item in recorder.channels] for recorder in guess_recorders(survey_folder(tmp_path).daqs)]
     assert names == [["other", "sync out"], ["other", "sync out"]]

@@ -16,12 +16,11 @@ from contracts import refused
 from evaluation_factory import Choice, make_evaluation
 from page_outline import outline
 from simulated_drives import CAPACITY, MAIN, DriveErrors, drive_setup, eight_setups, simulate_drives, true_matrix
-from support import DOCS, examples, rows, untold
+from support import DOCS, examples, rows, undescribed_datasets
 
-from fusion.base import InputError
 from fusion.campaign import joint_report as joint_write
-from fusion.campaign.drive import Drive
-from fusion.campaign.joint import CampaignEvaluation, curve_points, evaluate_campaign
+from fusion.campaign.excited_line import ExcitedLine
+from fusion.campaign.joint_evaluation import CampaignEvaluation, curve_points, evaluate_campaign
 from fusion.campaign.joint_report import (
     campaign_h5,
     campaign_origin,
@@ -32,16 +31,17 @@ from fusion.campaign.joint_report import (
     unknowns_table,
     write_campaign,
 )
-from fusion.campaign.recorded import Recorded, SensorFacts
+from fusion.campaign.recording_results import RecordingResults, SensorFacts
 from fusion.campaign.unknowns import JointUnknown
+from fusion.errors import InputError
 from fusion.estimation.coverage import coverage_factor
 from fusion.phasors.timing import Grid
-from fusion.report import recording as results
+from fusion.report import recording_report as results
 from fusion.report.folder import Provenance
 from fusion.report.h5 import read_uncertainty
-from fusion.report.recording import CAMPAIGN_FILES, check_campaign_folder, write_results
-from shaker.arrays import Notice
+from fusion.report.recording_report import CAMPAIGN_FILES, check_campaign_folder, write_results
 from shaker.labels import LOAD_COMPONENTS as LOADS
+from shakercal._common.notices import Notice
 
 FAILED = {"Fz-0999": "recording.toml: daq.laser.scale: expected a number, found <nothing>"}
 SWEEP_HZ = (53.7, 161.1, 375.9, 590.7, 805.5, 1020.3)
@@ -62,9 +62,9 @@ def truth(frequency_hz: float) -> np.ndarray:
     return MATRIX / (1.0 - (frequency_hz / 2600.0) ** 2) * np.exp(-2j * np.pi * frequency_hz * 20e-6)
 
 
-def recorded(name: str, drives: Sequence[Drive]) -> Recorded:
+def recorded(name: str, drives: Sequence[ExcitedLine]) -> RecordingResults:
     """What the result file of a recording tells of its drives."""
-    return Recorded(
+    return RecordingResults(
         folder=name.replace(" ", "-").replace(",", ""),
         name=name,
         mounting=drives[0].mounting,
@@ -73,13 +73,13 @@ def recorded(name: str, drives: Sequence[Drive]) -> Recorded:
         direction=drives[0].direction,
         frequencies=tuple(drive.nominal_hz for drive in drives),
         sensor=SENSOR,
-        drives=tuple(replace(drive, recording=name) for drive in drives),
+        excited_lines=tuple(replace(drive, recording=name) for drive in drives),
         notices=(Notice("warning", "the phase drifts", "velocity"),),
         origin=Provenance({f"{name}/recording.toml": "ab" * 32}, {"spline_degree": 5}, {"shakercal": "0.1.0"}, ()),
     )
 
 
-def sweep() -> tuple[Recorded, ...]:
+def sweep() -> tuple[RecordingResults, ...]:
     """Recordings purely along z: two mountings of two recordings at every frequency."""
     rng = np.random.default_rng(0)
     errors, found = DriveErrors(rng), []
@@ -92,7 +92,7 @@ def sweep() -> tuple[Recorded, ...]:
     return tuple(found)
 
 
-def eight() -> tuple[Recorded, ...]:
+def eight() -> tuple[RecordingResults, ...]:
     """Eight recordings whose loads are independent, at two frequencies each."""
     rng = np.random.default_rng(0)
     errors, setups = DriveErrors(rng), eight_setups(rng)
@@ -184,7 +184,7 @@ def test_uncertainties_are_kept_with_their_names(matrix):
 def test_every_number_of_a_campaign_has_unit_words_and_named_axes(swept, matrix):
     for evaluation in (swept, matrix):
         with h5py.File(io.BytesIO(campaign_h5(evaluation, ["a.csv"]))) as file:
-            assert untold(file) == []
+            assert undescribed_datasets(file) == []
             assert file["curves/000/value"].attrs["units"] == "(V/V)/N"
             assert file["curves/000/value"].dims[1][0].asstr()[0] == "Fx/Fz" if evaluation is swept else "Fx/Fx"
     with h5py.File(io.BytesIO(campaign_h5(matrix, []))) as file:
@@ -200,7 +200,7 @@ def test_what_is_known_of_poses_and_scales_stands_in_file_and_page(matrix):
     turned = JointUnknown("stereo top: pose rotation x", "stereo top: pose", 5e-3, "rad", 0.5, 0.2, 8)
     found = replace(matrix, unknowns=(JointUnknown("clock rate", "clock", 1e-6, "1", 0.0, 1.0, 0), turned))
     with h5py.File(io.BytesIO(campaign_h5(found, []))) as file:
-        assert untold(file) == []
+        assert undescribed_datasets(file) == []
         assert file["unknowns/remaining"][()].tolist() == [1.0, 0.2]
     told = unknowns_table(found)
     assert [row[0] for row in told.rows] == [turned.name, "clock rate"]
@@ -267,7 +267,7 @@ def test_page_of_a_matrix(matrix):
     assert "χ² / degrees of freedom" in text
 
 
-def weaker(entry: Recorded, share: float) -> Recorded:
+def weaker(entry: RecordingResults, share: float) -> RecordingResults:
     """The same recording with a smaller load."""
     factor = np.full((1, 6), share, dtype=np.complex128)
     drives = tuple(
@@ -279,7 +279,7 @@ def weaker(entry: Recorded, share: float) -> Recorded:
             outputs=share * drive.outputs,
             outputs_uncertainty=drive.outputs_uncertainty.scaled(factor),
         )
-        for drive in entry.drives
+        for drive in entry.excited_lines
     )
     return replace(entry, name=f"{entry.name}, weak", folder=f"{entry.folder}-weak", drives=drives)
 
@@ -303,19 +303,21 @@ def test_recordings_of_one_name_and_inputs_of_all_are_told_apart():
     first, second = (replace(entry, name="the same") for entry in sweep()[:2])
     found = evaluate_campaign("twice", (first, second), {})
     assert [entry.name for entry in found.recorded] == [f"the same [{entry.folder}]" for entry in (first, second)]
-    assert [drive.recording for drive in found.drives] == [entry.name for entry in found.recorded]
-    assert [drive.start for drive in found.drives] == [drive.recording for drive in found.drives]
+    assert [drive.recording for drive in found.excited_lines] == [entry.name for entry in found.recorded]
+    assert [drive.start for drive in found.excited_lines] == [drive.recording for drive in found.excited_lines]
     grids = (Grid(0.1, 0.02, 2e-5, 0.0, np.nan),)
-    alike = (replace(e, drives=tuple(replace(d, grids=grids) for d in e.drives)) for e in (first, second))
-    assert {drive.start for drive in evaluate_campaign("twice", tuple(alike), {}).drives} == {found.recorded[0].name}
+    alike = (replace(e, drives=tuple(replace(d, grids=grids) for d in e.excited_lines)) for e in (first, second))
+    assert {drive.start for drive in evaluate_campaign("twice", tuple(alike), {}).excited_lines} == {
+        found.recorded[0].name
+    }
     hashes = {"rig.toml": "cd" * 32, **first.origin.input_hashes}
     known = replace(first, origin=replace(first.origin, input_hashes=hashes))
     other = replace(second, origin=replace(second.origin, input_hashes={"rig.toml": "ef" * 32}))
     assert campaign_origin([known, other]).input_hashes == {**hashes, f"{second.folder}: rig.toml": "ef" * 32}
 
 
-def no_common_output(entry: Recorded) -> Recorded:
-    drives = [replace(drive, channels=tuple(f"{name}'" for name in drive.channels)) for drive in entry.drives]
+def no_common_output(entry: RecordingResults) -> RecordingResults:
+    drives = [replace(drive, channels=tuple(f"{name}'" for name in drive.channels)) for drive in entry.excited_lines]
     return replace(entry, drives=tuple(drives))
 
 

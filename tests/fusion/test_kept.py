@@ -11,7 +11,7 @@ import jinja2
 import pytest
 
 from fusion.report.folder import TEMPLATES
-from fusion.report.kept import UNUSED_S, CompiledTemplates, kept
+from fusion.report.page_cache import UNUSED_S, CompiledTemplates, load_or_make
 
 
 @pytest.fixture
@@ -31,32 +31,32 @@ def made(calls: list[str], content: bytes = b"content"):
 
 def test_what_is_kept_is_made_once_for_each_key(folder):
     calls: list[str] = []
-    assert kept("a", "1", made(calls)) == kept("a", "1", made(calls)) == b"content"
+    assert load_or_make("a", "1", made(calls)) == load_or_make("a", "1", made(calls)) == b"content"
     assert calls == ["made"]
-    assert kept("a", "2", made(calls, b"other")) == b"other"
-    assert kept("b", "1", made(calls, b"third")) == b"third"
-    assert kept("a", "1", made(calls)) == b"content"
+    assert load_or_make("a", "2", made(calls, b"other")) == b"other"
+    assert load_or_make("b", "1", made(calls, b"third")) == b"third"
+    assert load_or_make("a", "1", made(calls)) == b"content"
     assert len(calls) == len(list(folder.iterdir())) == 3
 
 
 @pytest.mark.parametrize("damage", [b"", b"short", None])
 def test_what_is_not_as_it_was_written_is_made_anew(folder, damage):
     calls: list[str] = []
-    kept("a", "1", made(calls))
+    load_or_make("a", "1", made(calls))
     (file,) = folder.iterdir()
     file.write_bytes(file.read_bytes()[:-1] + b"?" if damage is None else damage)
-    assert kept("a", "1", made(calls)) == b"content"
-    assert kept("a", "1", made(calls)) == b"content"
+    assert load_or_make("a", "1", made(calls)) == b"content"
+    assert load_or_make("a", "1", made(calls)) == b"content"
     assert calls == ["made", "made"]
 
 
 def test_what_is_old_is_made_anew_and_goes(folder):
     calls: list[str] = []
-    kept("a", "1", made(calls))
-    kept("b", "1", made(calls))
+    load_or_make("a", "1", made(calls))
+    load_or_make("b", "1", made(calls))
     for file in folder.iterdir():
         os.utime(file, (0.0, time.time() - UNUSED_S - 10.0))
-    kept("a", "1", made(calls))
+    load_or_make("a", "1", made(calls))
     assert len(calls) == 3
     assert len(list(folder.iterdir())) == 1
 
@@ -67,7 +67,7 @@ def test_without_a_folder_everything_is_made(tmp_path, monkeypatch):
     for place in (tmp_path / "file", Path("/proc/none")):
         for name in ("XDG_CACHE_HOME", "LOCALAPPDATA"):
             monkeypatch.setenv(name, str(place))
-        assert kept("a", "1", made(calls)) == kept("a", "1", made(calls)) == b"content"
+        assert load_or_make("a", "1", made(calls)) == load_or_make("a", "1", made(calls)) == b"content"
     assert len(calls) == 4
 
 
@@ -75,7 +75,7 @@ def test_several_at_once_find_it_whole(folder):
     content, found = os.urandom(1 << 20), list[bool]()
 
     def run() -> None:
-        found.extend(kept("a", "1", lambda: content) == content for _ in range(20))
+        found.extend(load_or_make("a", "1", lambda: content) == content for _ in range(20))
 
     threads = [threading.Thread(target=run) for _ in range(4)]
     for thread in threads:

@@ -12,12 +12,12 @@ import h5py
 import numpy as np
 import pytest
 from contracts import refused
-from recordings import once
+from recordings import make_once
 
 from fusion import InputError, read_results
 from fusion.campaign.joint_report import write_campaign
 from fusion.report.h5 import h5_content, write_value
-from fusion.report.recording import result_tables, write_h5
+from fusion.report.recording_report import result_tables, write_h5
 from fusion.sensitivity.analyse import Evaluation
 
 
@@ -30,7 +30,7 @@ def folder(demo_evaluation: Evaluation, tmp_path_factory: pytest.TempPathFactory
         write_h5(path / "result.h5", demo_evaluation, [])
         return path
 
-    return once(tmp_path_factory, "labelled", write)
+    return make_once(tmp_path_factory, "labelled", write)
 
 
 def rows(path: Path) -> list[dict[str, str]]:

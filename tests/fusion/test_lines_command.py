@@ -9,15 +9,15 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from support import AT_ORIGIN, Refused, block, channel, recording_head, rows, write_daq
+from support import AT_ORIGIN, RefusedCommand, block, channel, recording_head, rows, write_daq
 
-from fusion.base import InputError
 from fusion.cli import main
-from fusion.phasors.channels import channel_phasors, find_channel_lines, refine_ties
+from fusion.errors import InputError
+from fusion.phasors.channel_phasors import channel_phasors, find_channel_lines, refine_ties
 from fusion.phasors.timing import TimeBase, tie_daqs
-from fusion.recording.files import read_daqs
+from fusion.recording.daq_records import read_daqs
 from fusion.recording.load import Manifest, load_manifest
-from fusion.report.recording import write_h5
+from fusion.report.recording_report import write_h5
 from fusion.report.tables import lines_table
 from fusion.sensitivity.analyse import Evaluation
 from shaker.lines.frequencies import find_lines
@@ -77,7 +77,7 @@ def test_a_band_keeps_its_lines(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert "no line stands out of the noise" in capsys.readouterr().out
 
 
-def test_wrong_input_is_one_sentence(tmp_path: Path, refused: Refused) -> None:
+def test_wrong_input_is_one_sentence(tmp_path: Path, refused: RefusedCommand) -> None:
     file = _signals(tmp_path / "signals.h5", {106.25: 1.0})
     (tmp_path / "there.csv").write_text("")
     for arguments, sentence in (
@@ -110,7 +110,7 @@ def test_a_recording_says_what_is_fitted(tmp_path: Path, capsys: pytest.CaptureF
 
 
 def test_a_campaign_is_listed_recording_by_recording(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], refused: Refused
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], refused: RefusedCommand
 ) -> None:
     run = _recording(tmp_path, {53.7: 1.0}, frequencies=[53.7])
     run.rename(tmp_path / "first")

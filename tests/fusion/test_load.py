@@ -16,16 +16,16 @@ from release_factory import two_masses
 from scipy.signal import StateSpace, lsim
 from support import edit, refusals, rows
 
-from fusion.base import InputError
 from fusion.cli import main
+from fusion.errors import InputError
 from fusion.recording.load import load_manifest
-from fusion.sensor.load.evaluate import MOVING, LoadSettings, evaluate_loads, read_series, read_table
-from fusion.sensor.load.report import parameter_rows
-from fusion.sensor.models_file import LOAD_MODEL_FILE, Rests, model_text, read_load_models, read_loads
+from fusion.sensor.load.load_evaluation import MOVING_MASS_LABEL, LoadSettings, evaluate_loads, read_series, read_table
+from fusion.sensor.load.load_models_report import parameter_rows
+from fusion.sensor.model_files import LOAD_MODEL_FILE, UncertaintyBasis, model_text, read_load_models, read_loads
 from fusion.simulate.preset import read_preset
 from fusion.simulate.releases import SeriesRig, true_modes, write_loads
 from shaker.release.load_model import LoadModel
-from shaker.release.response import pole_responses
+from shaker.release.load_response import pole_responses
 
 PUBLISHED = ((0.0, 500.0), (0.008, 486.0), (0.048, 450.0), (0.098, 393.0), (0.198, 320.0))
 PARAMETERS = ("stiffness", "damping", "coupling_stiffness", "coupling_damping")
@@ -226,8 +226,8 @@ def test_what_one_rig_states_beside_the_records_is_in_u_of_all_that_follows(shor
     (series,), _ = read(short, 0, 48)
     narrow, wide = (evaluate_loads("loads", (one,), (), LoadSettings(), {}) for one in (plain, series))
     scope = "within these 2 releases of one mounting, with mounting anew and another temperature as stated"
-    assert series.beside.scope == scope
-    assert series.beside.outside == "a model of another structure"
+    assert series.influences.scope == scope
+    assert series.influences.outside == "a model of another structure"
     for before, after in zip(narrow.components, wide.components, strict=True):
         small, large = (one.solutions[0].recorded for one in (before, after))
         expected = np.hypot(small.u_frequency_hz[:, 0], 1e-3 * small.frequency_hz[:, 0])
@@ -263,7 +263,7 @@ def test_moments_have_inertias_in_place_of_masses(short):
     assert (series.output.component, series.output.mass_unit) == ("Mx", "kg·m²")
     np.testing.assert_allclose(series.masses.load, [0.0, 0.048])
     assert series.masses.moving == 0.24
-    assert series.masses.names[0] == MOVING
+    assert series.masses.names[0] == MOVING_MASS_LABEL
     evaluation = evaluate_loads("moments", (series,), (), LoadSettings(), {})
     assert evaluation.models[0].stiffness == pytest.approx(2.36e6, rel=3e-3)
     assert {row[8] for row in parameter_rows(evaluation)} >= {"N.m/rad", "N.m.s/rad", "kg.m^2", "V/(N.m)"}
@@ -298,5 +298,7 @@ def test_wrong_model_files(tmp_path, content, sentence):
 
 def test_a_model_without_uncertainty_comes_back(tmp_path):
     model = LoadModel("F", "", "", 0.24, 2.36e6, 0.0)
-    (tmp_path / LOAD_MODEL_FILE).write_text(model_text([(model, Rests())], "table", "", ""), encoding="utf-8")
+    (tmp_path / LOAD_MODEL_FILE).write_text(
+        model_text([(model, UncertaintyBasis())], "table", "", ""), encoding="utf-8"
+    )
     assert read_load_models(tmp_path) == (model,)

@@ -17,11 +17,11 @@ import pytest
 from support import edit, refusals, rows
 
 from fusion import check, load_manifest, look
-from fusion.base import InputError
 from fusion.cli import main
-from fusion.planning.look.finding import refusal
+from fusion.errors import InputError
+from fusion.planning.look.finding import refusal_finding
+from fusion.planning.look.image_checks import _sigma_px
 from fusion.planning.look.look import look_page
-from fusion.planning.look.pictures import _sigma_px
 from fusion.recording.toml import to_toml
 from fusion.simulate import simulate
 from photogram.subsets.texture import textured_area
@@ -352,4 +352,4 @@ def test_a_folder_that_fills_is_looked_at_again(campaign, monkeypatch, capsys):
     ],
 )
 def test_a_refusal_asks_for_what_can_be_mended(error, verdict):
-    assert refusal(ValueError(error)).verdict == verdict
+    assert refusal_finding(ValueError(error)).verdict == verdict

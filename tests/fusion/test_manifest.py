@@ -13,31 +13,31 @@ from contracts import refused
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydantic import BaseModel
-from support import DOCS, examples, key_tables, told_keys
+from support import DOCS, documented_keys, examples, key_tables
 
-from fusion.base import InputError
+from fusion.errors import InputError
 from fusion.recording.environment import Environment
-from fusion.recording.excitation import KINDS, Excitation
+from fusion.recording.excitation import KINDS, ExcitationEntry
 from fusion.recording.load import find_recordings, load_manifest
 from fusion.recording.manifest import ChannelEntry, Daq, Images, PointFiles, RecordingFile, ResponseColumns, Take
 from fusion.recording.rig import (
-    Administration,
-    Change,
     Elastic,
     ElasticMode,
-    Head,
-    Load,
+    InstrumentHead,
+    ModelChange,
     ModelChanges,
-    Part,
     Rig,
+    RigAdministration,
+    RigLoad,
+    RigPart,
     Sensor,
     Shaker,
     Stereo,
-    Warming,
+    TemperatureChange,
 )
 from fusion.recording.toml import expand_statements, uncertain_inputs
-from fusion.recording.values import Surface
-from photogram.calibration.file import read_calibration
+from fusion.recording.values import SurfacePlane
+from photogram.calibration.calibration_file import read_calibration
 
 Campaign = Callable[..., Path]
 
@@ -137,7 +137,7 @@ def test_directions_become_unit_vectors():
 
 def test_conventional_mass_is_converted_by_the_definition_of_oiml_d28():
     """A conventional mass balances the weight of 8000 kg/m^3 in air of 1.2 kg/m^3."""
-    load = Load(
+    load = RigLoad(
         mass=2.0, mass_kind="conventional", density=2700.0, centre_of_mass=(0, 0, 0), inertia=np.zeros((3, 3)).tolist()
     )
     pull_of_load = load.true_mass * (1 - 1.2 / 2700.0)
@@ -172,21 +172,21 @@ DOC = (DOCS / "recording-format.md").read_text(encoding="utf-8")
 MODELS: dict[str, type[BaseModel]] = {
     "Top level of rig.toml": Rig,
     "`[sensor]`": Sensor,
-    "`[load]`": Load,
+    "`[load]`": RigLoad,
     "`[[load.elastic]]`": Elastic,
     "`[[load.elastic.mode]]`": ElasticMode,
-    "`[[part]]`, in rig.toml or recording.toml": Part,
+    "`[[part]]`, in rig.toml or recording.toml": RigPart,
     "`[environment]`": Environment,
     "`[stereo.NAME]`": Stereo,
-    "`[stereo.NAME.surface]`": Surface,
-    "`[head.NAME]`": Head,
+    "`[stereo.NAME.surface]`": SurfacePlane,
+    "`[head.NAME]`": InstrumentHead,
     "`[shaker]`, in rig.toml or recording.toml": Shaker,
     "`[model]`": ModelChanges,
-    "`[model.mounting]`, `[model.load]`, `[model.structure]`": Change,
-    "`[model.temperature]`": Warming,
-    "`[administration]`": Administration,
+    "`[model.mounting]`, `[model.load]`, `[model.structure]`": ModelChange,
+    "`[model.temperature]`": TemperatureChange,
+    "`[administration]`": RigAdministration,
     "Top level of recording.toml": RecordingFile,
-    "`[excitation]`": Excitation,
+    "`[excitation]`": ExcitationEntry,
     "`[[daq]]`": Daq,
     "`[[daq.channel]]`": ChannelEntry,
     "`response_columns` of a channel": ResponseColumns,
@@ -198,7 +198,7 @@ MODELS: dict[str, type[BaseModel]] = {
 
 def test_every_block_has_a_table_that_is_its_model():
     tables = key_tables(DOC[DOC.index("## Every key") : DOC.index("## What a run leaves")])
-    assert tables == told_keys(MODELS)
+    assert tables == documented_keys(MODELS)
     assert list(tables) == list(MODELS)
 
 
@@ -294,7 +294,7 @@ def test_a_certificate_in_a_rig_is_used_listed_and_may_expire(make_campaign):
     assert (manifest.operator, str(manifest.date)) == ("me", "2027-02-01")
     keys = [item.key for item in manifest.inputs]
     assert {"load.mass", "load.centre_of_mass", "stereo.top.pose", "daq.vibrometer.channel.velocity.scale"} <= set(keys)
-    (notice,) = manifest.expired
+    (notice,) = manifest.expiry_notices
     assert notice.text == "the certificate of load.mass (M-117, valid until 2027-01-31) was not valid on 2027-02-01"
 
 

@@ -8,23 +8,23 @@ from typing import Any
 
 import numpy as np
 import pytest
+from excited_line_factory import make_excited_line, uncertainty
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from plain_drives import plain_drive, uncertainty
 from scipy.linalg import block_diag
 from scipy.optimize import least_squares
 from scipy.stats import binom, chi2
 from simulated_drives import CAPACITY, DriveErrors, drive_setup, eight_setups, simulate_drives, true_matrix
-from support import far
+from support import region_distance
 
 from fusion.campaign import elimination, matrix_solve
-from fusion.campaign.drive import Drive
+from fusion.campaign.excited_line import ExcitedLine
 from fusion.campaign.matrix import MatrixFit, cross_talk, fit_matrix, main_components
 from fusion.campaign.matrix_solve import (
-    LINES_APART,
+    LINE_SPACING,
+    MatrixSolution,
     MissingExcitationError,
-    Solution,
     Stack,
     changes,
     solve,
@@ -37,13 +37,13 @@ AnyArray = NDArray[Any]
 MAIN = np.eye(6, dtype=np.bool_)
 
 
-def eight_drives(seed: int, *, systematic: bool = True) -> tuple[tuple[Drive, ...], AnyArray]:
+def eight_drives(seed: int, *, systematic: bool = True) -> tuple[tuple[ExcitedLine, ...], AnyArray]:
     rng = np.random.default_rng(seed)
     truth = true_matrix(rng)
     return simulate_drives(eight_setups(rng), truth, DriveErrors(rng, systematic)), truth
 
 
-def noise_only(drive: Drive) -> Drive:
+def noise_only(drive: ExcitedLine) -> ExcitedLine:
     load, outputs = (Uncertainty(part.random) for part in (drive.load_uncertainty, drive.outputs_uncertainty))
     return replace(drive, load_uncertainty=load, outputs_uncertainty=outputs)
 
@@ -55,7 +55,7 @@ def normalised(fit: MatrixFit, truth: AnyArray) -> AnyArray:
 
 def distances(fit: MatrixFit, truth: AnyArray) -> list[float]:
     """How far out every element is, over the edge of its 95 % region."""
-    return far(fit.value, truth, fit.uncertainty)
+    return region_distance(fit.value, truth, fit.uncertainty)
 
 
 def whitening(parts: tuple[Uncertainty, ...]) -> list[AnyArray]:
@@ -80,7 +80,7 @@ def likelihood(stack: Stack, roots: tuple[list[AnyArray], list[AnyArray]], unkno
     return np.concatenate(found)
 
 
-def covariance_of(stack: Stack, found: Solution) -> AnyArray:
+def covariance_of(stack: Stack, found: MatrixSolution) -> AnyArray:
     """Covariance (12C, 12C) of the matrix from every reading's noise and every unknown."""
     effect = changes(stack, found)
     return np.sum(found.gain @ found.noise @ found.gain.swapaxes(1, 2), axis=0) + effect.T @ effect
@@ -121,7 +121,7 @@ def test_the_fit_is_the_maximum_of_the_nonlinear_likelihood():
     np.testing.assert_allclose(spread[: 2 * len(loads) + 12].reshape(2, -1)[:, :6].ravel(), u, rtol=1e-3)
 
 
-def mounted(count: int) -> tuple[Drive, ...]:
+def mounted(count: int) -> tuple[ExcitedLine, ...]:
     """Eight excitations again and again, two recordings of each in one mounting."""
     rng = np.random.default_rng(17)
     setups = [
@@ -142,7 +142,7 @@ def test_eliminating_unknowns_by_groups_of_drives_is_least_squares_with_one_dens
     stack = stack_drives(drives, LOAD_COMPONENTS)
     found = solve(stack)
     grouped = sum(len(within) for _, within in stack.order.groups)
-    assert stack.order.own.sum() == 32
+    assert stack.order.single.sum() == 32
     assert grouped == 16 * min(local, 3)
     linear = matrix_solve._linearise(stack, found.point, np.arange(32))
     known = np.tile(stack.usable, (1, 2)).ravel()
@@ -162,7 +162,7 @@ def test_eliminating_unknowns_by_groups_of_drives_is_least_squares_with_one_dens
     flat = found.gain.swapaxes(0, 1).reshape(72, -1)[:, known]
     np.testing.assert_allclose(flat * between / spread[:, None], gain * between / spread[:, None], atol=1e-6)
     np.testing.assert_allclose(
-        found.left.ravel()[known] * between, projector @ residual * between, rtol=1e-6, atol=1e-6
+        found.projected_residual.ravel()[known] * between, projector @ residual * between, rtol=1e-6, atol=1e-6
     )
     for r, own in enumerate(found.projector):
         inside = np.ix_(each == r, each == r)
@@ -195,9 +195,11 @@ def test_a_line_with_errors_in_both_coordinates_is_yorks():
     for k in range(10):
         noise = np.array([weight_x[k] ** -0.5, 0, 0, 0, 0, 0])
         load = np.array([x[k], 1.0, 0, 0, 0, 0])
-        drives.append(plain_drive(load, y[k : k + 1], uncertainty(noise), uncertainty(weight_y[k : k + 1] ** -0.5)))
+        drives.append(
+            make_excited_line(load, y[k : k + 1], uncertainty(noise), uncertainty(weight_y[k : k + 1] ** -0.5))
+        )
     for j in range(2, 6):
-        drives.append(plain_drive(np.eye(6)[j], np.zeros(1), uncertainty(np.zeros(6)), uncertainty(np.ones(1))))
+        drives.append(make_excited_line(np.eye(6)[j], np.zeros(1), uncertainty(np.zeros(6)), uncertainty(np.ones(1))))
     found = solve(stack_drives(drives, ("U0",)))
     physical = found.matrix[0] * stack_drives(drives, ("U0",)).output_size[0] / stack_drives(drives, ("U0",)).load_size
     np.testing.assert_allclose(physical[:2], [-0.480533407, 5.47991022], rtol=1e-7)
@@ -261,7 +263,7 @@ def test_order_units_and_start_of_recordings_do_not_matter(order, unit, phase):
     assert second.chi2 == pytest.approx(first.chi2, rel=1e-4)
 
 
-def estimated(rng: np.random.Generator, drive: Drive, dof: int) -> Drive:
+def estimated(rng: np.random.Generator, drive: ExcitedLine, dof: int) -> ExcitedLine:
     """The same drive, noise alone, its covariances estimated: Re and Im with one Wishart matrix."""
 
     def known(part: Uncertainty) -> Uncertainty:
@@ -357,11 +359,11 @@ def test_lines_side_by_side_cost_what_is_not_known_between_them():
     fit = fit_matrix(simulate_drives(setups, truth, DriveErrors(rng)))
     assert fit.frequency_hz == pytest.approx(100.35)
     labels = {part.label for part in fit.uncertainty.grouped()}
-    assert LINES_APART in labels
+    assert LINE_SPACING in labels
     assert np.max(np.abs(normalised(fit, truth))) < 4.5
     with pytest.raises(ValueError, match="one frequency within"):
         fit_matrix(simulate_drives([*setups[:7], replace(setups[7], frequency_hz=140.0)], truth, DriveErrors(rng)))
-    assert LINES_APART not in {part.label for part in fit_matrix(eight_drives(8)[0]).uncertainty.grouped()}
+    assert LINE_SPACING not in {part.label for part in fit_matrix(eight_drives(8)[0]).uncertainty.grouped()}
 
 
 def test_cross_talk_is_free_of_what_a_row_shares():

@@ -19,16 +19,16 @@ from fusion.estimation.coverage import region_factor, region_matrix
 from fusion.estimation.least_squares import build_system, solve
 from fusion.estimation.measurement_model import Deviates
 from fusion.estimation.uncertainty import polar_elements
-from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels
+from fusion.instruments.channel import ChainUncertainty, ChannelReading, observe_channels
 from fusion.instruments.stereo import StereoReading
 from fusion.recording.manifest import ChannelEntry
 from fusion.recording.rig import Stereo
-from fusion.report.recording import write_h5
+from fusion.report.recording_report import write_h5
 from fusion.report.uncertainty_tables import monte_carlo_tables
 from fusion.sensitivity.analyse import Analysis, Inputs, analyse
-from fusion.sensitivity.body import Body, make_joint, make_part
 from fusion.sensitivity.distributions import FirstOrder, MonteCarlo, Propagated, shortest_interval, summarise, tolerance
 from fusion.sensitivity.monte_carlo import Estimator, propagate
+from fusion.sensitivity.moving_body import Body, make_joint, make_moving_part
 from fusion.simulate.world import Draws
 from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.sine.phasor import Phasors
@@ -43,14 +43,14 @@ def channel(quantity: str, direction: tuple[float, ...], **stated: Any) -> Chann
     return ChannelEntry.model_validate(text | {"direction": list(direction)} | stated)
 
 
-def reading(entry: ChannelEntry, value: complex, u: float, dof: float = 1e6) -> Reading:
+def reading(entry: ChannelEntry, value: complex, u: float, dof: float = 1e6) -> ChannelReading:
     covariance = u**2 * np.eye(2)[None]
     phasors = Phasors(LINES.frequency_hz, np.array([[value]]), covariance, (entry.name,), ("m/s^2",), np.array([dof]))
-    return Reading(entry, phasors, ChainUncertainty())
+    return ChannelReading(entry, phasors, ChainUncertainty())
 
 
-def inputs_of(readings: tuple[Reading, ...] = (), pairs: tuple[StereoReading, ...] = ()) -> Inputs:
-    seen = (*(pair.observed() for pair in pairs), *observe_channels(readings))
+def inputs_of(readings: tuple[ChannelReading, ...] = (), pairs: tuple[StereoReading, ...] = ()) -> Inputs:
+    seen = (*(pair.observation() for pair in pairs), *observe_channels(readings))
     return Inputs(LINES, seen)
 
 
@@ -110,7 +110,7 @@ def test_normal_draws_far_from_zero_confirm_first_order_propagation():
     assert found.magnitude.high[0, 0] - found.magnitude.low[0, 0] == pytest.approx(2.0 * half, rel=0.02)
     assert found.magnitude.digits[0, 0] >= 1
     assert not found.weak[0, 0]
-    assert found.refuted(100_000, 0, 0) == ()
+    assert found.rejected_parts(100_000, 0, 0) == ()
 
 
 def test_of_a_value_near_zero_only_the_region_is_judged_and_a_magnitude_across_a_long_ellipse_is_refuted():
@@ -118,11 +118,11 @@ def test_of_a_value_near_zero_only_the_region_is_judged_and_a_magnitude_across_a
     assert found.weak[0, 0]
     # Rice distribution: the mean magnitude of X = 0.5 + noise is 1.33, not 0.5.
     assert found.magnitude.mean[0, 0] == pytest.approx(1.3304, rel=0.01)
-    assert found.magnitude.refuted[0, 0]
-    assert found.refuted(100_000, 0, 0) == ()
+    assert found.magnitude.rejected[0, 0]
+    assert found.rejected_parts(100_000, 0, 0) == ()
     # 8 u across, 0.01 u along: second order adds u_across²/2|X| to the magnitude, many times u_along.
     found = normal_draws(8.0 + 0.0j, np.diag([1e-4, 1.0]))
-    assert found.refuted(100_000, 0, 0) == found.refuted(100_000, 0, 0, too_small=True) == ("magnitude",)
+    assert found.rejected_parts(100_000, 0, 0) == found.rejected_parts(100_000, 0, 0, too_small=True) == ("magnitude",)
 
 
 def test_few_degrees_of_freedom_give_students_distribution():
@@ -188,9 +188,9 @@ def test_a_transverse_sensitivity_of_unknown_direction_is_arc_sine_distributed()
     assert first == pytest.approx(1.0 / np.sqrt(2.0), rel=1e-3)
     # ±1.96 u is wider than all there is, and the larger u makes the first digit of U wrong by 0.39 u.
     assert result.magnitude.first_high[0, z] == pytest.approx(101.386, abs=0.01)
-    assert "magnitude" in result.refuted(20_000, 0, z)
-    assert result.refuted(20_000, 0, z, too_small=True) == ()
-    assert any(n.severity == "info" and "magnitude of the acceleration" in n.text for n in drawn.notices)
+    assert "magnitude" in result.rejected_parts(20_000, 0, z)
+    assert result.rejected_parts(20_000, 0, z, too_small=True) == ()
+    assert any(n.severity == "note" and "magnitude of the acceleration" in n.text for n in drawn.notices)
 
 
 def test_a_frame_turned_by_finite_angles_shortens_what_it_shows():
@@ -285,8 +285,8 @@ def test_load_matrices_are_those_of_bodies_with_the_drawn_numbers():
     frequency, gravity = np.array([80.0, 300.0]), np.array([0.1, -0.2, -9.8])
     inertia = np.array([[0.02, 1e-3, 0.0], [1e-3, 0.03, 2e-3], [0.0, 2e-3, 0.01]])
     u = (0.1, np.array([1e-2, 2e-2, 3e-2]), np.full((3, 3), 1e-3))
-    upper = make_part("upper", 3.0, (0.01, 0.02, 0.05), inertia, u, air_share=0.2)
-    lower = make_part("lower", 1.0, (0.0, 0.01, 0.01), inertia / 9.0, u, below_joint=True)
+    upper = make_moving_part("upper", 3.0, (0.01, 0.02, 0.05), inertia, u, air_share=0.2)
+    lower = make_moving_part("lower", 1.0, (0.0, 0.01, 0.01), inertia / 9.0, u, below_joint=True)
     joint = make_joint(900.0, 0.0, 0.02)
     deviates = Deviates(7, 0, 3)
     body = Body((upper, lower), joint, gravity)

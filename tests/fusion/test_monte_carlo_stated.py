@@ -15,8 +15,8 @@ from fusion.estimation.measurement_model import Deviates
 from fusion.recording.load import load_manifest
 from fusion.sensitivity.analyse import Analysis, Inputs
 from fusion.sensitivity.distributions import MonteCarlo, Propagated
-from fusion.sensitivity.evaluate import evaluate_recording
 from fusion.sensitivity.monte_carlo import propagate
+from fusion.sensitivity.recording_evaluation import evaluate_recording
 from fusion.simulate.sines import driven, rendered_run, write_run
 from fusion.simulate.violations import violations
 from fusion.simulate.world import Draws, make_world
@@ -75,7 +75,7 @@ def recorded(folder: Path, replaced: dict[str, str]) -> Path:
     motion = np.array([[1.2, 1.0, 60.0, 2.0, 2.0, 2.0], [0.01, 0.01, 0.24, 0.05, 0.05, 0.05]])
     phases = np.exp(2j * np.pi * np.random.default_rng(18).uniform(size=motion.shape))
     preset = driven(rigs.preset_of(rig), "Fz", rig.frequency_hz, motion * phases)
-    draws = Draws(1, True, broken=violations([f"scanner-fan={STAND_OFF_M}"], preset))
+    draws = Draws(1, True, violations=violations([f"scanner-fan={STAND_OFF_M}"], preset))
     recording = write_run(folder, rendered_run(preset), make_world(preset, draws, rigs.JITTER_S), draws)
     recording = recording if recording.suffix else recording / "recording.toml"
     stated = (folder / "rig.toml").read_text(encoding="utf-8")
@@ -120,7 +120,7 @@ def propagated(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPath
 
     recording = recorded(tmp_path_factory.mktemp("stated"), VARIANTS[request.param])
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fusion.sensitivity.evaluate.propagate", kept)
+        patch.setattr("fusion.sensitivity.recording_evaluation.propagate", kept)
         evaluation = evaluate_recording(load_manifest(recording), Settings(monte_carlo=DRAWS, seed=1))
     return *known[0], evaluation.monte_carlo
 

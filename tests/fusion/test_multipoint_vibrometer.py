@@ -17,15 +17,15 @@ from page_outline import outline
 from fusion.estimation.fuse import fuse
 from fusion.estimation.measurement_model import Observation
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty
-from fusion.instruments.channel import ChainUncertainty, Reading, late, observe_channels, output_phasors
+from fusion.instruments.channel import ChainUncertainty, ChannelReading, delay_errors, observe_channels, output_phasors
 from fusion.instruments.vibrometer import PointRatios, PointSpread, axis_name, point_spreads
 from fusion.report.figure import Figure
-from fusion.report.recording import render_report, write_h5
-from fusion.report.signal_figures import point_pictures
+from fusion.report.recording_report import render_report, write_h5
+from fusion.report.signal_figures import point_figures
 from fusion.report.uncertainty_tables import point_tables
 from fusion.sensitivity.analyse import Evaluation
-from fusion.sensitivity.body import Body, make_part
-from fusion.sensitivity.load import load_phasors
+from fusion.sensitivity.load_phasors import load_phasors
+from fusion.sensitivity.moving_body import Body, make_moving_part
 from fusion.sensitivity.ratio import Sensitivity, sensitivity_ratio, with_ratios
 from shaker.sine.phasor import Phasors
 
@@ -37,16 +37,16 @@ ANGLE = np.deg2rad([0, 90, 180, 270, 45, 135, 225, 315])
 RADIUS = np.repeat([0.022, 0.048], 4)
 POINTS = [(r * np.cos(a), r * np.sin(a), 0.0973) for r, a in zip(RADIUS, ANGLE, strict=True)]
 STATED: dict[str, Any] = {"scale_uncertainty": 2.5e-4, "point_uncertainty": (5e-4,) * 3, "individual_uncertainty": 1e-4}
-BODY = Body((make_part("load", 6.9605, [0, 0, 0], np.diag([0.01] * 3), (1e-3, 0.0, 0.0)),))
+BODY = Body((make_moving_part("load", 6.9605, [0, 0, 0], np.diag([0.01] * 3), (1e-3, 0.0, 0.0)),))
 SENSITIVITY = 2e-7 * np.exp(-0.1j)
 
 
-def _reading(value: ComplexArray, sigma: float, unit: str, u_clock_s: float = 0.0, **entry: Any) -> Reading:
+def _reading(value: ComplexArray, sigma: float, unit: str, u_clock_s: float = 0.0, **entry: Any) -> ChannelReading:
     covariance = np.repeat(sigma**2 * np.eye(2)[None], len(LINES_HZ), axis=0)
     name = str(entry["name"])
     found = Phasors(LINES_HZ, value[:, None], covariance, (name,), (unit,), np.full(len(LINES_HZ), 200.0))
-    tied = late("clock daq: time", LINES_HZ, u_clock_s)
-    return Reading(channel_entry(**{"common": "laser"} | entry), found, ChainUncertainty(), tied)
+    tied = delay_errors("clock daq: time", LINES_HZ, u_clock_s)
+    return ChannelReading(channel_entry(**{"common": "laser"} | entry), found, ChainUncertainty(), tied)
 
 
 def lasers(
@@ -224,9 +224,9 @@ def test_tables_hold_the_numbers(evaluation):
 
 def test_the_page_shows_points_where_there_are_some(evaluation, monkeypatch):
     def only_points(shown: Evaluation) -> dict[str, list[Figure]]:
-        return defaultdict(list, points=point_pictures(shown))
+        return defaultdict(list, points=point_figures(shown))
 
-    monkeypatch.setattr("fusion.report.recording.draw_all", only_points)
+    monkeypatch.setattr("fusion.report.recording_report.draw_all", only_points)
     page = outline(render_report(evaluation))
     assert "points" in page.ids
     assert "figure-points-0" in page.ids
@@ -235,7 +235,7 @@ def test_the_page_shows_points_where_there_are_some(evaluation, monkeypatch):
 
 
 def test_figure_and_file_hold_the_spread(evaluation, tmp_path):
-    (picture,), spread = point_pictures(evaluation), evaluation.points[0]
+    (picture,), spread = point_figures(evaluation), evaluation.points[0]
     assert "425" not in picture.caption
     points = picture.panels[1].marks[1]
     np.testing.assert_allclose(points.x, 100.0 * ((spread.value[0] / spread.mean[0]).real - 1.0), atol=1e-9)

@@ -10,7 +10,7 @@ import pytest
 from contracts import refused
 from support import complex_of, truth_of
 
-from fusion.base import InputError
+from fusion.errors import InputError
 from fusion.estimation.coverage import coverage_factor
 from fusion.instruments.stereo import SURFACE, StereoReading
 from fusion.phasors.image_effects import THROUGH, phasor_motion, surface_effects, with_surface_at_rest
@@ -19,12 +19,12 @@ from fusion.planning.check import check
 from fusion.planning.look.look import look
 from fusion.recording.load import load_manifest
 from fusion.recording.rig import Stereo
-from fusion.report.recording import render_report
-from fusion.sensitivity.evaluate import evaluate_recording
+from fusion.report.recording_report import render_report
+from fusion.sensitivity.recording_evaluation import evaluate_recording
 from fusion.simulate import simulate
 from photogram.camera import Camera, FaceCamera, locate
 from photogram.direct.shapes import PlainShapes
-from photogram.direct.surface import PlacedCamera, motion_of_places, see_points
+from photogram.direct.surface import PlacedCamera, motion_from_positions, project_body_points
 from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.motion import RigidMotion
 from shaker.sine.phasor import Phasors
@@ -74,7 +74,7 @@ def errors_by_name() -> dict[str, np.ndarray]:
     names = tuple("abcdef")
     phasors = Phasors(np.array([1.0]), MOTION[None] + 0j, 1e-20 * np.eye(12)[None], names, ("m",) * 6, np.array([9.0]))
     reading = StereoReading("top", PAIR, phasors, {SURFACE: effects[SURFACE]}, through_surface=effects[THROUGH])
-    seen = reading.observed()
+    seen = reading.observation()
     acceleration = -((2.0 * np.pi) ** 2) * MOTION[None] + 0j
     assert reading.unknowns == frozenset()
     return {error.name: error.effect(acceleration)[0].real for error in seen.common}
@@ -118,11 +118,11 @@ def test_the_stated_surface_is_that_of_the_mean_pose_wherever_the_body_was_in_th
         return CAMERA.project(PLACED.inverse().apply(RigidTransform.from_pose(pose).apply(first)))
 
     at_first = pixels(np.zeros(6))
-    seen = see_points(
+    seen = project_body_points(
         PlacedCamera(CAMERA, PLACED.inverse()), locate(rig, [at_first[None]]).transformed(PLACED).position_m[0]
     )
     true = np.array([0.02 * MOTION, np.array([2e-5, 1e-5, 3e-5, 1e-4, -1e-4, 2e-4])])
-    fitted = [motion_of_places([seen], [pixels(pose)]) for pose in true]
+    fitted = [motion_from_positions([seen], [pixels(pose)]) for pose in true]
     poses = np.array([found.pose for found in fitted if found is not None])
     motion = RigidMotion(poses, np.tile(np.eye(6), (2, 1, 1)), np.zeros(2), np.full(2, 9), np.zeros(3))
     tracks: Any = SimpleNamespace(left=SimpleNamespace(position_px=at_first[None]))

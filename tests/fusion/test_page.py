@@ -14,8 +14,8 @@ import pytest
 from browsing import Page
 from evaluation_factory import make_evaluation
 
-from fusion.report.figure import RED, Figure, Scale, sheet
-from fusion.report.recording import render_report, write_results
+from fusion.report.figure import RED, Figure, Scale, empty_figure
+from fusion.report.recording_report import render_report, write_results
 
 NASTY = "</script><b>\"'&\u2028 <!-- name"
 
@@ -44,7 +44,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A page whose figures hold one mark of every kind, with names that are no markup."""
-    monkeypatch.setattr("fusion.report.recording.draw_all", lambda _: defaultdict(list, channels=[every_mark()]))
+    monkeypatch.setattr("fusion.report.recording_report.draw_all", lambda _: defaultdict(list, channels=[every_mark()]))
     path = tmp_path / "page.html"
     path.write_text(render_report(make_evaluation(tmp_path / "recording")), encoding="utf-8")
     return path
@@ -52,7 +52,7 @@ def drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def every_mark() -> Figure:
     """One mark of every kind."""
-    made = sheet("every", 6.0, 2, 2, shared_x=False)
+    made = empty_figure("every", 6.0, 2, 2, shared_x=False)
     first, second, third, fourth = made.panels
     x, y = np.array([1.0, 2.0, 3.0]), np.array([10.0, 100.0, 1000.0])
     first.line(x, y, "line", dashed=True)
@@ -74,7 +74,7 @@ def every_mark() -> Figure:
     fourth.points(4.0, 4.0, values=[0.5], scale=Scale("viridis", 0.1, 1.0, "w", log=True))
     fourth.x.limits, fourth.y.limits = (-0.5, 7.5), (7.5, -0.5)
     fourth.y.second = ("other", 1.0, 2.0)
-    return made.entitled("Every mark", "All of them.")
+    return made.with_title("Every mark", "All of them.")
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from support import Refused, rows
+from support import RefusedCommand, rows
 
 from fusion.cli import main
 from fusion.commands.measure import frequencies
@@ -100,7 +100,7 @@ def test_table_and_figures(planned: Planned, tmp_path: Path) -> None:
         assert (tmp_path / name).read_bytes().startswith(magic)
 
 
-def test_files_that_are_there_are_kept(planned: Planned, refused: Refused, tmp_path: Path) -> None:
+def test_files_that_are_there_are_kept(planned: Planned, refused: RefusedCommand, tmp_path: Path) -> None:
     path = tmp_path / "plan.csv"
     path.write_text("mine", encoding="utf-8")
     assert "expected a new file (--force replaces it)" in refused("plan", *PUBLISHED.split(), "--csv", path)
@@ -122,7 +122,7 @@ def test_files_that_are_there_are_kept(planned: Planned, refused: Refused, tmp_p
         ("--max-rate 82 --csv /no/such/folder/plan.csv", "expected a file in an existing folder"),
     ],
 )
-def test_wrong_input_is_one_sentence(arguments: str, told: str, refused: Refused) -> None:
+def test_wrong_input_is_one_sentence(arguments: str, told: str, refused: RefusedCommand) -> None:
     assert told in refused("plan", "--frequencies", "106.25", "--frames", "211", *arguments.split())
 
 

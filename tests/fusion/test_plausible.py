@@ -11,7 +11,7 @@ from types import ModuleType
 import pytest
 
 from fusion.recording.load import load_manifest
-from fusion.recording.plausible import doubts
+from fusion.recording.plausibility import plausibility_notices
 from fusion.simulate import PRESETS, RECORDINGS, simulate
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -36,7 +36,7 @@ CASES = [
 @pytest.mark.parametrize(("file", "old", "new", "key", "told"), CASES)
 def test_what_has_no_ground_is_asked_about(make_campaign: Campaign, file, old, new, key, told) -> None:
     manifest = load_manifest(make_campaign(replace=((file, old, new),)))
-    notice = next(notice for notice in doubts(manifest) if f"{key}:" in notice.text)
+    notice = next(notice for notice in plausibility_notices(manifest) if f"{key}:" in notice.text)
     assert told in notice.text
     assert notice.where == file
 
@@ -44,7 +44,7 @@ def test_what_has_no_ground_is_asked_about(make_campaign: Campaign, file, old, n
 def test_a_body_as_light_as_air_is_asked_about(make_campaign: Campaign) -> None:
     inertia = "inertia = [[36.0, 0.0, 0.0], [0.0, 36.0, 0.0], [0.0, 0.0, 31.0]]"
     manifest = load_manifest(make_campaign(replace=(("rig.toml", INERTIA, inertia),)))
-    (notice,) = doubts(manifest)
+    (notice,) = plausibility_notices(manifest)
     assert "load.inertia: a ball of 6.9605 kg" in notice.text
     assert "0.036 kg/m^3" in notice.text
     assert notice.where == "rig.toml"
@@ -55,7 +55,7 @@ def test_cameras_far_apart_are_asked_about(make_campaign: Campaign) -> None:
     recording = make_campaign()
     file = recording.parent / "calibration" / "top.json"
     file.write_text(file.read_text().replace("[-0.15, 0, 0]", "[-150, 0, 0]"))
-    (notice,) = doubts(load_manifest(recording))
+    (notice,) = plausibility_notices(load_manifest(recording))
     assert "stereo.top.calibration: its cameras are 150 m apart and the left one 0.3 m from the sensor" in notice.text
 
 
@@ -75,7 +75,7 @@ def test_axes_that_do_not_cross_near_the_sensor_are_asked_about(
     file = recording.parent / "calibration" / "top.json"
     text = file.read_text().replace("[-0.15, 0, 0]", translation)
     file.write_text(text.replace('[[1, 0, 0], [0, 1, 0], [0, 0, 1]], "trans', f'{rotation}, "trans'))
-    notices = doubts(load_manifest(recording))
+    notices = plausibility_notices(load_manifest(recording))
     assert [told in notice.text for notice in notices if told is not None] == [True] * (told is not None)
     assert told is not None or not notices
 
@@ -83,7 +83,7 @@ def test_axes_that_do_not_cross_near_the_sensor_are_asked_about(
 def test_a_pair_that_looks_away_is_asked_about(make_campaign: Campaign) -> None:
     """A rotation of 180 degrees about x turns the camera 0.3 m above the sensor towards it; none, upwards."""
     upwards = ("rig.toml", "[0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]   #", "[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]   #")
-    (notice,) = doubts(load_manifest(make_campaign(replace=(upwards,))))
+    (notice,) = plausibility_notices(load_manifest(make_campaign(replace=(upwards,))))
     assert (
         "stereo.top.rotation: by it and the translation the left camera looks 180° past the sensor, 180° by its inverse"
         in notice.text
@@ -91,7 +91,7 @@ def test_a_pair_that_looks_away_is_asked_about(make_campaign: Campaign) -> None:
 
 
 def test_the_examples_of_the_document_are_not_doubted(make_campaign: Campaign) -> None:
-    assert doubts(load_manifest(make_campaign())) == ()
+    assert plausibility_notices(load_manifest(make_campaign())) == ()
 
 
 @pytest.mark.slow
@@ -101,11 +101,13 @@ def test_right_presets_are_not_doubted(preset: str, tmp_path: Path) -> None:
     simulate(tmp_path / "out", preset, 1, **switches)
     recordings = list((tmp_path / "out").glob("*/recording.toml"))
     assert recordings
-    assert {path.parent.name: found for path in recordings if (found := doubts(load_manifest(path)))} == {}
+    assert {
+        path.parent.name: found for path in recordings if (found := plausibility_notices(load_manifest(path)))
+    } == {}
 
 
 def test_the_demo_is_not_doubted() -> None:
-    assert doubts(load_manifest(ROOT / "sample_images" / "demo" / "Fz-0080")) == ()
+    assert plausibility_notices(load_manifest(ROOT / "sample_images" / "demo" / "Fz-0080")) == ()
 
 
 NOTICED = {"two lasers exchanged", "rotation of a pair from sensor to camera"}

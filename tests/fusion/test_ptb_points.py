@@ -13,10 +13,11 @@ from contracts import refused
 from support import block, channel, evaluated, recording_head, write_daq
 from take_factory import EXPOSURE_S, FREQUENCY_HZ, MASS_KG, RIG, SENSITIVITY, camera_trigger, moving_plate
 
-from fusion.base import InputError, Settings
+from fusion.base import Settings
+from fusion.errors import InputError
 from fusion.estimation.fuse import Acceleration
 from fusion.report.points import HEAD
-from fusion.report.recording import write_results
+from fusion.report.recording_report import write_results
 from fusion.report.tables import acceleration
 from fusion.sensitivity.analyse import Evaluation
 from photogram.geometry import rotation_from_vector

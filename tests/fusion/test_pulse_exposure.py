@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from support import AT_ORIGIN, block, channel, evaluated, recording_head, write_daq
 
-from fusion.base import InputError
 from fusion.cli import main
+from fusion.errors import InputError
 from fusion.instruments.stereo import Exposure
-from fusion.phasors.timing import Sight, TimeBase, see, tie_daqs
+from fusion.phasors.timing import Sight, TimeBase, frame_sight, tie_daqs
 from fusion.planning.check import check
-from fusion.recording.files import read_daqs
+from fusion.recording.daq_records import read_daqs
 from fusion.recording.load import load_manifest
 from fusion.report.tables import clocks_table, stereo_table
 from fusion.sensitivity.analyse import Evaluation
@@ -95,7 +95,7 @@ def _base(evaluation: Evaluation) -> np.ndarray:
 def _seen(run: Path, frames: int = 40) -> tuple[Sight, TimeBase]:
     manifest = load_manifest(run)
     base = tie_daqs(manifest, read_daqs(manifest))
-    return see(manifest, base, manifest.points[0], frames), base
+    return frame_sight(manifest, base, manifest.points[0], frames), base
 
 
 @pytest.mark.parametrize("filtered", [False, True])

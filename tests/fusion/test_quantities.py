@@ -8,13 +8,13 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from support import untold
+from support import undescribed_datasets
 
-from fusion.campaign.recorded import read_recorded
+from fusion.campaign.recording_results import read_recorded
 from fusion.cli import main
-from fusion.report import stored
-from fusion.report.recording import write_h5
-from fusion.report.stored import TEXT, Group, write_tree
+from fusion.report import h5_tree
+from fusion.report.h5_tree import TEXT, Group, write_tree
+from fusion.report.recording_report import write_h5
 from fusion.sensitivity.analyse import Evaluation
 
 RATIOS = "[(V/V)/N, (V/V)/N, (V/V)/N, (V/V)/(N.m), (V/V)/(N.m), (V/V)/(N.m)]"
@@ -59,7 +59,7 @@ def result(demo_evaluation: Evaluation, tmp_path_factory: pytest.TempPathFactory
 
 def test_every_number_of_a_result_has_unit_words_and_named_axes(result):
     with h5py.File(result) as file:
-        assert untold(file) == []
+        assert undescribed_datasets(file) == []
         for path, (units, axes) in STATED.items():
             data = file[path]
             assert data.attrs["units"] == units, path
@@ -82,8 +82,8 @@ def test_a_campaign_reads_what_the_recording_knows_of_its_unknowns(result, demo_
     fused = demo_evaluation.accelerations[0]
     known = read_recorded(result.parent).knowledge()
     assert np.array_equal(known.covariance, fused.posterior)
-    assert [about[:4] for about in known.about] == [(u.name, u.label, u.u, u.unit) for u in fused.unknowns]
-    shared = {about[0] for about, own in zip(known.about, known.shared, strict=True) if own}
+    assert [about[:4] for about in known.descriptions] == [(u.name, u.label, u.u, u.unit) for u in fused.unknowns]
+    shared = {about[0] for about, own in zip(known.descriptions, known.shared, strict=True) if own}
     assert "stereo top: pose rotation x" in shared
     assert not any(name.startswith("frequency of") for name in shared)
 
@@ -122,7 +122,7 @@ def _fill(file: Any) -> None:
 
 
 def test_a_tree_becomes_what_h5py_itself_would_have_written(monkeypatch):
-    monkeypatch.setattr(stored, "CHUNK_BYTES", 7000)
+    monkeypatch.setattr(h5_tree, "CHUNK_BYTES", 7000)
     tree = Group()
     _fill(tree)
     with (
@@ -159,6 +159,6 @@ def test_draws_have_unit_words_and_named_axes(demo_recording, tmp_path):
     assert main(command) == 0
     (path,) = (tmp_path / "out").rglob("result.h5")
     with h5py.File(path) as file:
-        assert untold(file) == []
+        assert undescribed_datasets(file) == []
         assert file["monte_carlo/results/load/magnitude/u"].attrs["units"] == LOADS
         assert file["monte_carlo/results/load/phase/u"].attrs["units"] == "rad"

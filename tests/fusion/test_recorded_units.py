@@ -7,7 +7,7 @@ import pytest
 from bench_factory import ACCELERATION, FORCE_OUTPUT, LINE_HZ, MASS_KG, SENSITIVITY, Bench, write_bench
 from support import edit, evaluated
 
-from fusion.base import InputError
+from fusion.errors import InputError
 from fusion.planning.check import check
 from fusion.recording.load import load_manifest
 from fusion.recording.units import recorded_unit

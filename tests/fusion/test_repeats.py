@@ -12,39 +12,39 @@ from typing import Any
 import numpy as np
 import pytest
 from contracts import refused
+from excited_line_factory import make_excited_line, uncertainty
 from numpy.typing import NDArray
-from plain_drives import plain_drive, uncertainty
 from scipy.stats import binom
 from simulated_drives import CAPACITY, DriveErrors, drive_setup, eight_setups, simulate_drives, true_matrix
-from support import far
+from support import region_distance
 from violations import JITTER_S, Rig, preset_of
 
 from fusion.base import Settings
 from fusion.campaign.curve import _slope, find_linearity
-from fusion.campaign.drive import (
-    Drive,
-    Shelf,
-    between_recordings,
-    drives_of,
+from fusion.campaign.excited_line import (
+    DiskStore,
+    ExcitedLine,
+    excited_lines_of,
     group_by_frequency,
-    over_lines,
+    join_lines,
+    with_campaign_names,
     with_starts,
 )
 from fusion.campaign.repeats import (
     BETWEEN,
-    TURNED,
-    Repeats,
-    alike,
+    PHASE_DIFFERENCES,
+    RepeatMean,
     find_repeats,
+    group_excitations,
     mean_ratio,
-    own_and_shared,
     repeat_notices,
+    split_covariance,
 )
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, polar_elements
 from fusion.phasors.timing import Grid
 from fusion.recording.load import load_manifest
-from fusion.sensitivity.evaluate import evaluate_recording
 from fusion.sensitivity.ratio import StatedMatrix
+from fusion.sensitivity.recording_evaluation import evaluate_recording
 from fusion.simulate.sines import driven, rendered_run, write_run
 from fusion.simulate.world import Draws, make_world
 
@@ -53,13 +53,13 @@ LOAD = np.array([3.0, 1.0, 1000.0, 0.5, 0.1, 0.2])
 NOISE = 1e-9 * LOAD
 
 
-def recorded(value: complex, recording: str, mounting: str = "1", **changes: Any) -> Drive:
+def recorded(value: complex, recording: str, mounting: str = "1", **changes: Any) -> ExcitedLine:
     """A drive of 1000 N along z with one output per newton, and a scale of load and outputs that the rig shares."""
     scale = changes.pop("scale", 1e-3)
     load = changes.pop("load", LOAD)
     outputs = np.array([value * load[2], 0.1 * value * load[2]])
     of_load = uncertainty(NOISE, [("laser: scale", "rig", scale * load)])
-    return plain_drive(
+    return make_excited_line(
         load, outputs, of_load, uncertainty(NOISE[:2]), recording=recording, mounting=mounting, **changes
     )
 
@@ -86,7 +86,7 @@ def test_variance_components_are_those_of_an_unbalanced_analysis_of_variance():
     # U rests on what the means of the mountings differ by alone (Hartung & Knapp 2001): nothing is taken off.
     means = np.array([np.mean(v) for v in groups.values()])
     expected = np.sum(weights * (means - mean) ** 2) / 2.0
-    assert list(parts) == [BETWEEN, TURNED]
+    assert list(parts) == [BETWEEN, PHASE_DIFFERENCES]
     assert parts[BETWEEN].covariance[0, 0, 0] == pytest.approx(expected, rel=1e-5)
     assert parts[BETWEEN].dof == pytest.approx([2.0])
 
@@ -127,7 +127,7 @@ def test_stated_errors_of_a_recording_are_not_counted_again_as_scatter():
         for n in range(6):
             turn = [("trigger: time", "recording", -1e-3j * LOAD)]
             late = 1.0 - 1e-3j * rng.standard_normal()
-            drives.append(plain_drive(LOAD * late, np.array([1000.0]), uncertainty(NOISE, turn), uncertainty([1e-6]),
+            drives.append(make_excited_line(LOAD * late, np.array([1000.0]), uncertainty(NOISE, turn), uncertainty([1e-6]),
                                       recording=f"{n}", mounting=f"{n // 2}"))  # fmt: skip
         (found,) = find_repeats(drives)
         left.append([found.within[0] ** 2, found.between[0] ** 2])
@@ -147,7 +147,9 @@ def test_what_counts_as_a_repeat_and_as_one_frequency():
     groups = [set(r.recordings) for r in find_repeats([first, louder, eccentric, along_x, late, upside, apart])]
     assert {"a", "e", "f"} in groups
     assert len(groups) == 5
-    merged = [{drive.recording for drive in g} for g in alike([first, louder, late], amplitudes_apart=False)]
+    merged = [
+        {drive.recording for drive in g} for g in group_excitations([first, louder, late], separate_amplitudes=False)
+    ]
     assert merged == [{"a", "b", "e"}]
     drives = [replace(first, frequency_hz=f) for f in (200.0, 100.0, 100.9, 101.5)]
     assert [[d.frequency_hz for d in g] for g in group_by_frequency(drives)] == [[100.0, 100.9], [101.5], [200.0]]
@@ -178,7 +180,7 @@ def test_outputs_and_load_on_one_clock_forget_its_time():
     late = ("clock bridge: time", "recording")
     of_load = uncertainty(NOISE, [(*late, -1e-2j * LOAD)])
     of_outputs = uncertainty([1e-9], [(*late, np.array([-1e-2j]))])
-    drive = plain_drive(LOAD, np.array([1.0]), of_load, of_outputs)
+    drive = make_excited_line(LOAD, np.array([1.0]), of_load, of_outputs)
     (found,) = find_repeats([drive])
     assert np.max(np.abs(found.uncertainty.influences[0].effect)) < 1e-15
 
@@ -205,7 +207,7 @@ def covered_means(rng: np.random.Generator, trials: int, each: tuple[int, ...], 
             for n in range(count):
                 output = np.array([1000.0 * (here + draw(noise))])
                 stated = uncertainty([1000.0 * noise])
-                drives.append(plain_drive(LOAD, output, of_load, stated, recording=f"{m}-{n}", mounting=f"{m}"))
+                drives.append(make_excited_line(LOAD, output, of_load, stated, recording=f"{m}-{n}", mounting=f"{m}"))
         (found,) = find_repeats(drives)
         ((element,),) = polar_elements(found.value[None], found.uncertainty)
         assert element is not None
@@ -257,7 +259,7 @@ def test_few_mountings_and_single_recordings_are_told():
         own = [("trigger: time", "recording", -1e-3j * LOAD), ("point x", "mounting", 1e-3 * LOAD)]
         of_load = uncertainty(NOISE, [*own, ("laser: scale", "rig", 1e-3 * LOAD)])
         output = np.array([1000.0 * value])
-        drives.append(plain_drive(LOAD, output, of_load, uncertainty([1e-6]), recording=name, mounting="1"))
+        drives.append(make_excited_line(LOAD, output, of_load, uncertainty([1e-6]), recording=name, mounting="1"))
     (once,) = find_repeats(drives)
     assert {i.name for i in once.uncertainty.influences} == {"laser: scale", "point x [1]"}
     (anew,) = find_repeats([drives[0], replace(drives[1], mounting="2")])
@@ -329,7 +331,7 @@ def test_joint_covariance_is_the_sum_over_noise_and_named_unknowns():
                 value = effects[n][own.index(name)]
                 acting[n] = value.real, value.imag
         dense += np.outer(acting, acting)
-    own, shared = own_and_shared(values)
+    own, shared = split_covariance(values)
     found = np.zeros((3, 2, 3, 2))
     found[range(3), :, range(3)] = own
     for rows, effect in shared:
@@ -347,7 +349,7 @@ def test_times_by_edges_average_away_where_recorders_start_anew_only(anew: bool)
             output = 1e3 * np.exp(-1e-3j * late[n]) * (1.0 + 5e-5 * complex(*rng.standard_normal(2)))
             of_output = uncertainty([0.05], [("clock bridge: time", "start", [-1.0j])])
             grids = (GRID, replace(GRID, start_s=0.2 + 1e-3 * n * anew))
-            drive = plain_drive(LOAD, np.array([output]), uncertainty(NOISE), of_output, recording=f"{n}")
+            drive = make_excited_line(LOAD, np.array([output]), uncertainty(NOISE), of_output, recording=f"{n}")
             drives.append(replace(drive, grids=grids))
         (found,) = find_repeats(with_starts(drives))
         ((element,),) = polar_elements(found.value[None], found.uncertainty)
@@ -357,7 +359,7 @@ def test_times_by_edges_average_away_where_recorders_start_anew_only(anew: bool)
     assert np.sqrt(np.mean(np.square(size))) == pytest.approx(0.5e-3 if anew else 1e-3, rel=0.1)
 
 
-def simulated_mean(folder: Path, seed: int, *, anew: bool) -> tuple[Repeats, Repeats, complex]:
+def simulated_mean(folder: Path, seed: int, *, anew: bool) -> tuple[RepeatMean, RepeatMean, complex]:
     """The mean of three simulated recordings at 1020.3 Hz, the same if all unknowns by edges were each recording's own,
     and the truth. Recorders start at one and the same moment beside the trigger, or `anew` for every recording."""
     rig = Rig(1020.3)
@@ -373,7 +375,7 @@ def simulated_mean(folder: Path, seed: int, *, anew: bool) -> tuple[Repeats, Rep
         draws = Draws(seed, systematic=True, recording=f"{n}")
         world = make_world(preset, draws, JITTER_S)
         recording = write_run(folder, rendered_run(preset), world, draws)
-        found = drives_of(evaluate_recording(load_manifest(recording), Settings()))
+        found = excited_lines_of(evaluate_recording(load_manifest(recording), Settings()))
         drives += [replace(drive, recording=f"{n}") for drive in found]
         truth = complex(world.sensitivity[0, 2, 2])
     return mean_ratio(with_starts(drives), 2), mean_ratio(drives, 2), truth
@@ -421,13 +423,13 @@ def test_what_scatters_along_a_mean_as_across_it_takes_nothing_from_it():
     for _ in range(200):
         values = 1.0 + 0.01 * (rng.standard_normal(6) + 1j * rng.standard_normal(6))
         (found,) = find_repeats([recorded(complex(v), f"{n}", f"{n}", scale=0.0) for n, v in enumerate(values)])
-        (turns,) = (part for part in found.uncertainty.random if part.label == TURNED)
+        (turns,) = (part for part in found.uncertainty.random if part.label == PHASE_DIFFERENCES)
         parts.append(np.sqrt(turns.covariance[0, 0, 0]))
     # A few hundredths of what the mean scatters by, 0.01/√6.
     assert np.max(parts) < 0.03 * 0.01 / np.sqrt(6.0)
     # Of a mean below its scatter nothing is told.
     (weak,) = find_repeats([recorded(v, f"{n}", f"{n}") for n, v in enumerate((1.0 + 1.0j, -1.0 + 1.0j, 0.1 - 1.9j))])
-    (turns,) = (part for part in weak.uncertainty.random if part.label == TURNED)
+    (turns,) = (part for part in weak.uncertainty.random if part.label == PHASE_DIFFERENCES)
     assert not np.any(turns.covariance)
 
 
@@ -444,7 +446,7 @@ def test_the_mean_over_mountings_is_covered():
             for n in range(1 + m % 2)
         ]
         (found,) = find_repeats(simulate_drives(setups, truth, DriveErrors(rng)), CAPACITY.tolist())
-        inside += [off <= 1.0 for off in far(found.value[[2]], truth[2, 2], found.uncertainty.at([2]))]
+        inside += [off <= 1.0 for off in region_distance(found.value[[2]], truth[2, 2], found.uncertainty.at([2]))]
     assert 0.89 < np.mean(inside) <= 1.0
 
 
@@ -468,7 +470,7 @@ def test_cross_talk_of_loads_that_grow_with_the_drive_is_no_lack_of_linearity():
     for a in (0.5, 1.0, 1.5, 2.0):
         load = a * np.array([20.0 * a, 0.0, 1000.0, 0.0, 0.0, 0.0])
         spread = uncertainty(np.full(6, 1e-3)), uncertainty(np.full(2, 1e-3))
-        drives.append(plain_drive(load, matrix @ load, *spread, recording=f"{a}", channels=("Fz", "Fx")))
+        drives.append(make_excited_line(load, matrix @ load, *spread, recording=f"{a}", channels=("Fz", "Fx")))
     (ratio,), (element,) = find_linearity(drives), find_linearity(drives, None, stated)
     assert (ratio.kind, element.kind, element.channels) == ("ratio", "element", ("Fz", "Fx"))
     # S = 2 + 0.1·0.02·a for Fz, 0.2 + 3·0.02·a for Fx: from 0.5 to 2 over the mean at 1.25.
@@ -492,13 +494,13 @@ def test_scatter_of_a_series_enlarges_the_uncertainty_of_its_slope():
 def test_names_between_recordings_and_what_lines_joined_share():
     effect = np.ones(1)
     parts = [("laser: scale", "rig", effect), ("point x", "mounting", effect), ("trigger: time", "recording", effect)]
-    names = [i.name for i in between_recordings(uncertainty([1.0], parts), "Fz 100", "B").influences]
+    names = [i.name for i in with_campaign_names(uncertainty([1.0], parts), "Fz 100", "B").influences]
     assert names == ["laser: scale", "point x [B]", "trigger: time [Fz 100]"]
-    again = between_recordings(between_recordings(uncertainty([1.0], parts), "Fz 100", "B"), "other", "C")
+    again = with_campaign_names(with_campaign_names(uncertainty([1.0], parts), "Fz 100", "B"), "other", "C")
     assert [i.name for i in again.influences] == names
     unknowns = [("scale", "rig", [1.0]), ("time", "recording", [2.0])]
-    lines = [between_recordings(uncertainty([0.1 * n], unknowns), str(n), "1") for n in (1, 2)]
-    joined = over_lines(lines)
+    lines = [with_campaign_names(uncertainty([0.1 * n], unknowns), str(n), "1") for n in (1, 2)]
+    joined = join_lines(lines)
     effects = {i.name: i.effect[:, 0].tolist() for i in joined.influences}
     assert effects == {"scale": [1.0, 1.0], "time [1]": [2.0, 0.0], "time [2]": [0.0, 2.0]}
     np.testing.assert_allclose(joined.covariance[:, 0, 0], [5.01, 5.04])
@@ -555,10 +557,10 @@ def test_a_slope_by_blocks_is_generalised_least_squares_written_out():
 def test_uncertainties_on_a_shelf_are_the_same_to_the_last_bit(tmp_path):
     first, second = simulate_drives(eight_setups(np.random.default_rng(1))[:2], *truth_and_errors(1))
     with (tmp_path / "shelf").open("w+b") as file:
-        shelf = Shelf(file)
+        shelf = DiskStore(file)
         kept = [shelf.put(drive) for drive in (first, second)]
         for drive, other in [*zip(kept, (first, second), strict=True), (shelf.put(kept[0]), first)]:
-            for found, known in zip(drive.shared(), other.shared(), strict=True):
+            for found, known in zip(drive.campaign_uncertainties(), other.campaign_uncertainties(), strict=True):
                 assert [i.name for i in found.influences] == [i.name for i in known.influences]
                 assert all(a.effect.tobytes() == b.effect.tobytes() for a, b in pairs(found, known))
                 assert all(

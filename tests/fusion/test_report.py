@@ -14,7 +14,8 @@ from markupsafe import Markup
 from page_outline import outline, self_contained
 
 from fusion.phasors.deformation import DeflectionShape, deflection_shape
-from fusion.report.figure import Figure, extremes, padded, power_text, sheet, thin_out
+from fusion.report.figure import Figure, decimate_edges, empty_figure, extremes, padded_limits, power_text
+from fusion.report.figure_files import render_figure
 from fusion.report.motion_figures import (
     beat_curve,
     camera_rate_hz,
@@ -24,13 +25,12 @@ from fusion.report.motion_figures import (
     main_frequency,
     residual_spectrum,
 )
-from fusion.report.printed import printed
-from fusion.report.recording import draw_all, render_report
-from fusion.report.table import degrees_of_freedom, fixed, measured, short, times_ten
+from fusion.report.recording_report import draw_all, render_report
+from fusion.report.table import degrees_of_freedom, quantity_html, scaled_html, short, times_ten
 from fusion.report.tables import headlines, source_tables
 from fusion.report.uncertainty_tables import budget_tables, other_loads_table
 from fusion.sensitivity.analyse import Evaluation
-from photogram.camera import Points
+from photogram.camera import Points3D
 from photogram.geometry import rotation_from_vector
 from photogram.motion import Deformation, deformation, fit_motion
 
@@ -52,7 +52,7 @@ def pictures(evaluation: Evaluation) -> dict[str, list[Figure]]:
 @pytest.fixture(scope="module")
 def page(evaluation: Evaluation, pictures: dict[str, list[Figure]]) -> str:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fusion.report.recording.draw_all", lambda _: pictures)
+        patch.setattr("fusion.report.recording_report.draw_all", lambda _: pictures)
         return render_report(evaluation)
 
 
@@ -136,10 +136,10 @@ def test_numbers_as_html():
     assert short(9.97e-5) == Markup("1 × 10<sup>−4</sup>")
     assert short(-502.0) == Markup("−500")
     assert (degrees_of_freedom(999.6), degrees_of_freedom(1e5), degrees_of_freedom(np.inf)) == ("1000", "> 1000", "∞")
-    assert measured(1.9719871e-7, 2.04e-10, "(V/V)/N") == Markup("(1.9720 ± 0.0020) × 10<sup>−7</sup> (V/V)/N")
-    assert measured(1.0, 0.5) == Markup("1.00 ± 0.50")
-    assert measured(2.5, 0.0, "m/s^2") == Markup("2.5 m/s²")
-    assert fixed(2.1e-10, 6.1e-11, -7) == Markup("0.00210 ± 0.00061")
+    assert quantity_html(1.9719871e-7, 2.04e-10, "(V/V)/N") == Markup("(1.9720 ± 0.0020) × 10<sup>−7</sup> (V/V)/N")
+    assert quantity_html(1.0, 0.5) == Markup("1.00 ± 0.50")
+    assert quantity_html(2.5, 0.0, "m/s^2") == Markup("2.5 m/s²")
+    assert scaled_html(2.1e-10, 6.1e-11, -7) == Markup("0.00210 ± 0.00061")
     assert times_ten(0, "N.m") == Markup("N·m")
 
 
@@ -150,8 +150,8 @@ def test_every_figure_is_well_formed_on_paper_and_asks_for_nothing_outside(pictu
     every = [picture for group in pictures.values() for picture in group]
     assert len({picture.name for picture in every}) == len(every) >= 13
     for picture in every:
-        svg = printed(picture)
-        assert svg == printed(picture)  # the same each time
+        svg = render_figure(picture)
+        assert svg == render_figure(picture)  # the same each time
         root = ElementTree.fromstring(svg)
         assert root.tag == f"{SVG}svg"
         assert root.attrib["font-family"].endswith("sans-serif")  # one that every viewer has
@@ -163,7 +163,7 @@ def test_every_figure_is_well_formed_on_paper_and_asks_for_nothing_outside(pictu
 
 
 def test_numbers_of_a_page_have_ten_digits_where_they_are_few_and_null_where_there_is_none():
-    drawn = sheet("numbers", 2.0)
+    drawn = empty_figure("numbers", 2.0)
     many = np.exp(np.linspace(-30.0, 30.0, 1000))
     drawn.panels[0].points([np.pi, np.nan, -np.inf], [-1e-7 / 3.0, 2.0, 0.0], names=("a nan", "b", "c"))
     drawn.panels[0].line(many, -many)
@@ -219,14 +219,16 @@ def test_a_long_line_keeps_its_extremes():
 def test_thinning_keeps_peaks_and_axes_have_room():
     y = np.ones(1000)
     y[512] = 9.0
-    few_x, few_y = thin_out(np.arange(1.0, 1001.0), y, np.geomspace(1.0, 1001.0, 50))
+    few_x, few_y = decimate_edges(np.arange(1.0, 1001.0), y, np.geomspace(1.0, 1001.0, 50))
     assert len(few_x) < 60
     assert (few_y.max(), few_x[np.argmax(few_y)]) == (9.0, 513.0)
     assert np.all(np.diff(few_x) > 0.0)
     ends = [np.array([1.0, 2.0, 2.5, 4.0]), np.array([3.0, 1.0, 1.0, 0.0]), np.array([2.0, 3.0, 3.5])]
-    assert np.array_equal(thin_out(*ends), [[1.0, 2.0, 4.0], [3.0, 1.0, 0.0]])  # an interval without any, and equals
-    assert padded(0.0, 10.0, 0.1) == (-1.0, 11.0)
-    assert padded(2.0, 2.0)[0] < 2.0 < padded(2.0, 2.0)[1]
+    assert np.array_equal(
+        decimate_edges(*ends), [[1.0, 2.0, 4.0], [3.0, 1.0, 0.0]]
+    )  # an interval without any, and equals
+    assert padded_limits(0.0, 10.0, 0.1) == (-1.0, 11.0)
+    assert padded_limits(2.0, 2.0)[0] < 2.0 < padded_limits(2.0, 2.0)[1]
     assert power_text(-7) == "10⁻⁷"
 
 
@@ -258,7 +260,7 @@ def shape_of(bend_m: float, seed: int = 0, axis: int = 2) -> DeflectionShape:
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_a_bent_plate_is_drawn_from_any_side(axis):
     picture = draw_deflection(shape_of(1e-6, axis=axis), 1, RIGID, "top", "load")
-    assert ElementTree.fromstring(printed(picture)).tag.endswith("svg")
+    assert ElementTree.fromstring(render_figure(picture)).tag.endswith("svg")
     assert picture.name == "deflection-top"
     assert "106.2500 Hz" in picture.caption
     assert f"amplitude along {'xyz'[axis]}, out of the plane" in picture.caption
@@ -304,7 +306,7 @@ def bending_body(seed: int, bend: complex) -> tuple[np.ndarray, np.ndarray, Defo
     moved = bent @ np.swapaxes(rotation_from_vector(pose[:, 3:]), 1, 2) + pose[:, None, :3]
     moved += SIGMA_M * rng.normal(size=moved.shape)
     covariance = np.broadcast_to(np.diag(SIGMA_M**2), (*moved.shape, 3))
-    points = Points(moved, covariance, np.zeros(moved.shape[:2]))
+    points = Points3D(moved, covariance, np.zeros(moved.shape[:2]))
     return time, saddle, deformation(points, fit_motion(points, None, np.zeros(3)))
 
 
@@ -344,4 +346,4 @@ def test_the_epipolar_check_says_what_the_calibration_explains(evaluation, with_
     picture = draw_epipolar(check, stereo.time_s, "top")
     assert ("what calibration and matching explain" in picture.caption) == with_covariance
     nothing = replace(check, course_px=np.full_like(check.course_px, np.nan), residual_px=check.residual_px * np.nan)
-    assert printed(draw_epipolar(nothing, stereo.time_s, "top"))
+    assert render_figure(draw_epipolar(nothing, stereo.time_s, "top"))

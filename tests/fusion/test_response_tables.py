@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from support import edit, evaluated
 
-from fusion.base import InputError
 from fusion.cli import main
+from fusion.errors import InputError
 from fusion.recording.load import load_manifest
 from fusion.recording.manifest import ResponseColumns
-from fusion.recording.plausible import doubts
+from fusion.recording.plausibility import plausibility_notices
 from fusion.recording.response import read_response, read_table
 
 DEMO = Path(__file__).parents[2] / "sample_images" / "demo"
@@ -217,7 +217,7 @@ def test_frequencies_ascend_and_reach_the_line(tmp_path, hertz, told):
 def test_an_uncertainty_in_per_cent_is_asked_about(tmp_path):
     recording = with_response(tmp_path, 'response = "t.csv"')
     written(recording, TYPED, None, [(one, 1.0, 0.0, 0.5, 0.001) for one in (10, 80, 300)])
-    (doubt,) = (n for n in doubts(load_manifest(recording)) if "response" in n.text)
+    (doubt,) = (n for n in plausibility_notices(load_manifest(recording)) if "response" in n.text)
     assert "50.0% at 80 Hz: stated in per cent?" in doubt.text
 
 
@@ -228,7 +228,7 @@ def test_phases_that_may_be_degrees_are_asked_about(tmp_path, magnitudes, phase,
     recording = with_response(tmp_path, 'response = "t.csv"')
     rows = [(one, size, phase, 0.001, 0.001) for one, size in zip((10, 80, 300), magnitudes, strict=True)]
     written(recording, TYPED, None, rows)
-    assert sum("in degrees?" in notice.text for notice in doubts(load_manifest(recording))) == asked
+    assert sum("in degrees?" in notice.text for notice in plausibility_notices(load_manifest(recording))) == asked
 
 
 def with_response(folder: Path, text: str) -> Path:

@@ -13,22 +13,23 @@ import numpy as np
 import pytest
 from contracts import refused
 from evaluation_factory import ACCELERATION, LOAD_COMPONENTS, STATIC, Choice, make_evaluation
-from support import rows, state, told_columns, without_pages
+from support import documented_columns, folder_contents, rows, without_pages
 
-from fusion.base import InputError, versions
-from fusion.campaign.drive import drives_of
-from fusion.campaign.recorded import read_recorded
+from fusion.base import versions
+from fusion.campaign.excited_line import excited_lines_of
+from fusion.campaign.recording_results import read_recorded
+from fusion.errors import InputError
 from fusion.estimation.uncertainty import Influence, Uncertainty
-from fusion.report import recording as results
+from fusion.report import recording_report as results
 from fusion.report.folder import check_folder, hash_files, is_current, read_provenance, sha256
-from fusion.report.recording import MERGED_FILES, merged_table, write_results
+from fusion.report.recording_report import MERGED_FILES, merged_table, write_results
 from fusion.report.tables import headlines, sensitivity_table
 from fusion.sensitivity.analyse import Evaluation
-from fusion.sensor.identify import fit
-from fusion.sensor.identify.measured import EvaluatedSines
+from fusion.sensor.identify import joint_fit
+from fusion.sensor.identify.identification_inputs import EvaluatedSines
 
 FORMAT = "recording-format.md"
-SENSITIVITY, PHASOR = (",".join(told_columns(FORMAT, f"{name}.csv")) for name in ("sensitivity", "acceleration"))
+SENSITIVITY, PHASOR = (",".join(documented_columns(FORMAT, f"{name}.csv")) for name in ("sensitivity", "acceleration"))
 MOTION = "time_s,x_m,y_m,z_m,rx_rad,ry_rad,rz_rad,u_x_m,u_y_m,u_z_m,u_rx_rad,u_ry_rad,u_rz_rad,residual_m,points"
 
 
@@ -146,7 +147,7 @@ def test_result_file_holds_everything(folder, evaluation):
         assert file["clocks/bridge/tie"].attrs["rate"] == 1.0 + 4.2e-6
         assert file["lines/why"].asstr()[0] == "nominal frequency, refined"
         assert file["channels/vibrometer-velocity"].attrs["unit"] == "m/s"
-        assert file["notices/severity"].asstr()[()].tolist() == ["info", "warning"]
+        assert file["notices/severity"].asstr()[()].tolist() == ["note", "warning"]
         assert file["accelerations/load-fused/consistency/normalised_deviation"].shape == (2,)
         assert file["provenance/input_file"].asstr()[1] == "Fz/recording.toml"
         assert file["provenance/versions"].attrs["numpy"] == "2.0"
@@ -191,14 +192,14 @@ def test_a_failure_leaves_everything_as_it_was(evaluation, tmp_path, monkeypatch
     out = tmp_path / "results"
     if existing:
         write_results(evaluation, out)
-    before = state(tmp_path)
+    before = folder_contents(tmp_path)
 
     def fail(_: Evaluation) -> str:
         raise RuntimeError("out of paper")
 
     monkeypatch.setattr(results, "render_report", fail)
     refused("out of paper", write_results, evaluation, out, error=RuntimeError)
-    assert state(tmp_path) == before
+    assert folder_contents(tmp_path) == before
     assert out.exists() == existing
 
 
@@ -209,7 +210,7 @@ def test_recording_without_sensor_and_cameras(write, tmp_path):
     names = {"sensitivity.csv", "acceleration.csv", "load.csv", "report.html", "result.h5"}
     assert {path.name for path in folder.iterdir()} == names
     found = read_recorded(folder)
-    assert (found.sensor, found.drives) == (None, ())
+    assert (found.sensor, found.excited_lines) == (None, ())
     assert read_recorded(write(replace(bare, notices=()))).notices == ()
     with h5py.File(folder / "result.h5", "r+") as file:
         file.attrs["format"] = 1
@@ -250,7 +251,7 @@ def test_results_that_lead_to_other_files_are_none(write, tmp_path, change, foun
     told = rf"result\.h5: expected results of an earlier run, found damaged ones \(.*notices/more.*{found}"
     refused(told, read_recorded, folder, error=InputError)
     sines = EvaluatedSines(make_evaluation(tmp_path, Choice(images=False)).manifest, folder)
-    refused(told, fit._transfer, sines, "Fz", "", None, error=InputError)
+    refused(told, joint_fit._transfer, sines, "Fz", "", None, error=InputError)
     assert read_provenance(folder) is None
     refused("--force", check_folder, folder, {}, force=False, error=InputError)
 
@@ -284,12 +285,12 @@ def test_files_that_make_way_are_named_by_the_results_themselves(tmp_path, chang
     with h5py.File(folder / "result.h5", "r+") as file:
         file["notices/more"] = h5py.ExternalLink(str(tmp_path / "other.h5"), "/a")
     assert read_provenance(folder) is None
-    before = read_provenance(folder, alone=True)
+    before = read_provenance(folder, provenance_only=True)
     assert before is not None
     assert "result.h5" in before.files
     with h5py.File(folder / "result.h5", "r+") as file:
         change(file, tmp_path / "other.h5")
-    assert read_provenance(folder, alone=True) is None
+    assert read_provenance(folder, provenance_only=True) is None
 
 
 @pytest.mark.usefixtures("no_pages")
@@ -332,18 +333,18 @@ def with_clock(item: Any, seed: int) -> Any:
 def test_drives_are_read_back_to_the_last_bit_with_sensor_excitation_and_notices(write, tmp_path):
     plain = make_evaluation(tmp_path, Choice(frames=24, images=False, mounting="second"))
     evaluation = replace(plain, load=with_clock(plain.load, 1), outputs=with_clock(plain.outputs, 2))
-    drives = drives_of(evaluation)
+    drives = excited_lines_of(evaluation)
     assert [drive.mounting for drive in drives] == ["second"]
     names = [influence.name for influence in drives[0].outputs_uncertainty.influences]
     assert names == ["clock bridge: time", "scale 2"]
     found = read_recorded(write(evaluation))
-    assert identical(drives, found.drives)
-    assert [grid.start_s for grid in found.drives[0].grids] == [0.97, 1.4012]
+    assert identical(drives, found.excited_lines)
+    assert [grid.start_s for grid in found.excited_lines[0].grids] == [0.97, 1.4012]
     assert (found.folder, found.name, found.mounting, found.kind) == ("out", "Fz 106.25 Hz", "second", "sine")
     assert (found.direction, found.frequencies) == ((0.0, 0.0, 1.0), (106.25,))
     assert np.array_equal(np.asarray(found.sensor.static), STATIC)
     assert (found.sensor.serial, found.sensor.unit, found.sensor.u_static) == ("0815", "V/V", 1e-3)
-    assert (found.sensor.stated.cross_talk, found.sensor.stated.u_cross_talk) == (0.02, 2e-4)
+    assert (found.sensor.stated_matrix.cross_talk, found.sensor.stated_matrix.u_cross_talk) == (0.02, 2e-4)
     assert [notice.severity for notice in found.notices] == [notice.severity for notice in evaluation.notices]
     assert found.origin.input_hashes == evaluation.input_hashes
 

@@ -12,12 +12,12 @@ import h5py
 import numpy as np
 import pytest
 from page_outline import self_contained
-from support import DOCS, edit, rows, told_columns
+from support import DOCS, documented_columns, edit, rows
 
 from fusion.cli import main
 from fusion.recording.load import load_manifest
-from fusion.sensor.rotate.evaluate import evaluate_rotation
-from fusion.sensor.rotate.readings import JOINT, RotationEvaluation
+from fusion.sensor.rotate.rotation_evaluation import evaluate_rotation
+from fusion.sensor.rotate.rotation_readings import JOINT, RotationEvaluation
 from fusion.simulate.statics import BARE, LOADED, write_rotation
 from shaker.labels import LOAD_COMPONENTS
 
@@ -214,7 +214,7 @@ def test_files_of_a_run(campaign, capsys):
     folder = campaign / "rotate"
     assert sorted(path.name for path in folder.iterdir()) == ["rotation.csv", "rotation.h5", "rotation.html"]
     found = rows(folder / "rotation.csv")
-    assert list(found[0]) == told_columns("rotation.md", "rotation.csv")
+    assert list(found[0]) == documented_columns("rotation.md", "rotation.csv")
     assert all(all(cell for cell in row.values()) for row in found)
     assert all(float(row["U"]) == pytest.approx(float(row["u"]) * float(row["k"])) for row in found)
     names = {row["name"] for row in found}

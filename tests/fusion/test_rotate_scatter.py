@@ -11,23 +11,23 @@ import numpy as np
 import pytest
 from support import rows
 
-from fusion.campaign.repeats import BETWEEN, WITHIN, nested
+from fusion.campaign.repeats import BETWEEN, WITHIN, nested_anova
 from fusion.cli import main
 from fusion.estimation.coverage import coverage_factor
 from fusion.recording.load import load_manifest
-from fusion.sensor.rotate.evaluate import MEAN_ROWS, Campaign, evaluate_rotation, quantities
-from fusion.sensor.rotate.readings import (
+from fusion.sensor.rotate.rotation_evaluation import MEAN_ROWS, RotationCampaign, evaluate_rotation, quantities
+from fusion.sensor.rotate.rotation_readings import (
     JOINT,
-    Carried,
-    Component,
+    RepeatedResults,
     RotationEvaluation,
-    components,
+    ScatterComponent,
+    first_harmonics,
     local_gravity,
     read_rotation,
-    turned,
+    scatter_components,
     unknown_volume,
 )
-from fusion.sensor.rotate.report import budget_tables, repeats_tables
+from fusion.sensor.rotate.rotation_report import budget_tables, repeats_tables
 from fusion.simulate.preset import read_preset
 from fusion.simulate.statics import BARE, LOADED, RotationRig, true_outputs, write_rotation
 from fusion.simulate.world import Draws
@@ -41,14 +41,14 @@ SCATTERING = read_preset(
 ONE = np.ones((1, 1))
 
 
-def _carried(value: np.ndarray, noise: float, mountings: tuple[str, ...], shared: float = 0.0) -> Carried:
+def _carried(value: np.ndarray, noise: float, mountings: tuple[str, ...], shared: float = 0.0) -> RepeatedResults:
     """Readings (N,) of one number with noise of their own, and a shared error."""
     count = len(value)
     effects = (noise * np.eye(count)[:, None, :], np.full((count, 1, 1), shared))
-    return Carried("with load", tuple(f"r{i}" for i in range(count)), mountings, value[:, None], effects)
+    return RepeatedResults("with load", tuple(f"r{i}" for i in range(count)), mountings, value[:, None], effects)
 
 
-def _effective(found: Component, known: float) -> float:
+def _effective(found: ScatterComponent, known: float) -> float:
     """Effective degrees of freedom of a mean with a variance that is known beside the scatter's."""
     wide, dof = float(found.wide[0]), float(found.dof[0])
     return (wide + known) ** 2 / (wide**2 / dof) if wide > 0.0 else np.inf
@@ -56,35 +56,35 @@ def _effective(found: Component, known: float) -> float:
 
 def test_scatter_far_beyond_noise_is_that_of_the_mean():
     value = np.random.default_rng(1).normal(75.0, 1e-2, 4)
-    found = dict(components(_carried(value, 1e-6, ("1",) * 4, shared=0.1), ONE))
+    found = dict(scatter_components(_carried(value, 1e-6, ("1",) * 4, shared=0.1), ONE))
     assert list(found) == [WITHIN]
     assert np.sqrt(found[WITHIN].in_mean[0]) == pytest.approx(np.std(value, ddof=1) / 2.0, rel=1e-4)
     assert found[WITHIN].dof[0] == pytest.approx(3.0, rel=1e-4)
-    anew = dict(components(_carried(value, 1e-6, ("1", "2", "3", "4")), ONE))
+    anew = dict(scatter_components(_carried(value, 1e-6, ("1", "2", "3", "4")), ONE))
     assert list(anew) == [BETWEEN]
     assert anew[BETWEEN].in_mean[0] == pytest.approx(found[WITHIN].in_mean[0], rel=1e-4)
 
 
 def test_noise_and_scatter_together_have_u_and_freedom_of_the_mean_square():
     value, noise = np.array([1.0, 2.0, 4.0]), 0.9
-    found = dict(components(_carried(value, noise, ("1",) * 3), ONE))[WITHIN]
+    found = dict(scatter_components(_carried(value, noise, ("1",) * 3), ONE))[WITHIN]
     square = float(np.var(value, ddof=1))
     assert found.in_mean[0] + noise**2 / 3.0 == pytest.approx(square / 3.0)
     assert found.wide[0] + noise**2 / 3.0 == pytest.approx(2.0 * square / 3.0)  # s² (1 + 2/ν) of two
     assert _effective(found, noise**2 / 3.0) == pytest.approx(2.0)
-    explained = dict(components(_carried(np.array([1.0, 1.1, 0.9]), 0.2, ("1",) * 3), ONE))[WITHIN]
+    explained = dict(scatter_components(_carried(np.array([1.0, 1.1, 0.9]), 0.2, ("1",) * 3), ONE))[WITHIN]
     assert (explained.in_mean[0], explained.wide[0]) == (0.0, 0.0)
 
 
 def test_unbalanced_mountings_come_apart_in_the_mean_over_many():
     rng, mountings = np.random.default_rng(2), ("1", "1", "1", "2", "3", "3")
-    forms = nested(mountings)
+    forms = nested_anova(mountings)
     assert (forms.within_dof, forms.between_dof) == (3, 2)
     found = []
     for _ in range(1500):
         anew = dict(zip("123", rng.normal(0.0, 5.0, 3), strict=True))
         value = np.array([anew[m] for m in mountings]) + rng.normal(0.0, np.hypot(2.0, 0.5), 6)
-        parts = dict(components(_carried(value, 0.5, mountings), ONE))
+        parts = dict(scatter_components(_carried(value, 0.5, mountings), ONE))
         found.append([parts[WITHIN].variance[0], parts[BETWEEN].variance[0]])
         assert parts[BETWEEN].in_mean[0] == pytest.approx(parts[BETWEEN].variance[0] * 14.0 / 36.0)
     within, between = np.mean(found, axis=0)
@@ -97,7 +97,7 @@ def test_intervals_of_a_mean_hold_the_truth(count, scatter):
     rng, held, trials = np.random.default_rng(3), 0, 1000
     for _ in range(trials):
         value = np.hypot(1.0, scatter) * rng.standard_normal(count)
-        found = dict(components(_carried(value, 1.0, ("1",) * count), ONE))[WITHIN]
+        found = dict(scatter_components(_carried(value, 1.0, ("1",) * count), ONE))[WITHIN]
         variance = 1.0 / count + found.in_mean[0]
         held += abs(value.mean()) <= coverage_factor(_effective(found, 1.0 / count)) * np.sqrt(variance)
     # Whether noise explains the scatter is itself read from few recordings: 93 % of three at worst, 97 % without any.
@@ -196,11 +196,11 @@ class _Trials:
                 manifest = replace(manifests[state], mounting=str(mounting))
                 for number in range(size):
                     recordings.append(replace(recording, name=f"{state} {mounting} {number}", manifest=manifest))
-                    records.append(replace(turned(recordings[-1]), amplitude=amplitude))
+                    records.append(replace(first_harmonics(recordings[-1]), amplitude=amplitude))
         self.recordings, self.records = tuple(recordings), tuple(records)
         self.weights = fit_weights(self.records, read[BARE][1], SCATTERING.u_angle_rad)
 
-    def drawn(self, rng: np.random.Generator, within: float, between: float) -> Campaign:
+    def drawn(self, rng: np.random.Generator, within: float, between: float) -> RotationCampaign:
         """One test: noise, calibration, gravity, air, buoyancy, relative scatter of what every recording carries."""
         value = self.weights.value.copy()
         for source in self.weights.sources:
@@ -213,7 +213,7 @@ class _Trials:
             row[MEAN_ROWS[:-3]] -= buoyancy
             row[MEAN_ROWS] *= 1.0 + anew + rng.normal(0.0, within)
         gravity, air = (known._replace(value=rng.normal(known.value, known.u)) for known in self.surroundings)
-        return Campaign(self.recordings, self.records, replace(self.weights, value=value), gravity, air)
+        return RotationCampaign(self.recordings, self.records, replace(self.weights, value=value), gravity, air)
 
 
 @pytest.mark.slow
@@ -278,9 +278,9 @@ def test_intervals_hold_the_truth(rig, tmp_path):
             noise = np.array(rig.noise) * draws.stream(f"{name}.noise").standard_normal(outputs.shape)
             fit = fit_angles(recording.fit.channels, angle, outputs + noise)
             recordings.append(replace(recording, fit=fit))
-        records = tuple(turned(recording) for recording in recordings)
+        records = tuple(first_harmonics(recording) for recording in recordings)
         weights = fit_weights(records, read[0][1], rig.u_angle_rad)
-        campaign = Campaign(tuple(recordings), records, weights, gravity, air)
+        campaign = RotationCampaign(tuple(recordings), records, weights, gravity, air)
         found = {(q.name, q.component): q for q in quantities(campaign)}
         for key, true in _truth(rig, draws.values).items():
             held[key] += abs(found[key].value - true) <= found[key].expanded

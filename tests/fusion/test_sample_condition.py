@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support import AT_ORIGIN, block, channel, evaluated, recording_head, write_daq
 
-from fusion.base import InputError
+from fusion.errors import InputError
 from fusion.sensitivity.analyse import Evaluation
 from shaker.arrays import FloatArray
 

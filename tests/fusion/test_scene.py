@@ -23,21 +23,21 @@ from take_factory import POINTS, Shot, write_takes
 from fusion.cli import main
 from fusion.phasors.deformation import DeflectionShape
 from fusion.recording.load import Manifest, find_recordings, load_manifest
-from fusion.recording.rig import Head, NamedHead
+from fusion.recording.rig import InstrumentHead, NamedHead
 from fusion.report.folder import render_page
-from fusion.report.scene import (
+from fusion.report.report_scene import (
     MOST_POINTS,
-    Motion,
     Scene,
+    SceneMotion,
     displacement,
     evaluation_scene,
     frustum,
-    moved_by,
     rig_page,
     rig_scene,
+    rigid_displacement,
     scene_page,
 )
-from fusion.report.scene_still import Shape, solid, still_views
+from fusion.report.scene_views import SceneShape, solid, static_views
 from photogram.camera import Camera
 from photogram.geometry import RigidTransform
 
@@ -49,7 +49,7 @@ def manifest(demo_recording: Path) -> Manifest:
     return load_manifest(find_recordings(demo_recording)[0])
 
 
-def shape_of(scene: Scene, name: str) -> Shape:
+def shape_of(scene: Scene, name: str) -> SceneShape:
     (found,) = (shape for shape in scene.shapes if shape.name == name)
     return found
 
@@ -137,7 +137,7 @@ def test_beams_end_on_their_points_and_come_from_the_mirror_or_the_free_side(man
     other = rig_scene(with_channel(manifest, "velocity_1", direction=(0.0, 0.0, -1.0)))
     assert shape_of(other, "velocity_1").points_m[1][2] < point[2]  # the sense turns, the beam stays outside
     np.testing.assert_allclose(shape_of(other, "beam of velocity_1").points_m, beam.points_m)
-    head = NamedHead("scanner", Head(mirror=(0.1, 0.2, 0.9)))
+    head = NamedHead("scanner", InstrumentHead(mirror=(0.1, 0.2, 0.9)))
     aimed = rig_scene(with_channel(manifest, "velocity_1", direction=None, head=head))
     beam, sense = shape_of(aimed, "beam of velocity_1"), shape_of(aimed, "velocity_1")
     np.testing.assert_allclose(beam.points_m, [(0.1, 0.2, 0.9), point])
@@ -187,7 +187,7 @@ def test_points_move_as_a_small_finite_rotation_moves_them():
     points = np.array([[0.03, -0.02, 0.07], [0.0, 0.1, 0.0]])
     rigid = np.array([1e-6, -2e-6, 3e-6, 1e-7, 2e-7, -3e-7])
     expected = Rotation.from_rotvec(rigid[3:]).apply(points) - points + rigid[:3]
-    np.testing.assert_allclose(moved_by(rigid.astype(np.complex128), points), expected, atol=1e-13)
+    np.testing.assert_allclose(rigid_displacement(rigid.astype(np.complex128), points), expected, atol=1e-13)
 
 
 def test_what_is_told_of_a_line_is_amplitude_with_its_uncertainty(demo_evaluation):
@@ -195,7 +195,7 @@ def test_what_is_told_of_a_line_is_amplitude_with_its_uncertainty(demo_evaluatio
     fused = next(a for a in demo_evaluation.accelerations if (a.body, a.source) == ("load", "fused"))
     value, square = fused.phasors.value[0, 2], (2.0 * np.pi * fused.phasors.frequency_hz[0]) ** 2
     size, u, phase = re.fullmatch(
-        r"load z: \((\S+) ± (\S+)\) µm at (\S+)° \(k = \S+\)", scene.motions[0].told[0]
+        r"load z: \((\S+) ± (\S+)\) µm at (\S+)° \(k = \S+\)", scene.motions[0].amplitudes[0]
     ).groups()
     assert float(size) == pytest.approx(1e6 * abs(value) / square, abs=float(u))
     assert float(phase.replace("\N{MINUS SIGN}", "-")) == pytest.approx(np.degrees(np.angle(-value)), abs=0.06)
@@ -205,7 +205,7 @@ def test_what_is_told_of_a_line_is_amplitude_with_its_uncertainty(demo_evaluatio
 def test_only_a_deflection_that_stands_out_is_drawn(demo_evaluation):
     scene = evaluation_scene(demo_evaluation)
     assert not any(motion.deflection for motion in scene.motions)  # the simulated load is rigid
-    assert any("points of top beside the rigid motion" in told for told in scene.motions[0].told)
+    assert any("points of top beside the rigid motion" in told for told in scene.motions[0].amplitudes)
     top, *others = demo_evaluation.stereo
     shape = top.deflection
     bend = 2e-5j * (shape.reference_m[:, 0] / 0.04) ** 2
@@ -249,8 +249,8 @@ def test_the_demo_is_small(demo_evaluation):
 def test_the_still_picture_has_three_views_to_one_scale(manifest):
     """A cube of 100 mm is a square of the same size in every view."""
     corners = np.array([(x, y, z) for x in (0.0, 0.1) for y in (0.0, 0.1) for z in (0.0, 0.1)])
-    cube = Shape("load", "cube", "", corners, faces=((0, 1, 3, 2),), closed=True, fill=1.0)
-    root = ElementTree.fromstring(still_views([cube]))
+    cube = SceneShape("load", "cube", "", corners, faces=((0, 1, 3, 2),), closed=True, fill=1.0)
+    root = ElementTree.fromstring(static_views([cube]))
     shown = [e for e in root if "fill" in e.get("class", "")]
     sizes = [np.ptp(places(e), axis=0) for e in shown]
     assert len(sizes) == 3
@@ -382,20 +382,20 @@ def test_what_is_seen_is_the_real_part_of_the_phasor(browser, tmp_path):
         "gravity": (-0.05, 0.0, -0.05),
     }
     shapes = [
-        Shape(kind, kind, "", np.array([at]), dots="one", body=kind if kind in ("load", "base") else "")
+        SceneShape(kind, kind, "", np.array([at]), dots="one", body=kind if kind in ("load", "base") else "")
         for kind, at in dots.items()
     ]
     rigid = {"load": np.zeros(6, np.complex128), "base": np.zeros(6, np.complex128)}
     rigid["load"][2], rigid["base"][4] = -1e-6j, 2e-5
     opened = Page(
         browser,
-        written(tmp_path / "dots.html", Scene("dots", tuple(shapes), (Motion("1 Hz", 1.0, (), rigid),))),
+        written(tmp_path / "dots.html", Scene("dots", tuple(shapes), (SceneMotion("1 Hz", 1.0, (), rigid),))),
         **STILL,
     )
     page = opened.page
     page.get_by_role("button", name="Show everything").click()
     page.get_by_role("button", name="Seen along +y").click()
-    size = Motion("", 1.0, (), rigid)
+    size = SceneMotion("", 1.0, (), rigid)
     factor = json.loads(scene_page(Scene("dots", tuple(shapes), (size,))).json)["motions"][0]["m"][0]
     colours = {"load": (230, 159, 0), "base": (122, 122, 122), "camera": (0, 114, 178), "gravity": (204, 121, 167)}
 

@@ -16,19 +16,19 @@ from simulated_phasors import simulate_phasors
 
 from fusion.estimation.fuse import Acceleration
 from fusion.estimation.uncertainty import Influence, polar_elements
-from fusion.instruments.channel import Outputs, Reading, late, output_phasors
+from fusion.instruments.channel import ChannelReading, Outputs, delay_errors, output_phasors
 from fusion.sensitivity.analyse import analyse
-from fusion.sensitivity.body import Body, make_part
-from fusion.sensitivity.load import LoadResult, load_phasors
+from fusion.sensitivity.load_phasors import LoadResult, load_phasors
 from fusion.sensitivity.monte_carlo import propagate
+from fusion.sensitivity.moving_body import Body, make_moving_part
 from fusion.sensitivity.ratio import (
-    KnownMatrix,
+    PriorMatrix,
     Sensitivity,
     StatedMatrix,
     driven_component,
-    known_matrix,
-    mass_doubted,
+    mass_notices,
     parasitic_loads,
+    prior_matrix,
     sensitivity_ratio,
     sensor_element,
     static_unknowns,
@@ -43,7 +43,7 @@ PARTS = (
     ("load", 6.9605, [1e-3, 2e-3, 0.02], np.diag([0.036, 0.036, 0.031]), (1e-3, 1e-4, 1e-4)),
     ("internal mass", 0.769, [0.0, 0.0, 0.0], np.zeros((3, 3)), (2e-3, 1e-3, 1e-5)),
 )
-BODY = Body(tuple(make_part(*part) for part in PARTS), gravity_mps2=GRAVITY)
+BODY = Body(tuple(make_moving_part(*part) for part in PARTS), gravity_mps2=GRAVITY)
 NOISE = np.diag(np.tile([1, 1, 1, 100, 100, 100.0], 2)) * 189.0**2  # of 1e-4 of the motion: times 1e-8
 ONLY_Z = np.array([False, False, True, False, False, False])
 
@@ -52,13 +52,13 @@ def acceleration(sigma: float = 1e-4, observed: Any = True) -> Acceleration:
     return moving(TRUTH, sigma**2 * NOISE, observed=observed)
 
 
-def ratio(outputs: list[Reading], source: Acceleration, body: Body = BODY) -> Sensitivity:
+def ratio(outputs: list[ChannelReading], source: Acceleration, body: Body = BODY) -> Sensitivity:
     load = load_phasors(source, body)
     return sensitivity_ratio(output_phasors(outputs), load, 2, [1, 2], (2e3, 2e3, 4e3, 100, 100, 100))
 
 
 def test_force_of_a_centred_mass_is_mass_times_acceleration():
-    body = Body((make_part("load", 7.0, np.zeros(3), np.diag([1.0, 2.0, 3.0])),))
+    body = Body((make_moving_part("load", 7.0, np.zeros(3), np.diag([1.0, 2.0, 3.0])),))
     load = load_phasors(acceleration(), body)
     np.testing.assert_allclose(load.phasors.value[:, :3], 7.0 * TRUTH[:, :3])
     np.testing.assert_allclose(load.phasors.value[:, 3:], TRUTH[:, 3:] * [1, 2, 3])
@@ -71,7 +71,7 @@ def test_parameter_contributions_are_the_change_of_the_load():
     source = acceleration(sigma=0.0)
     load = load_phasors(source, BODY)
     labels = {entry.label: entry for entry in load.contributions}
-    heavier = replace(BODY, parts=(make_part("load", 6.9615, *PARTS[0][2:4]), BODY.parts[1]))
+    heavier = replace(BODY, parts=(make_moving_part("load", 6.9615, *PARTS[0][2:4]), BODY.parts[1]))
     change = load_phasors(source, heavier).phasors.value - load.phasors.value
     stacked = np.concatenate([change.real, change.imag], axis=1)
     expected = stacked[:, :, None] * stacked[:, None, :]
@@ -82,7 +82,7 @@ def test_parameter_contributions_are_the_change_of_the_load():
 
 
 def test_unobserved_motion_is_bounded_or_refused():
-    centred = Body((make_part("load", 7.0, [0.0, 0.0, 0.05], np.diag([0.036, 0.036, 0.031]), (0.0, 1e-4, 0.0)),))
+    centred = Body((make_moving_part("load", 7.0, [0.0, 0.0, 0.05], np.diag([0.036, 0.036, 0.031]), (0.0, 1e-4, 0.0)),))
     load = load_phasors(acceleration(observed=ONLY_Z), centred)
     assert np.array_equal(load.observed[0], ONLY_Z)
     hidden = next(entry for entry in load.contributions if entry.label == "unobserved rx")
@@ -92,7 +92,7 @@ def test_unobserved_motion_is_bounded_or_refused():
     # rx and ry by one axis of the centre of mass each: √2 · 0.1 mm · 1/m, over √2 for one part of a phasor.
     assert told.severity == "warning"
     assert "u = 0.01 % of Fz" in told.text
-    eccentric = Body((make_part("load", 7.0, [0.06, 0.0, 0.05], np.diag([0.036, 0.036, 0.031])),))
+    eccentric = Body((make_moving_part("load", 7.0, [0.06, 0.0, 0.05], np.diag([0.036, 0.036, 0.031])),))
     open_load = load_phasors(acceleration(observed=ONLY_Z), eccentric)
     assert not open_load.observed[0, 2]
     assert np.isnan(open_load.phasors.value[0, 2])
@@ -102,7 +102,7 @@ def test_unobserved_motion_is_bounded_or_refused():
 
 
 def test_unobserved_motion_is_one_cause_of_all_load_components():
-    body = Body((make_part("load", 7.0, [0.0, 0.0, 0.05], np.diag([0.036, 0.036, 0.031])),))
+    body = Body((make_moving_part("load", 7.0, [0.0, 0.0, 0.05], np.diag([0.036, 0.036, 0.031])),))
     load = load_phasors(acceleration(observed=ONLY_Z), body)
     hidden = next(entry for entry in load.contributions if entry.label == "unobserved rx")
     # A rotation about x pushes the raised mass along -y and turns it: Fy/Mx = -m c/(J + m c²), one cause.
@@ -192,10 +192,10 @@ class Case:
 @pytest.fixture(scope="module")
 def case() -> Case:
     turn = -2j * np.pi * GTC_HZ[0]
-    parts = [make_part(name, mass, np.zeros(3), np.zeros((3, 3)), (u, 0.0, 0.0)) for name, mass, u in MASSES]
+    parts = [make_moving_part(name, mass, np.zeros(3), np.zeros((3, 3)), (u, 0.0, 0.0)) for name, mass, u in MASSES]
     load = load_phasors(_acceleration(turn), Body(tuple(parts)))
     stated = {"common": "amplifier", "scale_uncertainty": SCALE}
-    noisy = *CORRELATED["output"], late("clock bridge: time", GTC_HZ, CLOCK), GTC_HZ
+    noisy = *CORRELATED["output"], delay_errors("clock bridge: time", GTC_HZ, CLOCK), GTC_HZ
     readings = zip(GTC_OUTPUT.T, ("Fz", "Fx"), strict=True)
     outputs = output_phasors([output(value, *noisy, name=name, **stated) for value, name in readings])
     ratio = sensitivity_ratio(outputs, load, 2, [1])
@@ -273,7 +273,7 @@ def test_share_of_other_loads(case):
 def test_what_is_not_stated_of_a_static_matrix_is_the_same_for_share_and_element(case):
     """0.1 % of main elements, 0.1 % of the rated output beside them: in the share of other loads as in the element."""
     stated = StatedMatrix(("Fz", "Fx"), np.array([2e3, 2e3, 4e3, 100.0, 100.0, 100.0]), STATIC)
-    known = known_matrix(stated, ("Fz", "Fx"), 2, [1.0, 1.0])
+    known = prior_matrix(stated, ("Fz", "Fx"), 2, [1.0, 1.0])
     assert known is not None
     share = parasitic_loads(case.outputs, case.load, STATIC, 2, known.unknowns).uncertainty
     (own,) = (part for part in share.grouped() if part.label == "static sensitivity")
@@ -308,10 +308,10 @@ def test_budget_is_that_of_gtc(case):
     assert entries["accelerometer: noise"].dof[0] == CORRELATED["motion"][1]
 
 
-def known_of(case: Case, **stated: Any) -> KnownMatrix | None:
+def known_of(case: Case, **stated: Any) -> PriorMatrix | None:
     """What is known of the matrix of both outputs under Fz, of rated loads 2 kN, 4 kN, 100 N.m."""
     capacity = np.array([2e3, 2e3, 4e3, 100.0, 100.0, 100.0])
-    return known_matrix(
+    return prior_matrix(
         StatedMatrix(("Fz", "Fx"), capacity, **{"static": None} | stated), ("Fz", "Fx"), 2, GTC_OUTPUT[0]
     )
 
@@ -351,7 +351,7 @@ def test_element_of_a_matrix_that_keeps_its_proportions_is_exact_where_the_ratio
     outputs = output_phasors([output(signals[:, c], name=f"S{c}") for c in range(6)])
     names = outputs.phasors.channels
     stated = StatedMatrix(tuple(reversed(names)), None, static[::-1].copy())
-    element = sensor_element(outputs, load, known_matrix(stated, names, 2, np.ones(6)), [1, 2])
+    element = sensor_element(outputs, load, prior_matrix(stated, names, 2, np.ones(6)), [1, 2])
     np.testing.assert_allclose(element.value[0, :, 2], true[:, 2], rtol=1e-10)
     # Harmonics are no part of the curve.
     assert np.isnan(element.value[1]).all()
@@ -391,7 +391,7 @@ def test_without_knowledge_of_cross_talk_there_is_no_element(case):
     assert known_of(case, static=diagonal, u_cross_talk=1e-3).rows == (0, 1)
     # The output that belongs to the load was not recorded.
     stated = StatedMatrix(("Fz", "Fx"), None, diagonal, u_cross_talk=1e-3)
-    assert known_matrix(stated, ("Fx",), 2, [1.0]) is None
+    assert prior_matrix(stated, ("Fx",), 2, [1.0]) is None
 
 
 def check_coverage(recording: str, driven: str, trials: int) -> None:
@@ -467,7 +467,7 @@ def test_what_one_recording_lacks_is_said_and_nothing_called_an_element():
 )
 def test_an_element_unlike_rest_and_unlike_a_resonance_asks_for_the_masses(size, told):
     frequency_hz = 2000.0 if size == 1 / (1 - (2000 / 9000) ** 2) else 80.0
-    notices = list(mass_doubted("Fz per Fz", complex(size), frequency_hz))
+    notices = list(mass_notices("Fz per Fz", complex(size), frequency_hz))
     assert len(notices) == (told is not None)
     for notice in notices:
         assert told in notice.text

@@ -9,7 +9,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from support import block, edit, evaluated, untold, write_daq
+from support import block, edit, evaluated, undescribed_datasets, write_daq
 from take_factory import (
     FREQUENCY_HZ,
     LOAD,
@@ -31,9 +31,9 @@ from fusion.cli import main
 from fusion.commands.options import EXIT_DONE
 from fusion.instruments.transducer import unit_direction
 from fusion.planning.check import check
-from fusion.recording.files import read_set_ups
+from fusion.recording.daq_records import read_set_ups
 from fusion.recording.load import load_manifest
-from fusion.report.recording import result_tables, write_h5
+from fusion.report.recording_report import result_tables, write_h5
 from fusion.report.tables import acceleration
 from fusion.sensitivity.analyse import ESTIMATE_NOISE, Evaluation
 
@@ -69,7 +69,7 @@ def test_eight_points_one_after_another_give_the_motion(eight):
 def test_every_number_of_takes_has_unit_words_and_named_axes(eight, tmp_path):
     write_h5(tmp_path / "result.h5", eight, [])
     with h5py.File(tmp_path / "result.h5") as file:
-        assert untold(file) == []
+        assert undescribed_datasets(file) == []
         take = next(group for group in file["set_ups"].values() if isinstance(group, h5py.Group))
         assert take["factor"].attrs["units"] == "1"
         assert [axis[0].name.rpartition("/")[2] for axis in take["drift"].dims] == ["frequency_hz"]

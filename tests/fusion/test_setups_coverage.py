@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from contracts import coverage_contract
 from scipy.stats import binom
-from support import block, channel, evaluated, far, write_daq
+from support import block, channel, evaluated, region_distance, write_daq
 from take_factory import (
     BASE_Z,
     BRIDGE_V,
@@ -31,24 +31,24 @@ from take_factory import (
 )
 
 from fusion.estimation.coverage import coverage_factor
-from fusion.instruments.channel import ChainUncertainty, Reading, late, observe_channels, output_phasors
-from fusion.phasors.setup import OpenSetUp
-from fusion.phasors.setups import ReferenceTie, merge_readings, reference_ties
+from fusion.instruments.channel import ChainUncertainty, ChannelReading, delay_errors, observe_channels, output_phasors
+from fusion.phasors.set_up import PreparedSetUp
+from fusion.phasors.set_up_merging import ReferenceTie, merge_readings, reference_ties
 from fusion.recording.manifest import ChannelEntry
 from fusion.recording.rig import Rig
 from fusion.recording.toml import validate
-from fusion.report.recording import result_tables
+from fusion.report.recording_report import result_tables
 from fusion.report.tables import acceleration
 from fusion.sensitivity.analyse import Analysis, Evaluation, Inputs, analyse
-from fusion.sensitivity.body import Body, make_part
-from shaker.lines.frequencies import Lines
+from fusion.sensitivity.moving_body import Body, make_moving_part
+from shaker.lines.frequencies import LineFrequencies
 from shaker.sine.phasor import Phasors
 
 OMEGA = 2.0 * np.pi * FREQUENCY_HZ
 NOISE = 2e-5  # relative, of real and imaginary part
 SCALE_U, OUTPUT_U, TIE_U_S = 2.5e-4, 1e-4, 4e-7
 DRIFT = 0.005
-LINES = Lines(np.array([FREQUENCY_HZ]), np.zeros(1), np.array([106.25]), np.array([1]), ("",), ())
+LINES = LineFrequencies(np.array([FREQUENCY_HZ]), np.zeros(1), np.array([106.25]), np.array([1]), ("",), ())
 
 
 def _entry(**given: object) -> ChannelEntry:
@@ -67,17 +67,17 @@ LASERS = [
 ]
 
 
-def _reading(entry: ChannelEntry, value: complex, rng: np.random.Generator, u_clock_s: float) -> Reading:
+def _reading(entry: ChannelEntry, value: complex, rng: np.random.Generator, u_clock_s: float) -> ChannelReading:
     """A channel's phasor with noise and what its noise is stated to be."""
     spread = NOISE * abs(value)
     noisy = value + spread * complex(*rng.normal(size=2))
     covariance, value = (spread**2 * np.eye(2))[None], np.array([[noisy]])
     phasors = Phasors(LINES.frequency_hz, value, covariance, (entry.name,), ("1",), np.array([1e4]))
-    tied = late("clock bridge: time", LINES.frequency_hz, u_clock_s)
-    return Reading(entry, phasors, ChainUncertainty(), tied)
+    tied = delay_errors("clock bridge: time", LINES.frequency_hz, u_clock_s)
+    return ChannelReading(entry, phasors, ChainUncertainty(), tied)
 
 
-def _takes(rng: np.random.Generator, drift: float) -> list[OpenSetUp]:
+def _takes(rng: np.random.Generator, drift: float) -> list[PreparedSetUp]:
     """Eight takes of one laser point each; the output has a clock of its own, tied anew in every take."""
     laser, drive = 1.0 + SCALE_U * rng.normal(size=2)
     bridge = 1.0 + OUTPUT_U * rng.normal()
@@ -95,11 +95,11 @@ def _takes(rng: np.random.Generator, drift: float) -> list[OpenSetUp]:
             _reading(BRIDGE, level * other * bridge * force * tied, rng, TIE_U_S),
         )
         nowhere: object = SimpleNamespace(path=Path("recording.toml"))
-        takes.append(OpenSetUp(f"take {number}", "", nowhere, nowhere, (), (), LINES, (), readings))
+        takes.append(PreparedSetUp(f"take {number}", "", nowhere, nowhere, (), (), LINES, (), readings))
     return takes
 
 
-def _referred(take: OpenSetUp, referral: ReferenceTie) -> list[Reading]:
+def _referred(take: PreparedSetUp, referral: ReferenceTie) -> list[ChannelReading]:
     own = [referral.reference(r) if r.entry.reference else referral.reading(r) for r in take.readings]
     return own if referral.first else own[1:]
 
@@ -115,7 +115,7 @@ def _analyse(rng: np.random.Generator, rig: Rig, drift: float) -> Analysis:
     takes = _takes(rng, drift)
     tied = reference_ties(takes)
     readings, _ = merge_readings([(r.name, _referred(take, r)) for take, r in zip(takes, tied, strict=True)])
-    body = Body((make_part("load", MASS_KG, (0, 0, 0), np.zeros((3, 3)), (0, 0, 0)),))
+    body = Body((make_moving_part("load", MASS_KG, (0, 0, 0), np.zeros((3, 3)), (0, 0, 0)),))
     outputs = tuple(reading for reading in readings if reading.entry.quantity == "output")
     assert len(outputs) == 1
     return analyse(
@@ -135,10 +135,10 @@ def test_regions_hold_the_truth_as_often_as_stated(rig, trials, drift):
         found, out = _analyse(rng, rig, drift), []
         for body, truth in (("load", LOAD[2]), ("base", BASE_Z)):
             motion = next(a for a in found.accelerations if a.body == body)
-            out += far(motion.phasors.value[0, [2]], truth, motion.uncertainty.at([2]))
+            out += region_distance(motion.phasors.value[0, [2]], truth, motion.uncertainty.at([2]))
         ratio = found.sensitivity
         of_ratio = ratio.uncertainty.at([ratio.elements.index((0, 2))])
-        return [*out, *far(ratio.value[0, 0, [2]], SENSITIVITY, of_ratio)], np.ones(3)
+        return [*out, *region_distance(ratio.value[0, 0, [2]], SENSITIVITY, of_ratio)], np.ones(3)
 
     held = coverage_contract(estimate, np.zeros(3), trials, cautious=True)
     assert trials < 100 or np.all(held < 1.0)  # no larger than needed

@@ -20,11 +20,11 @@ from fusion.estimation.measurement_model import Deviates
 from fusion.estimation.uncertainty import Contribution, Uncertainty, real_stack
 from fusion.phasors.stereo_motion import StereoMotion
 from fusion.phasors.stereo_phasors import StereoPhasors, pairs_phasors, stereo_phasors
-from fusion.phasors.timing import TimeBase, see, together
+from fusion.phasors.timing import TimeBase, combine_timing_errors, frame_sight
 from photogram.motion import Deformation, RigidMotion
 from shaker.arrays import FloatArray
-from shaker.lines.frequencies import Lines, find_lines
-from shaker.sine.fit import fit_sines
+from shaker.lines.frequencies import LineFrequencies, find_lines
+from shaker.sine.sine_fit import fit_sines
 from shaker.sine.solve import SineModel
 from shaker.timebase.edges import Edges
 from shaker.timebase.tie import tie_clocks
@@ -53,10 +53,10 @@ def time_base(triggers: dict[tuple[str, str], TriggerFit]) -> TimeBase:
     return TimeBase(records, triggers, ties)
 
 
-def known_lines(frequency_hz: float, u_hz: float) -> Lines:
+def known_lines(frequency_hz: float, u_hz: float) -> LineFrequencies:
     """A fundamental and its harmonic, known to `u_hz`."""
     order = np.array([1, 2])
-    return Lines(frequency_hz * order, u_hz * order, np.full(2, LINE_HZ), order, ("", ""), ())
+    return LineFrequencies(frequency_hz * order, u_hz * order, np.full(2, LINE_HZ), order, ("", ""), ())
 
 
 def seen_pair(base: TimeBase, poses: FloatArray) -> StereoMotion:
@@ -67,7 +67,7 @@ def seen_pair(base: TimeBase, poses: FloatArray) -> StereoMotion:
         stereo="top", trigger="camera", first_edge=0, exposure=EXPOSURE_S, delay=0.0, delay_uncertainty=0.0
     )
     manifest = SimpleNamespace(rig=SimpleNamespace(stereo={"top": pair}), path=Path("recording.toml"))
-    sight = see(manifest, base, entry, len(poses))
+    sight = frame_sight(manifest, base, entry, len(poses))
     frames = len(poses)
     nothing = np.zeros((frames, 1, 3))
     motion = RigidMotion(
@@ -102,7 +102,7 @@ def drawn_pair(beats: float, rng: np.random.Generator, noise: float = 1.0) -> tu
 def covered(seen: StereoPhasors, truth: np.ndarray) -> list[tuple[bool, bool]]:
     """Whether magnitude and phase of the fundamental's six components lie within U, the noise's dof its own."""
     reading = seen.reading
-    value, observation = reading.phasors.value, reading.observed()
+    value, observation = reading.phasors.value, reading.observation()
     motion = value / observation.design[:, :, :].diagonal(axis1=1, axis2=2)
     usable = np.isfinite(value).all(axis=1)
     noise = Contribution("noise", "A", reading.phasors.covariance[usable], reading.phasors.dof[usable])
@@ -135,7 +135,7 @@ def test_errors_of_a_clock_act_through_the_fit():
     base, lines = time_base({("daq", "camera"): latched(instants, DAQ_HZ)}), known_lines(LINE_HZ, 2e-5)
     dated = seen_pair(base, np.zeros((48, 6))).sight.time_s - EXPOSURE_S / 2.0  # no error but those below
     measured = seen_pair(base, recorded(SIZE * np.exp(1j * np.arange(6.0))[None], dated, rng, 0.0 * NOISE))
-    unknowns = together([*base.sight_errors(measured.sight), *base.line_errors(lines, ())])
+    unknowns = combine_timing_errors([*base.sight_errors(measured.sight), *base.line_errors(lines, ())])
     assert [unknown.name for unknown in unknowns] == ["camera: time", "camera: rate", "frequency of 106.25 Hz"]
     found = stereo_phasors(base, measured, lines, base.line_errors(lines, ()))
     time_s, pose, value = found.result.time_s, found.result.motion_from_mean.pose, found.reading.phasors.value[0]
@@ -185,7 +185,7 @@ def test_a_line_found_in_the_motion_is_on_the_clock_of_its_trigger():
     measured = seen_pair(base, recorded(SIZE + np.zeros((1, 6)), instants, rng))
     clock = base.sight_errors(measured.sight)
     found = base.on_clock(find_lines(measured.sight.time_s, measured.motion.pose, [LINE_HZ]), clock)
-    (rate,) = (e for e in together([*clock, *base.line_errors(found, clock)]) if e.name == "camera: rate")
+    (rate,) = (e for e in combine_timing_errors([*clock, *base.line_errors(found, clock)]) if e.name == "camera: rate")
     assert rate.rate + float(rate.stretch) == 0.0
     seen = stereo_phasors(base, measured, found, base.line_errors(found, clock))
     (error,) = (e for e in seen.reading.errors if e.name == "camera: rate")
@@ -228,7 +228,7 @@ def test_channels_on_a_tied_clock_err_as_they_state(periods, trials):
 
 def test_draws_of_a_short_record_spread_as_its_uncertainty_says():
     found, _ = drawn_pair(0.46, np.random.default_rng(7), 0.3)
-    observed = found.reading.observed()
+    observed = found.reading.observation()
     usable = np.isfinite(observed.phasors.value).all(axis=1)
     motion = np.nan_to_num(observed.phasors.value / observed.design.diagonal(axis1=1, axis2=2))
     drawn = observed.draw(motion, Deviates(1, 0, 4000), "noise").readings[:, 0, 2]

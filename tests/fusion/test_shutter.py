@@ -9,17 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fusion.base import InputError, Settings
-from fusion.phasors.shutter import Turned
+from fusion.base import Settings
+from fusion.errors import InputError
+from fusion.phasors.shutter import PhaseRotated
 from fusion.planning.check import check
 from fusion.recording.load import load_manifest
 from fusion.sensitivity.analyse import Evaluation
-from fusion.sensitivity.evaluate import evaluate_recording
+from fusion.sensitivity.recording_evaluation import evaluate_recording
 from fusion.simulate.preset import Preset, read_preset
 from fusion.simulate.sines import SimulationOptions, rendered_run, write_run
 from fusion.simulate.world import Draws, make_world
 from shaker.labels import MOTION_COMPONENTS, component_units
-from shaker.sine.fit import fit_sines
+from shaker.sine.sine_fit import fit_sines
 
 HERTZ, FRAMES = 80.0003, 20
 
@@ -32,7 +33,7 @@ def recorded(folder: Path, row_time: float, exposure_s: float, growth: float) ->
     preset = replace(
         preset, multiples=(1,), acceleration=(line,), exposure_s=exposure_s, frames=FRAMES,
         stereo=(replace(top, row_time=row_time),),
-    ).shrunk(None, 0.5)  # fmt: skip
+    ).reduced(None, 0.5)  # fmt: skip
     draws = Draws(5, systematic=False)
     options = SimulationOptions(systematic_errors=False, trigger_jitter=False)
     return write_run(folder, rendered_run(preset), make_world(preset, draws, 0.0), draws, options)
@@ -64,7 +65,7 @@ def test_turned_poses_hold_the_motion_of_cells_that_see_it_at_their_own_times():
     pose = np.linalg.solve(information.sum(axis=0), sums[..., None])[..., 0]
     known = 0.1 * motion  # what is known is in the frames no more
     one = np.broadcast_to(np.eye(6), (2, 6, 6)).astype(complex)
-    turned = Turned(0.9 * pose, one, known, np.eye(6), np.zeros(1), 21)
+    turned = PhaseRotated(0.9 * pose, one, known, np.eye(6), np.zeros(1), 21)
     fit = fit_sines(time_s, rng.normal(size=(30, 6)), hertz, MOTION_COMPONENTS, component_units(0))
     np.testing.assert_allclose(turned.motion(time_s, fit).value, motion, atol=1e-9)
 

@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 import tifffile
 from contracts import refused
-from support import complex_of, state, truth_of
+from support import complex_of, folder_contents, truth_of
 
-from fusion.base import InputError
 from fusion.cli import main
+from fusion.errors import InputError
 from fusion.recording.load import load_manifest
 from fusion.recording.toml import to_toml
 from fusion.simulate import PRESETS, simulate
 from fusion.simulate.preset import PartSpec, Preset, read_preset
 from fusion.simulate.world import (
     Draws,
-    Motion,
+    SimulatedMotion,
     TruePart,
     acceleration_at,
     base_motion,
@@ -36,12 +36,12 @@ FREQUENCY = np.array([40.0, 120.0])
 PART = TruePart(2.0, np.array([0.01, -0.02, 0.05]), np.array([[3e-3, 1e-4, 0], [1e-4, 4e-3, 2e-4], [0, 2e-4, 5e-3]]))
 
 
-def _motion() -> Motion:
+def _motion() -> SimulatedMotion:
     """A motion so small that terms of second order vanish."""
     rng = np.random.default_rng(3)
     amplitude = np.array([3.0, 2.0, 40.0, 30.0, 20.0, 10.0]) * 1e-3
     phasors = amplitude * np.exp(2j * np.pi * rng.uniform(size=(2, 6)))
-    return Motion(FREQUENCY, phasors)
+    return SimulatedMotion(FREQUENCY, phasors)
 
 
 def _derivatives(values: np.ndarray, step: float) -> np.ndarray:
@@ -70,7 +70,7 @@ def test_wrench_agrees_with_momentum_differentiated_numerically() -> None:
 
 def test_wrench_of_a_mass_on_an_arm_by_hand() -> None:
     """A point of 2 kg, 0.1 m above the origin, rocks about x with 1 rad/s² at ω = 100/s."""
-    motion = Motion(np.array([100 / (2 * np.pi)]), np.array([[0, 0, 0, 1, 0, 0]], dtype=complex))
+    motion = SimulatedMotion(np.array([100 / (2 * np.pi)]), np.array([[0, 0, 0, 1, 0, 0]], dtype=complex))
     mass = TruePart(2.0, np.array([0, 0, 0.1]), np.zeros((3, 3)))
     found = wrench(motion, [mass], GRAVITY)[0]
     theta = -1e-4
@@ -181,7 +181,7 @@ def test_the_same_seed_gives_the_same_bytes(preset: str, tmp_path: Path) -> None
     switches = {"demo": {"frames": 3, "image_scale": 0.3}, "matrix": {"recordings": 1}}.get(preset, {})
     for name, seed in (("one", 3), ("same", 3), ("other", 4)):
         simulate(tmp_path / name, preset, seed, **switches)
-    one, same, other = (state(tmp_path / name) for name in ("one", "same", "other"))
+    one, same, other = (folder_contents(tmp_path / name) for name in ("one", "same", "other"))
     assert one == same
     _differ(one, other)
 
@@ -194,12 +194,12 @@ def test_the_command_replaces_an_earlier_simulation_and_nothing_else(
     run = ["simulate", str(out), "--preset", preset]
     assert main(run) == 0
     assert str(out) in capsys.readouterr().out
-    first = state(out)
+    first = folder_contents(out)
     assert main(run) == 2
     assert main([*run, "--force"]) == 0
-    assert state(out) == first  # the same seed, the same bytes
+    assert folder_contents(out) == first  # the same seed, the same bytes
     assert main([*run, "--force", "--seed", "2"]) == 0
-    _differ(first, state(out))
+    _differ(first, folder_contents(out))
     assert preset != "chirp" or main(["check", str(out)]) == 0
     (out / "thesis.txt").write_text("mine")
     refused(r"expected a new folder.*found thesis.txt in it", simulate, out, preset, 1, error=InputError)

@@ -9,12 +9,20 @@ import h5py
 import numpy as np
 import pytest
 from scipy.signal import lsim
-from support import complex_of, state, truth_of
+from support import complex_of, folder_contents, truth_of
 
 from fusion.recording.load import load_manifest
-from fusion.sensor.step.records import read_step
+from fusion.sensor.step.step_records import read_step
 from fusion.simulate import simulate
-from fusion.simulate.chirp import Chirp, Suspension, mass_matrix, sine_run, write_chirps, write_masses, write_pitching
+from fusion.simulate.chirp import (
+    Chirp,
+    SimulatedSuspension,
+    mass_matrix,
+    sine_run,
+    write_chirps,
+    write_masses,
+    write_pitching,
+)
 from fusion.simulate.preset import Preset, read_preset
 from fusion.simulate.releases import DAQ_FILE, StepRig, releases, write_steps
 from fusion.simulate.sines import ROCKING_HZ, recorded_phasors, rig_tables, runs, wrench_direction
@@ -24,7 +32,7 @@ from photogram.point_tables import read_point_tables
 from shaker.labels import LOAD_COMPONENTS
 from shaker.release.reading import compare_releases, read_release
 
-AXIAL, PITCHING = read_preset(Suspension, "masses"), read_preset(Suspension, "pitching")
+AXIAL, PITCHING = read_preset(SimulatedSuspension, "masses"), read_preset(SimulatedSuspension, "pitching")
 QUICK = read_preset(Chirp, "chirp.chirp", sample_rate_hz=12800.0, period_s=0.32, periods=3, band_hz=(900.0, 2200.0))
 RIG = read_preset(StepRig, "steps")
 
@@ -163,7 +171,7 @@ def test_matrix_rigs_differ_in_gravity_only(tmp_path: Path) -> None:
     assert drawn[1]["moment mass.centre_of_mass"] != drawn[7]["moment mass.centre_of_mass"]
 
 
-def _parts(stand: Suspension, name: str) -> tuple[TruePart, TruePart]:
+def _parts(stand: SimulatedSuspension, name: str) -> tuple[TruePart, TruePart]:
     draws = Draws(1, True)
     return true_part(stand.loads[name], draws), true_part(stand.internal, draws)
 
@@ -219,7 +227,7 @@ def test_resonances_overlap_for_one_pitching_load_and_stand_apart_for_the_other(
 
 
 def test_the_campaign_has_one_sensor_two_loads_and_itstruth_of(tmp_path: Path) -> None:
-    write_masses(tmp_path, 3, stand=replace(AXIAL, chirp=QUICK), steps=(19,))
+    write_masses(tmp_path, 3, suspension=replace(AXIAL, chirp=QUICK), steps=(19,))
     rigs = {path.parent.name: load_manifest(path.parent).rig for path in tmp_path.glob("*/recording.toml")}
     assert sorted(rigs) == ["Fz-1020.3", "chirp-4kg", "chirp-9kg"]
     assert len({rig.sensor.model_dump_json() for rig in rigs.values()}) == 1
@@ -269,7 +277,7 @@ def test_the_same_seed_gives_the_same_files(tmp_path: Path) -> None:
     for name, seed in (("a", 5), ("b", 5), ("c", 6)):
         (tmp_path / name).mkdir()
         write_pitching(tmp_path / name, seed, replace(PITCHING, chirp=QUICK))
-    one, same, other = (state(tmp_path / name) for name in "abc")
+    one, same, other = (folder_contents(tmp_path / name) for name in "abc")
     assert len(one) == 11
     assert one == same
     assert one["truth.json"] != other["truth.json"]

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from fusion import TransferSettings, evaluate_recording, evaluate_transfer, load_manifest
-from fusion.base import InputError
+from fusion.errors import InputError
 from shaker.lines.frequencies import find_lines
-from shaker.sine.fit import fit_sines
+from shaker.sine.sine_fit import fit_sines
 from shaker.sine.solve import SineModel
 from tests.contracts import refused
 

@@ -13,15 +13,15 @@ import pytest
 from page_outline import self_contained
 from release_factory import Truth
 from scipy import optimize
-from support import block, channel, edit, rows, told_columns
+from support import block, channel, documented_columns, edit, rows
 
-from fusion.base import InputError
 from fusion.cli import main
+from fusion.errors import InputError
 from fusion.recording.load import load_manifest
-from fusion.sensor.models_file import read_models
-from fusion.sensor.step.evaluate import Measured, measured_response
-from fusion.sensor.step.records import StepInput, read_step
-from fusion.sensor.step.releases import read_recording
+from fusion.sensor.model_files import read_models
+from fusion.sensor.step.step_evaluation import MeasuredResponse, measured_response
+from fusion.sensor.step.step_records import StepInput, read_step
+from fusion.sensor.step.step_releases import read_recording
 
 RIG = """format = 1
 name = "rope rig"
@@ -97,7 +97,7 @@ def number(campaign: Path, file: str, name: str, channel: str = "Fz") -> tuple[f
 
 def test_all_files_are_there_and_the_page_stands_alone(campaign):
     assert {path.name for path in (campaign / "step").iterdir()} == FILES
-    assert list(rows(campaign / "step" / "models.csv")[0]) == told_columns("steps.md", "models.csv")
+    assert list(rows(campaign / "step" / "models.csv")[0]) == documented_columns("steps.md", "models.csv")
     page = (campaign / "step" / "step.html").read_text(encoding="utf-8")
     self_contained(page)
     assert "line-1: record, fit and residual" in page
@@ -206,7 +206,7 @@ def test_every_method_has_its_row_and_its_curve(tmp_path):
     assert "differential evolution on coefficients" in page
 
 
-def response_of(folder: Path, truth: Truth) -> Measured:
+def response_of(folder: Path, truth: Truth) -> MeasuredResponse:
     """The response without a model, for onset and length of the release as they are."""
     release, _ = read_recording(load_manifest(folder))
     true = {"onset_s": truth.onset_s, "release_s": truth.release_s, "u_release_s": 0.0, "shape": "ramp"}

@@ -11,13 +11,20 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import stats
 
-from fusion.sensor.step.records import OF_SHAPES, Instead, Pooled, pool_models, sorted_modes, weighted_mean
-from fusion.sensor.step.releases import Release, in_one_shape, mean_with_scatter, other_shapes
-from fusion.sensor.unseen import NOTHING
+from fusion.sensor.step.step_records import (
+    OF_SHAPES,
+    AlternativeModels,
+    PooledModel,
+    pool_models,
+    random_effects_mean,
+    sorted_modes,
+)
+from fusion.sensor.step.step_releases import StepRelease, alternative_shapes, fit_common_shape, mean_with_scatter
+from fusion.sensor.unmodelled_effects import NO_INFLUENCES
 from shaker.lti.system import ModalModel, from_coordinates, scale_of, to_coordinates
-from shaker.release.fit import fit_shapes
 from shaker.release.reading import read_release
 from shaker.release.record import StepRecord
+from shaker.release.step_fit import fit_shapes
 
 FloatArray = NDArray[np.float64]
 VECTOR = np.array([1700.0, 3000.0, 0.015, 0.02, 1.0, 2.0, -8000.0, -300.0, 6000.0, 7.0])
@@ -79,13 +86,13 @@ def test_releases_of_one_mounting_do_not_count_as_mountings():
 def test_what_another_shape_of_the_releases_would_change_does_not_average_out():
     """Of fifty alike releases, 45 by one rope; the other shape of theirs, two standard uncertainties away."""
     apart = 4.0 * SPREAD
-    instead = Instead([model(VECTOR + apart, SPREAD)] * 45 + [model(VECTOR, SPREAD)] * 5, 2.0)
-    pooled = pool_models([model(VECTOR, SPREAD)] * 50, ["1"] * 50, 0.0, NOTHING, [instead])
+    instead = AlternativeModels([model(VECTOR + apart, SPREAD)] * 45 + [model(VECTOR, SPREAD)] * 5, 2.0)
+    pooled = pool_models([model(VECTOR, SPREAD)] * 50, ["1"] * 50, 0.0, NO_INFLUENCES, [instead])
     u, dof = pooled.spread(np.eye(10))
     assert u == pytest.approx(np.hypot(SPREAD / np.sqrt(50), 0.9 * apart / 2.0), rel=1e-2)
     assert np.sqrt(np.diag(pooled.model.covariance)) == pytest.approx(u, rel=1e-9)
     assert np.all(dof == np.inf)
-    budget = pooled.budget(np.eye(10), NOTHING)
+    budget = pooled.budget(np.eye(10), NO_INFLUENCES)
     assert budget[OF_SHAPES] == pytest.approx(0.45 * apart, rel=1e-2)
     assert np.sqrt(np.sum(np.square([*budget.values()]), axis=0)) == pytest.approx(u)
 
@@ -98,17 +105,17 @@ def test_releases_by_one_rope_tell_its_shape_together():
     ramp, smooth = sorted(fit_shapes(record, "Fz", read_release(record, "Fz")), key=lambda fit: fit.shape)
     smooth = replace(smooth, model=smooth.model.altered(0.01), release_s=ramp.release_s + 1e-3)
 
-    def release(rope: str, of_ramp: float, of_smooth: float) -> Release:
+    def release(rope: str, of_ramp: float, of_smooth: float) -> StepRelease:
         fits = replace(ramp, excess=of_ramp), replace(smooth, excess=of_smooth)
-        return Release(None, replace(record, release=rope), "Fz", (), fits[0], fits)
+        return StepRelease(None, replace(record, release=rope), "Fz", (), fits[0], fits)
 
-    told = in_one_shape([release("line", 8.0, 0.0), release("line", 0.0, 2.0), release("line", 5.0, 0.0)])
+    told = fit_common_shape([release("line", 8.0, 0.0), release("line", 0.0, 2.0), release("line", 5.0, 0.0)])
     assert [one.fit.shape for one in told] == ["smooth"] * 3
     assert [one.excess for one in told] == [11.0] * 3
-    assert not [*other_shapes(told)]
-    open_ = in_one_shape([*told, release("rope", 0.0, 6.0)])
-    ((instead, text),) = other_shapes(open_)
-    assert instead.far == pytest.approx(np.sqrt(6.0))
+    assert not [*alternative_shapes(told)]
+    open_ = fit_common_shape([*told, release("rope", 0.0, 6.0)])
+    ((instead, text),) = alternative_shapes(open_)
+    assert instead.distance == pytest.approx(np.sqrt(6.0))
     assert [np.array_equal(model.vector, smooth.model.vector) for model in instead.models] == [True] * 4
     assert text.startswith("releases by rope do not tell whether the load goes along a ramp or half a cosine: the real")
     assert open_[3].fit.u_release_s > 1e-3 / np.sqrt(6.0) > told[0].fit.u_release_s
@@ -129,9 +136,9 @@ def test_intervals_of_three_releases_hold_the_truth(between, least):
     for _ in range(300):
         truth = rng.standard_normal(size)
         own = truth + np.sqrt(1.0 + between**2) * rng.standard_normal((3, size))
-        mean = weighted_mean(own, stated)
+        mean = random_effects_mean(own, stated)
         rest = (np.zeros(size), blank, mean.weight, blank, np.zeros((size, size)))
-        u, dof = Pooled(BLANK, own, stated, mean.weight, *rest).spread(np.eye(size))
+        u, dof = PooledModel(BLANK, own, stated, mean.weight, *rest).spread(np.eye(size))
         held.append(np.abs(mean.value - truth) <= stats.t.ppf(0.975, np.minimum(dof, 1e9)) * u)
     assert np.mean(held) > least
 
@@ -140,7 +147,7 @@ def test_the_mean_stays_between_the_vectors():
     rng = np.random.default_rng(5)
     vectors = rng.standard_normal((4, 6))
     halves = rng.standard_normal((4, 6, 6))
-    mean = weighted_mean(vectors, halves @ np.swapaxes(halves, 1, 2))
+    mean = random_effects_mean(vectors, halves @ np.swapaxes(halves, 1, 2))
     assert np.all((mean.value >= vectors.min(axis=0)) & (mean.value <= vectors.max(axis=0)))
     assert np.all(np.linalg.eigvalsh(mean.covariance) > 0.0)
 
@@ -148,7 +155,7 @@ def test_the_mean_stays_between_the_vectors():
 def test_a_parameter_that_differs_by_rounding_alone_weighs_nothing():
     stated = np.array([np.diag([1.0, 0.0]), np.diag([3.0, 0.0])])
     for last in (1.0, np.nextafter(1.0, 2.0)):
-        mean = weighted_mean(np.array([[0.0, 1.0], [1.0, last]]), stated, 1e-9)
+        mean = random_effects_mean(np.array([[0.0, 1.0], [1.0, last]]), stated, 1e-9)
         assert mean.weight == pytest.approx([0.75, 0.25])
 
 

@@ -17,10 +17,10 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.textpath import TextPath
 from matplotlib.ticker import MaxNLocator
 
-from fusion.report.figure import BLUE, GREEN, ORANGE, RED, Scale, sheet
+from fusion.report.figure import BLUE, GREEN, ORANGE, RED, Scale, empty_figure
+from fusion.report.figure_files import render_figure
 from fusion.report.layout import decade_ticks, limits, number_texts, round_ticks
-from fusion.report.printed import printed
-from fusion.report.still import still_svg
+from fusion.report.static_figure import static_svg
 from fusion.report.svg_marks import shade, width
 
 SVG, LINK = "{http://www.w3.org/2000/svg}", "{http://www.w3.org/1999/xlink}href"
@@ -29,12 +29,12 @@ FONT = FontProperties(fname=str(Path(mpl.get_data_path()) / "fonts/ttf/DejaVuSan
 
 
 def one_panel(height_in=3.0):
-    drawn = sheet("one", height_in)
+    drawn = empty_figure("one", height_in)
     return drawn, drawn.panels[0]
 
 
 def read(figure):
-    return ElementTree.fromstring(still_svg(figure).encode())
+    return ElementTree.fromstring(static_svg(figure).encode())
 
 
 def window(root, place=0):
@@ -159,7 +159,7 @@ def test_names_of_users_are_letters_and_never_markup():
     panel.line([0.0, 1.0], [0.0, 1.0], name)
     panel.title, panel.x.label, panel.y.names = name, name, (name, "b")
     panel.text(0.5, 0.5, name)
-    text = still_svg(drawn)
+    text = static_svg(drawn)
     assert "<script" not in text
     shown = {told for told, _, _ in texts_of(ElementTree.fromstring(text.encode()))}
     assert name in shown
@@ -167,7 +167,7 @@ def test_names_of_users_are_letters_and_never_markup():
 
 def crowd():
     """A figure with long names and numbers, two columns, a legend of several rows, a second scale, a bar of colours."""
-    drawn = sheet("crowd", 4.0, 2, 2, shared_x=False)
+    drawn = empty_figure("crowd", 4.0, 2, 2, shared_x=False)
     rng = np.random.default_rng(1)
     for place, panel in enumerate(drawn.panels):
         panel.title = "a title that is rather long for the place that it has, a very long one"
@@ -199,8 +199,8 @@ def test_no_text_is_cut_off_and_numbers_do_not_overlap():
 
 
 def test_equal_figures_give_equal_text_and_the_file_is_that_text():
-    assert still_svg(crowd()) == still_svg(crowd()) == printed(crowd()).decode()
-    assert printed(crowd(), "png").startswith(b"\x89PNG")
+    assert static_svg(crowd()) == static_svg(crowd()) == render_figure(crowd()).decode()
+    assert render_figure(crowd(), "png").startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize("stated", [False, True])
@@ -219,7 +219,7 @@ def test_equal_scales_are_equal(stated):
 
 
 def test_shared_axes_have_one_pair_of_limits():
-    drawn = sheet("shared", 4.0, 2)
+    drawn = empty_figure("shared", 4.0, 2)
     drawn.panels[0].line([0.0, 1.0], [0.0, 1.0], colour=RED)
     drawn.panels[1].line([2.0, 3.0], [0.0, 1.0], colour=RED)
     root = read(drawn)

@@ -10,15 +10,15 @@ import pytest
 from contracts import acceptance, refused
 from shaken_room import CAMERAS, DRIVE, FACE, FREQUENCY_HZ, SCALES, Case, channel, estimated, pair, readings, trial
 
-from fusion.base import InputError
+from fusion.errors import InputError
 from fusion.estimation.fuse import fuse
 from fusion.instruments.channel import observe_channels
 from fusion.planning.check import check
 from fusion.recording.load import load_manifest
 from fusion.recording.manifest import ChannelEntry
-from fusion.recording.rig import Head, NamedHead
+from fusion.recording.rig import InstrumentHead, NamedHead
 from fusion.report.tables import supports_table
-from fusion.sensitivity.evaluate import evaluate_recording
+from fusion.sensitivity.recording_evaluation import evaluate_recording
 from fusion.sensitivity.supports import without_supports
 from fusion.simulate import simulate
 
@@ -51,7 +51,10 @@ def test_intervals_hold_the_truth(case):
 
 def test_an_accelerometer_on_the_head_acts_by_its_own_errors():
     """The head moves by h along the beam: the beam reads a - h, and a is the sum of both; u has 0.3 % of h in it."""
-    head, z = NamedHead("psv", Head()), {"body": "load", "point": (0.0, 0.0, 0.1), "direction": (0.0, 0.0, 1.0)}
+    head, z = (
+        NamedHead("psv", InstrumentHead()),
+        {"body": "load", "point": (0.0, 0.0, 0.1), "direction": (0.0, 0.0, 1.0)},
+    )
     laser = ChannelEntry(name="v", quantity="velocity", head=head, scale_uncertainty=1e-6, **z)
     sits = {"body": "head", "head": head, "scale_uncertainty": 3e-3}
     own = ChannelEntry(name="h", quantity="acceleration", **z | sits)
@@ -71,7 +74,7 @@ def test_an_accelerometer_on_the_head_acts_by_its_own_errors():
 
 
 def test_a_beam_at_the_room_reads_the_head_the_other_way():
-    z = {"direction": (0.0, 0.0, 1.0), "head": NamedHead("psv", Head()), "common": "laser"}
+    z = {"direction": (0.0, 0.0, 1.0), "head": NamedHead("psv", InstrumentHead()), "common": "laser"}
     laser = ChannelEntry(name="v", quantity="velocity", body="load", point=(0, 0, 0.1), scale_uncertainty=1e-6, **z)
     wall = ChannelEntry(name="w", quantity="velocity", body="room", point=(0, 0, 0.1), scale_uncertainty=1e-6, **z)
     a, h, turn = 10.0 + 1.0j, 0.5 - 0.2j, 2j * np.pi * FREQUENCY_HZ

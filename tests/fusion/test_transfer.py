@@ -14,16 +14,16 @@ import pytest
 from page_outline import self_contained
 from scipy.stats import binom
 from scipy.stats import chi2 as chi_square
-from support import AT_ORIGIN, DOCS, block, channel, edit, rows, told_columns
+from support import AT_ORIGIN, DOCS, block, channel, documented_columns, edit, rows
 
-from fusion.base import InputError
 from fusion.cli import main
+from fusion.errors import InputError
 from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.load import load_manifest
 from fusion.recording.manifest import ChannelEntry
-from fusion.sensor.transfer.evaluate import _silent, evaluate_transfer, find_resonances
-from fusion.sensor.transfer.records import ChannelChain, ReferenceResult, TransferSettings, uncertainty
-from fusion.sensor.transfer.report import TRANSFER, expanded
+from fusion.sensor.transfer.transfer_evaluation import _silent, evaluate_transfer, find_resonances
+from fusion.sensor.transfer.transfer_records import ChannelChain, ReferenceResult, TransferSettings, uncertainty
+from fusion.sensor.transfer.transfer_report import TRANSFER, expanded
 from fusion.simulate.chirp import Chirp, Oscillator, write_chirp
 from fusion.simulate.preset import read_preset
 from shaker.frf.chain import ChainResponse
@@ -181,7 +181,7 @@ def test_files_of_a_run(recording, capsys):
     folder = recording / "transfer"
     assert sorted(path.name for path in folder.iterdir()) == ["transfer.csv", "transfer.h5", "transfer.html"]
     found = rows(folder / "transfer.csv")
-    assert list(found[0]) == told_columns("transfer.md", "transfer.csv")
+    assert list(found[0]) == documented_columns("transfer.md", "transfer.csv")
     with h5py.File(folder / "transfer.h5") as file:
         group = file["references/base"]
         value = group["transfer/ratio/value"][:, 0]

@@ -15,13 +15,13 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy import stats
 
-from fusion.base import Rounded, prefix, rounded
+from fusion.base import RoundedValue, prefix, round_to_uncertainty
 from fusion.estimation.coverage import UNIFORM_PHASE_U, coverage_factor, polar, region, region_factor, region_matrix
 from fusion.estimation.measurement_model import Deviates
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, element_covariance, polar_elements
 from fusion.report.h5 import read_uncertainty, write_uncertainty
-from fusion.report.stored import Group, write_tree
-from fusion.sensitivity.load import budget
+from fusion.report.h5_tree import Group, write_tree
+from fusion.sensitivity.load_phasors import budget
 from shaker.labels import typeset
 
 COVARIANCE = np.array([[4e-4, 1.5e-4], [1.5e-4, 2.5e-4]])
@@ -74,26 +74,28 @@ def test_unknown_uncertainty_stays_unknown():
 @pytest.mark.parametrize(
     ("value", "expanded", "text"),
     [
-        (189.32174, 0.3449, Rounded("189.32", "0.34", 0)),
-        (1.9719871e-7, 2.04e-10, Rounded("1.9720", "0.0020", -7)),
-        (-0.03372, 0.00101, Rounded("−0.0337", "0.0010", 0)),
-        (0.5, 0.0996, Rounded("0.50", "0.10", 0)),
-        (0.00001, 0.3, Rounded("0.00", "0.30", 0)),
-        (-0.001, 0.3, Rounded("0.00", "0.30", 0)),
-        (1234.0, 470.0, Rounded("1230", "470", 0)),
-        (2.5, 0.0, Rounded("2.5", "–", 0)),
-        (float("nan"), 1.0, Rounded("–", "–", 0)),
-        (0.0, 0.0, Rounded("0", "–", 0)),
+        (189.32174, 0.3449, RoundedValue("189.32", "0.34", 0)),
+        (1.9719871e-7, 2.04e-10, RoundedValue("1.9720", "0.0020", -7)),
+        (-0.03372, 0.00101, RoundedValue("−0.0337", "0.0010", 0)),
+        (0.5, 0.0996, RoundedValue("0.50", "0.10", 0)),
+        (0.00001, 0.3, RoundedValue("0.00", "0.30", 0)),
+        (-0.001, 0.3, RoundedValue("0.00", "0.30", 0)),
+        (1234.0, 470.0, RoundedValue("1230", "470", 0)),
+        (2.5, 0.0, RoundedValue("2.5", "–", 0)),
+        (float("nan"), 1.0, RoundedValue("–", "–", 0)),
+        (0.0, 0.0, RoundedValue("0", "–", 0)),
     ],
 )
 def test_rounding_to_the_second_digit_of_the_uncertainty(value, expanded, text):
-    assert rounded(value, expanded) == text
-    assert rounded(2.1e-10, 6.1e-11, -7) == Rounded("0.00210", "0.00061", -7)  # with a given power of ten
+    assert round_to_uncertainty(value, expanded) == text
+    assert round_to_uncertainty(2.1e-10, 6.1e-11, -7) == RoundedValue(
+        "0.00210", "0.00061", -7
+    )  # with a given power of ten
 
 
 @given(st.floats(1e-12, 1e12), st.floats(1e-5, 0.5))
 def test_rounded_value_lies_within_half_a_unit_of_the_last_place(value, share):
-    text = rounded(value, share * value)
+    text = round_to_uncertainty(value, share * value)
     back = float(text.value) * 10.0**text.exponent
     assert abs(back - value) <= 0.051 * share * value
 

@@ -12,13 +12,13 @@ from support import rows
 from fusion.cli import main
 from fusion.estimation.coverage import coverage_factor
 from fusion.recording.load import load_manifest
-from fusion.recording.rig import Change, ElasticMode, ModelChanges, Rig, Warming
+from fusion.recording.rig import ElasticMode, ModelChange, ModelChanges, Rig, TemperatureChange
 from fusion.recording.toml import validate
-from fusion.sensor.compensate.evaluate import evaluate_compensation
-from fusion.sensor.compensate.source import Wish, read_sources
-from fusion.sensor.models_file import ModelEntry, ModelsFile, models_text
-from fusion.sensor.step.records import OF_RELEASES, index_quantities, pool_models
-from fusion.sensor.unseen import beside
+from fusion.sensor.compensate.compensation_evaluation import evaluate_compensation
+from fusion.sensor.compensate.compensation_subjects import CompensationSettings, read_sources
+from fusion.sensor.model_files import ModelEntry, ModelsFile, models_text
+from fusion.sensor.step.step_records import OF_RELEASES, index_quantities, pool_models
+from fusion.sensor.unmodelled_effects import stated_influences
 from shaker.decoupling.model import MultiModel
 from shaker.lti.indices import indices
 from shaker.lti.system import LinearSystem, ModalModel
@@ -29,11 +29,11 @@ RIG = Rig(
     format=1,
     name="r",
     model=ModelChanges(
-        mounting=Change(frequency_uncertainty=1e-3, damping_ratio_uncertainty=0.02, gain_uncertainty=3e-4),
-        temperature=Warming(difference_uncertainty=5.0, frequency_coefficient=-1.2e-4, gain_coefficient=2e-4),
+        mounting=ModelChange(frequency_uncertainty=1e-3, damping_ratio_uncertainty=0.02, gain_uncertainty=3e-4),
+        temperature=TemperatureChange(difference_uncertainty=5.0, frequency_coefficient=-1.2e-4, gain_coefficient=2e-4),
     ),
 )
-ONE, TWO = beside(RIG, ["1"]), beside(RIG, ["1", "2"])
+ONE, TWO = stated_influences(RIG, ["1"]), stated_influences(RIG, ["1", "2"])
 
 
 def modal(system: LinearSystem, covariance: bool = True) -> ModalModel:
@@ -87,7 +87,7 @@ def test_every_output_of_several_moves_alike():
     residue = np.stack([one.residue, -0.02 * two.residue], axis=1)[:, :, None]
     shared = one.frequency_hz, one.damping_ratio, residue, one.real_hz, np.zeros((0, 2, 1))
     several = MultiModel(("Fz", "Mx"), ("Fz",), "V", *shared, covariance=np.zeros((12, 12)))
-    known, hertz = beside(RIG, ["1"]), np.array([0.0, 200.0, 480.0])
+    known, hertz = stated_influences(RIG, ["1"]), np.array([0.0, 200.0, 480.0])
     response = several.altered(0.01, 0.1).response(hertz)
     assert response[:, 0, 0] == pytest.approx(one.altered(0.01, 0.1).response(hertz))
     assert response[:, 1, 0] == pytest.approx(-0.02 * response[:, 0, 0])
@@ -122,13 +122,13 @@ def test_several_mountings_take_the_place_of_what_is_stated_of_one():
     assert ONE.outside == "what releases scatter by, another load, a model of another structure"
     assert TWO.scope == "within these 2 releases of 2 mountings, with another temperature as stated"
     assert TWO.causes == ("temperature",)
-    assert beside(Rig(format=1, name="r"), ["1"]).scope == "within this record of one release"
+    assert stated_influences(Rig(format=1, name="r"), ["1"]).scope == "within this record of one release"
 
 
 def test_a_model_over_the_load_keeps_its_springs_and_masses():
     """Resonance and damping with any load move as stated; masses do not."""
     base = LoadModel("Fz", "Fz", "V", 0.24, 2.36e6, 6.0, 1.89e6, 4.0, 0.4, covariance=1e-12 * np.eye(4))
-    known = beside(RIG, ["1"] * 3, ("load",)).on_loads(base)
+    known = stated_influences(RIG, ["1"] * 3, ("load",)).on_loads(base)
     curve = load_curve(known, np.array([0.0, 0.05, 0.2]))
     there = np.isfinite(curve.frequency_hz)
     expected = np.hypot(1e-3, 6e-4)
@@ -149,7 +149,7 @@ def stored(folder: Path, model: ModalModel, **more: object) -> Path:
 def test_numbers_of_a_filter_rest_on_what_is_stated_and_on_degrees_of_freedom(tmp_path):
     plain = modal(mechanics(SPRING, DAMPER, 2.0))
     stated = pool_models([plain], ["1"], 0.0, ONE).model
-    wish = Wish(frequency_hz=1000.0, damping_ratio=0.6)
+    wish = CompensationSettings(frequency_hz=1000.0, damping_ratio=0.6)
 
     def made(model: ModalModel, **more: object):
         folder = stored(tmp_path, model, **more)

@@ -14,7 +14,7 @@ import pytest
 import validation_references
 
 from fusion.cli import main
-from fusion.planning.validation import run as validation
+from fusion.planning.validation import validation_run as validation
 from fusion.planning.validation.cases import CASES
 
 KNOWN: dict[str, Any] = json.loads(validation.REFERENCES.read_text(encoding="utf-8"))

@@ -12,11 +12,11 @@ import tifffile
 from cine_factory import write_cine
 from contracts import refused
 
-from fusion.base import InputError
-from fusion.phasors.stereo_motion import OpenImages, open_images
+from fusion.errors import InputError
+from fusion.phasors.stereo_motion import PreparedImages, prepare_images
 from fusion.phasors.timing import tie_daqs
 from fusion.planning.check import check
-from fusion.recording.files import read_daqs
+from fusion.recording.daq_records import read_daqs
 from fusion.recording.load import load_manifest
 
 EXPOSURE_S = 60e-6
@@ -32,7 +32,7 @@ def recording(folder: Path, demo_recording: Path, exposure: str = '"file"', **op
         if edges_s is None:
             manifest = load_manifest(demo_recording / "Fz-0080")
             base = tie_daqs(manifest, read_daqs(manifest))
-            edges_s = open_images(manifest, base, manifest.images[0]).sight.time_s
+            edges_s = prepare_images(manifest, base, manifest.images[0]).sight.time_s
         interval_s = float(np.median(np.diff(edges_s)))
         stated = {"interval_s": interval_s, "exposure_s": EXPOSURE_S, "bits": 10} | options
         write_cine(run / f"top-{side}.cine", frames, **stated)
@@ -44,10 +44,10 @@ def recording(folder: Path, demo_recording: Path, exposure: str = '"file"', **op
     return run
 
 
-def opened(run: Path) -> OpenImages:
+def opened(run: Path) -> PreparedImages:
     manifest = load_manifest(run)
     base = tie_daqs(manifest, read_daqs(manifest))
-    return open_images(manifest, base, next(entry for entry in manifest.images if entry.stereo == "top"))
+    return prepare_images(manifest, base, next(entry for entry in manifest.images if entry.stereo == "top"))
 
 
 def test_frames_and_exposure_of_the_files_are_those_of_the_pictures(tmp_path, demo_recording):

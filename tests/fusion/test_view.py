@@ -22,13 +22,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fusion.base import InputError
+from fusion.errors import InputError
 from fusion.planning.view.extremes import Extremes
-from fusion.planning.view.opened import Viewed, find_sources
 from fusion.planning.view.server import LONGEST, Server
-from fusion.planning.view.view import answers
+from fusion.planning.view.view_requests import api_handlers
+from fusion.planning.view.viewed_recording import ViewSession, find_sources
 from fusion.recording.load import load_manifest
-from fusion.report.recording import write_results
+from fusion.report.recording_report import write_results
 from photogram.images.sequence import ImageSequence
 from photogram.subsets.icgn import TrackSettings
 from photogram.subsets.track import lay_stereo_grid
@@ -68,7 +68,7 @@ def numbers(body: bytes) -> tuple[dict[str, Any], list[np.ndarray]]:
 
 @contextmanager
 def served(path: Path, recording: Path | None = None) -> Iterator[Client]:
-    server = Server(answers(Viewed(find_sources(path, recording))))
+    server = Server(api_handlers(ViewSession(find_sources(path, recording))))
     thread = threading.Thread(target=server.serve_forever, daemon=True)
     thread.start()
     try:

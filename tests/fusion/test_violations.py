@@ -16,10 +16,10 @@ import pytest
 import tifffile
 from contracts import refused as raises
 from scipy.stats import binom
-from support import DOCS, Refused, state, truth_of
+from support import DOCS, RefusedCommand, folder_contents, truth_of
 
-from fusion.instruments.channel import ChainUncertainty, Reading
-from fusion.phasors.channels import ChannelResult, folding, folding_told, folds_told
+from fusion.instruments.channel import ChainUncertainty, ChannelReading
+from fusion.phasors.channel_phasors import ChannelResult, describe_folds, folding, folding_notices
 from fusion.phasors.steadiness import distortions
 from fusion.recording.manifest import ChannelEntry
 from fusion.simulate import simulate
@@ -27,7 +27,7 @@ from fusion.simulate.preset import Preset, read_preset
 from fusion.simulate.sines import recorded_phasors, runs
 from fusion.simulate.violations import CATALOGUE, GRAVITY_UNIT, violations
 from fusion.simulate.world import Draws, World, make_world
-from shaker.lines.frequencies import Lines
+from shaker.lines.frequencies import LineFrequencies
 from shaker.sine.phasor import Phasors
 
 IMAGES = {name for name, violation in CATALOGUE.items() if violation.needs == "images"}
@@ -37,7 +37,7 @@ def _world(*names: str, frequency_hz: float = 1000.0) -> tuple[World, Draws]:
     """The rig of the sweep without errors, driven along z and a tenth along x."""
     motion = ((6.0, 1e-6, 60.0, 0.0, 0.0, 0.0),)
     preset = replace(read_preset(Preset, "sweep"), fundamental_hz=frequency_hz, multiples=(1,), acceleration=motion)
-    draws = Draws(1, False, broken=violations(names, preset))
+    draws = Draws(1, False, violations=violations(names, preset))
     return make_world(preset, draws, 0.0), draws
 
 
@@ -55,8 +55,8 @@ def _readings(quantity: str, *names: str, frequency_hz: float = 1000.0) -> np.nd
 def test_a_steel_rod_pulls_less_than_its_top_says(first_hz: float, deviation: float) -> None:
     """Rods of 5, 10, 15 cm (c = 5050 m/s, f = c/4L) at 1 kHz: F/(m·a of the top) − 1 = −0.06, −0.25, −0.57 %."""
     (plain, _), (rod, draws) = _world(), _world(f"elastic-axial={first_hz}")
-    top = rod.seen(draws, "load", "velocity", np.array([0.0, 0.0, 0.0973])).acceleration[0, 2]
-    foot = rod.seen(draws, "load", "velocity", np.zeros(3)).acceleration[0, 2]
+    top = rod.observed_motion(draws, "load", "velocity", np.array([0.0, 0.0, 0.0973])).acceleration[0, 2]
+    foot = rod.observed_motion(draws, "load", "velocity", np.zeros(3)).acceleration[0, 2]
     stiff, more = plain.load_wrench[0, 2].real, (rod.load_wrench - plain.load_wrench)[0, 2].real
     mass = rod.preset.load.mass  # what sits inside the sensor is no part of the rod
     assert (mass * 60.0 + more) / (mass * top.real) - 1.0 == pytest.approx(deviation, abs=2e-4)
@@ -67,7 +67,7 @@ def test_a_steel_rod_pulls_less_than_its_top_says(first_hz: float, deviation: fl
 def test_a_load_bends_far_below_its_resonance_as_a_cantilever_under_its_own_weight() -> None:
     """m·a·L³/(8·E·I) with ω₁² = 12.362·E·I/(m·L³): the tip moves by 1.545·a/ω₁², its slope is 4/(3·L) of that."""
     world, draws = _world("elastic-bending=3000", frequency_hz=30.0)
-    tip = world.seen(draws, "load", "camera", np.array([0.0, 0.0, 0.0973])).acceleration[0]
+    tip = world.observed_motion(draws, "load", "camera", np.array([0.0, 0.0, 0.0973])).acceleration[0]
     ratio = (30.0 / 3000.0) ** 2
     assert tip[4] * 0.0973 / (6.0 * ratio) == pytest.approx(1.545 * 4.0 / 3.0, rel=0.2)
     assert (tip[0] + tip[4] * 0.0973) / 6.0 - 1.0 == pytest.approx(1.545 * ratio, rel=0.05)
@@ -102,7 +102,7 @@ def test_a_tilted_head_mixes_transverse_motion_into_every_beam_alike() -> None:
 def test_what_shakes_loses_its_own_motion_and_nothing_else_does(name: str, kinds: list[str]) -> None:
     world, draws = _world(f"{name}-shake=0.01")
     for kind in ("camera", "velocity", "acceleration"):
-        seen = world.seen(draws, "base", kind, np.zeros(3)).acceleration - world.motion["base"].acceleration
+        seen = world.observed_motion(draws, "base", kind, np.zeros(3)).acceleration - world.motion["base"].acceleration
         expected = -0.6 * np.exp(0.7j) if kind in kinds else 0.0
         assert seen[0, 2] == pytest.approx(expected)
 
@@ -129,7 +129,7 @@ def test_a_violation_changes_something_and_says_so(name: str, written: Callable[
     plain, broken = written(preset), written(preset, name)
     assert truth_of(broken)["violated"] == {name: CATALOGUE[name].size}
     assert "violated" not in truth_of(plain)
-    one, other = state(plain.parent), state(broken.parent)
+    one, other = folder_contents(plain.parent), folder_contents(broken.parent)
     changed = {file for file in one if one[file] != other.get(file)}
     assert {file for file in changed if not file.endswith("truth.json")}
 
@@ -171,7 +171,7 @@ def test_lost_frames_are_renumbered(written: Callable[..., Path]) -> None:
     assert len(list((broken / "base-left").iterdir())) == 8
 
 
-def test_a_wrong_violation_is_refused_in_one_sentence(tmp_path: Path, refused: Refused) -> None:
+def test_a_wrong_violation_is_refused_in_one_sentence(tmp_path: Path, refused: RefusedCommand) -> None:
     for preset, text, said in (
         ("demo", "nonsense", "--violate: expected one of head-tilt, "),
         ("demo", "mass=-1", "--violate: expected a number above 0 of unit u for mass, found -1"),
@@ -308,7 +308,7 @@ def test_harmonics_of_the_motion_are_no_distortion_of_the_outputs() -> None:
     """A linear sensor of either sign passes them; what comes on top, and that alone, is told."""
     frequency = np.array([50.0])
     none = np.zeros(1)
-    lines = Lines(frequency, none, frequency, np.ones(1, dtype=np.int64), ("",), ())
+    lines = LineFrequencies(frequency, none, frequency, np.ones(1, dtype=np.int64), ("",), ())
     motion = (0.02 * np.exp(0.4j), 0.05 * np.exp(1.9j))
     lasers = [_waves("laser_1", "velocity", motion, 3.0 + 1.0j), _waves("laser_2", "velocity", motion, 3.1 + 1.0j)]
     for sign in (1.0, -1.0):
@@ -328,23 +328,23 @@ def test_harmonics_of_the_motion_are_no_distortion_of_the_outputs() -> None:
 def test_a_rate_folds_the_harmonics_next_to_its_own_multiple() -> None:
     """At eight samples a period the seventh and the ninth harmonic look like the fundamental."""
     named = [f"harmonic {m} of 1000 Hz folds onto 1000 Hz" for m in (7, 9, 15, 17)]
-    assert folds_told(folding([1000.0], 8000.0, 8000, 20)) == ", ".join(named)
+    assert describe_folds(folding([1000.0], 8000.0, 8000, 20)) == ", ".join(named)
     assert folding([1000.0], 8000.0, 8000) == []  # none of the first five
     assert [fold.multiple for fold in folding([1600.0], 8000.0, 8000)] == [4]
     assert folding([1000.3], 8000.0, 8000, 20) == []
     near = ", ".join(text.replace("1000 Hz", "1000.3 Hz") for text in named[:2])
-    assert folds_told(folding([1000.3], 8000.0, 2400, 20)) == near  # 2.4 Hz apart, the next 4.8 Hz, bins of 3.3 Hz
+    assert describe_folds(folding([1000.3], 8000.0, 2400, 20)) == near  # 2.4 Hz apart, the next 4.8 Hz, bins of 3.3 Hz
 
 
 def test_high_harmonics_that_fold_are_told_where_those_seen_promise_them() -> None:
     """Ten samples a period: a third harmonic of 5 % promises 5 %·(3/9)² = 0.56 % at the ninth, against u/3."""
-    lines = Lines(np.array([50.0]), np.zeros(1), np.array([50.0]), np.ones(1, dtype=np.int64), ("",), ())
+    lines = LineFrequencies(np.array([50.0]), np.zeros(1), np.array([50.0]), np.ones(1, dtype=np.int64), ("",), ())
 
     def told(third: float, u_scale: float, response: Path | None = None) -> tuple[list[str], list[str]]:
         channel = replace(_waves("Fz", "output", (0.0, third), 2e-6 + 0.0j), sample_rate_hz=500.0)
         entry = ChannelEntry(name="Fz", quantity="output", channel="Fz", scale_uncertainty=u_scale)
         entry = entry.model_copy(update={"response": response})
-        notices, rest = folding_told([channel], [Reading(entry, channel.phasors, ChainUncertainty())], lines)
+        notices, rest = folding_notices([channel], [ChannelReading(entry, channel.phasors, ChainUncertainty())], lines)
         return [notice.text for notice in notices], rest
 
     (notice,), _ = told(0.05, 1e-3)

@@ -20,16 +20,17 @@ import cv2
 import numpy as np
 import pytest
 import worker_tasks as tasks
-from crews import PATIENCE_S, Cluster, Inline, environment, wait_until
+from cluster_factory import PATIENCE_S, Cluster, InlineExecutor, environment, wait_until
 from support import without_pages
 
-from fusion.base import ComputeError, InputError, Settings
+from fusion.base import Settings
 from fusion.campaign import run as leading
-from fusion.campaign.executor import Answer, Workers, call, connected, one_blas_thread
+from fusion.campaign.executor import LoggedResult, Workers, call, connect_cluster, one_blas_thread
 from fusion.campaign.run import Outcome, run_path
 from fusion.commands.options import EXIT_INTERRUPTED
-from fusion.report.files import remove_abandoned
-from fusion.report.recording import result_tables
+from fusion.errors import ComputeError, InputError
+from fusion.report.atomic_files import remove_abandoned
+from fusion.report.recording_report import result_tables
 from fusion.sensitivity.analyse import Evaluation
 from fusion.simulate import simulate
 from photogram.measure.follow import follow_block
@@ -91,7 +92,7 @@ def test_failures_and_remarks_come_back(kind, error, sentence, two, capsys):
         assert "in refuse" in raised.value.__notes__[0]
     here = call(tasks.refuse, kind)  # is answered likewise
     assert isinstance(here.error, ValueError if kind == "unpicklable" else error)
-    assert [record.getMessage() for record in here.told] == [f"a remark about {kind}"]
+    assert [record.getMessage() for record in here.log_records] == [f"a remark about {kind}"]
     assert log.level == level
 
 
@@ -170,7 +171,7 @@ def serial_demo(demo_evaluation: Evaluation) -> dict[str, bytes]:
 
 def test_shared_frames_give_the_tables_of_the_serial_run(demo_recording, serial_demo, tmp_path, monkeypatch):
     """Stereo pairs and blocks of frames go to the crew, here this process."""
-    crew, told = Inline(), []
+    crew, told = InlineExecutor(), []
     monkeypatch.setattr(leading, "Workers", lambda _: crew)
     tables = _demo_tables(demo_recording, tmp_path, workers=2, progress=lambda *what: told.append(what))
     names = [asked.__name__ for asked in crew.asked if asked.__name__ != "_ready"]  # those begin the workers
@@ -203,7 +204,7 @@ def test_others_share_the_frames_of_one_recording(who, demo_recording, serial_de
 def test_arrays_of_an_answer_travel_in_it():
     """Apart from it they would begin at any byte of a message."""
     apart: list[pickle.PickleBuffer] = []
-    packed = pickle.dumps(Answer(np.arange(1e5), None, ()), protocol=5, buffer_callback=apart.append)
+    packed = pickle.dumps(LoggedResult(np.arange(1e5), None, ()), protocol=5, buffer_callback=apart.append)
     assert not apart
     array = pickle.loads(packed, buffers=apart).opened()
     assert array.flags.aligned
@@ -216,7 +217,7 @@ def test_an_image_that_another_process_refuses_is_told_as_here(demo_recording, t
     image = cv2.imread(str(broken), cv2.IMREAD_UNCHANGED)
     cv2.imwrite(str(broken), np.full_like(image, 1023))
     sentences = []
-    crew = Inline()
+    crew = InlineExecutor()
     monkeypatch.setattr(leading, "Workers", lambda _: crew)
     for workers in (1, 2):
         with pytest.raises(InputError) as raised:
@@ -236,7 +237,7 @@ def _empty_recordings(campaign: Path, count: int) -> None:
 @pytest.mark.parametrize(("recordings", "shared"), [(1, True), (2, False)])
 def test_few_recordings_share_their_frames_and_many_the_workers(recordings, shared, tmp_path, monkeypatch):
     _empty_recordings(tmp_path / "campaign", recordings)
-    crew = Inline()
+    crew = InlineExecutor()
     monkeypatch.setattr(leading, "Workers", lambda _: crew)
     outcomes = run_path(tmp_path / "campaign", None, Settings(), workers=2)
     assert all(isinstance(outcome.error, InputError) for outcome in outcomes)
@@ -350,15 +351,15 @@ def test_an_interruption_ends_all_workers_and_leaves_nothing_half_written(tmp_pa
 
 
 def test_tasks_of_a_cluster_come_back_like_those_of_processes(cluster, tmp_path):
-    with connected(cluster.address) as crew:
+    with connect_cluster(cluster.address) as crew:
         first = crew.submit(0, tasks.product, 2.0, 3.0)
-        assert first.result().opened() == 6.0
-        assert crew.submit(0, tasks.product, first, 7.0).result().opened() == 42.0
-        assert set(crew.submit(0, tasks.threads).result().opened().values()) == {1}
+        assert first.result().unwrap() == 6.0
+        assert crew.submit(0, tasks.product, first, 7.0).result().unwrap() == 42.0
+        assert set(crew.submit(0, tasks.threads).result().unwrap().values()) == {1}
         answer = crew.submit(0, tasks.refuse, "input").result()
-        assert [record.getMessage() for record in answer.told] == ["a remark about input"]
+        assert [record.getMessage() for record in answer.log_records] == ["a remark about input"]
         with pytest.raises(InputError, match=r"a\.h5: Fz"):
-            answer.opened()
+            answer.unwrap()
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense", "foo://a:1", ""])
@@ -382,14 +383,14 @@ def test_workers_of_another_version_are_refused(cluster, monkeypatch):
     monkeypatch.setattr("fusion.campaign.executor.__version__", "99.0")
     found = re.escape(version("shakercal"))
     with pytest.raises(InputError, match=f"expected workers with shakercal 99.0, found shakercal {found} at tcp:"):  # noqa: SIM117
-        with connected(cluster.address):
+        with connect_cluster(cluster.address):
             pass
 
 
 def test_a_scheduler_that_stays_away_is_told(tmp_path, monkeypatch):
     monkeypatch.setattr("fusion.campaign.executor.AWAY_S", 1.0)
     cluster = Cluster(tmp_path)
-    with connected(cluster.address) as crew:
+    with connect_cluster(cluster.address) as crew:
         waiting = crew.submit(0, tasks.wait_for_ever, tmp_path / "begun")
         wait_until((tmp_path / "begun").exists)
         cluster.end()
@@ -448,7 +449,7 @@ from unittest.mock import patch
 from fusion.cli import main
 photogram.measure.follow.BLOCK_FRAMES = 3
 if __name__ == "__main__":
-    with patch("fusion.report.recording.render_report", lambda _: "<!doctype html>"):
+    with patch("fusion.report.recording_report.render_report", lambda _: "<!doctype html>"):
         sys.exit(main(sys.argv[1:]))
 """
 

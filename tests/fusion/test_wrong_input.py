@@ -15,14 +15,14 @@ import h5py
 import numpy as np
 import pytest
 import tifffile
-from crews import Inline
-from support import Refused, evaluated
+from cluster_factory import InlineExecutor
+from support import RefusedCommand, evaluated
 
-from fusion.base import ComputeError, InputError
 from fusion.cli import main
 from fusion.commands.options import EXIT_INPUT
+from fusion.errors import ComputeError, InputError
 from fusion.recording.load import load_manifest
-from fusion.sensitivity.evaluate import evaluate_recording
+from fusion.sensitivity.recording_evaluation import evaluate_recording
 from fusion.simulate import simulate
 from photogram.measure import follow
 
@@ -262,7 +262,7 @@ def no_tracking(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def untouched(refused: Refused, tmp_path: Path) -> Refused:
+def untouched(refused: RefusedCommand, tmp_path: Path) -> RefusedCommand:
     """Run a command that refuses its input and touches nothing, and return the one sentence that it says."""
 
     def state() -> list[tuple[Path, int, int, int]]:
@@ -343,7 +343,7 @@ def test_pairs_without_a_body_are_left_out_and_the_others_evaluated(campaign):
     """As if their pictures had not been recorded, to the last bit; by an executor too."""
     _each(*BLIND)(campaign)
     manifest = load_manifest(campaign / NAME)
-    found = [evaluate_recording(manifest, executor=crew) for crew in (None, Inline())]
+    found = [evaluate_recording(manifest, executor=crew) for crew in (None, InlineExecutor())]
     WITHOUT_IMAGES(campaign)
     alone = evaluate_recording(load_manifest(campaign / NAME))
     for each in found:
@@ -422,4 +422,4 @@ def test_errors_can_be_sent_between_processes(error):
 )
 def test_what_a_reader_says_is_told_once(error, told, tmp_path):
     file = tmp_path / "recording.toml"
-    assert str(InputError.told_by(error(tmp_path), file, "images.top")) == f"{file}: images.top: {told}"
+    assert str(InputError.from_exception(error(tmp_path), file, "images.top")) == f"{file}: images.top: {told}"

@@ -17,7 +17,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from support import AT_ORIGIN, block, channel, recording_head
 
-from fusion.base import InputError
+from fusion.errors import InputError
 from fusion.recording.load import load_manifest
 from fusion.recording.manifest import RecordingFile
 from fusion.recording.rig import Rig

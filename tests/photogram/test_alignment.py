@@ -27,28 +27,28 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
-from photogram.alignment.evidence import (
+from photogram.alignment.alignment_evidence import (
     SENSOR_FRAME,
-    Evidence,
     KnownFace,
     KnownPixels,
     KnownPoints,
     KnownPoses,
+    PoseEvidence,
     StatedFrame,
-    across,
-    by_parameters,
     calibration_steps,
     fit_axis,
     linear_motion,
-    seen_points,
-    seen_target,
+    measure_target_pose,
+    parameter_derivatives,
+    perpendicular_directions,
+    triangulate_points,
 )
-from photogram.alignment.solve import Alignment, OpenPose, align
-from photogram.calibration.start import target_pose as find_pose
+from photogram.alignment.pose_estimation import Alignment, UndeterminedPose, align
+from photogram.calibration.initial_bundle import estimate_target_pose as find_pose
 from photogram.camera import LEFT, StereoRig
 from photogram.geometry import RigidTransform, displacement_jacobian, rotation_from_vector, skew, vector_from_rotation
 from photogram.motion import RigidMotion
-from photogram.targets.view import TargetView
+from photogram.targets.target_view import TargetView
 
 U_PX = 0.02
 
@@ -67,7 +67,7 @@ def measured(world: World, true: np.ndarray, u_m: float, frame: StatedFrame) -> 
 def points(world: World, count: int = 16, u_m: float = 5e-6, frame: StatedFrame = SENSOR_FRAME) -> KnownPoints:
     """Fiducials seen by both cameras, measured to u."""
     true = fiducials(world, count)
-    seen = seen_points(world.rig, calibration_steps(world.rig), *world.see(true, U_PX), U_PX)
+    seen = triangulate_points(world.rig, calibration_steps(world.rig), *world.see(true, U_PX), U_PX)
     stated = measured(world, true, u_m, frame)
     covariance = np.broadcast_to(u_m**2 * np.eye(3), (count, 3, 3))
     names = tuple(f"point {number}" for number in range(count))
@@ -91,25 +91,25 @@ def pixels(world: World, count: int = 16, u_m: float = 5e-6, frame: StatedFrame 
     )
 
 
-def faces(world: World) -> list[Evidence]:
+def faces(world: World) -> list[PoseEvidence]:
     """Four faces of a body, turned towards the cameras, each known to 3 um and 0.05 mrad."""
-    rng, steps, evidence = world.rng, calibration_steps(world.rig), list[Evidence]()
+    rng, steps, evidence = world.rng, calibration_steps(world.rig), list[PoseEvidence]()
     for number in range(4):
         centre, normal, true = face(world, 0.3 + number * np.pi / 2, 60)
-        seen = seen_points(world.rig, steps, *world.see(true, U_PX), U_PX)
+        seen = triangulate_points(world.rig, steps, *world.see(true, U_PX), U_PX)
         place = centre + 3e-6 * rng.normal() * normal
         evidence.append(KnownFace(f"face {number}", *seen[:2], place, off(normal, 5e-5, rng), seen[2], 3e-6, 5e-5))
     return evidence
 
 
-def poses(world: World) -> list[Evidence]:
+def poses(world: World) -> list[PoseEvidence]:
     """Two mountings of the target, each known to 10 um and 0.1 mrad, one of them pictured twice."""
-    rng, steps, evidence = world.rng, calibration_steps(world.rig), list[Evidence]()
+    rng, steps, evidence = world.rng, calibration_steps(world.rig), list[PoseEvidence]()
     u = np.array([1e-5] * 3 + [1e-4] * 3)
     for name, count in (("view a", 1), ("view b", 2)):
         true = world.sensor_from_camera @ target_pose(rng, 0.3)
         stated = displaced_pose(true.rotation, true.translation_m, u * rng.normal(size=6))
-        views = [seen_target(world.rig, steps, TARGET, *world.view(true, U_PX)) for _ in range(count)]
+        views = [measure_target_pose(world.rig, steps, TARGET, *world.view(true, U_PX)) for _ in range(count)]
         seen, covariances, effects = zip(*views, strict=True)
         common = {name: np.repeat(np.diag(u)[:, None], count, axis=1)}
         known = (stated,) * count, np.zeros((count, 6, 6)), np.stack(effects, axis=1), common
@@ -122,19 +122,19 @@ def displaced_pose(turn: np.ndarray, shift: np.ndarray, step: np.ndarray) -> Rig
     return RigidTransform(rotation_from_vector(step[3:]) @ turn, shift + step[:3])
 
 
-def other_pair(world: World) -> list[Evidence]:
+def other_pair(world: World) -> list[PoseEvidence]:
     """Common views with a second pair, whose pose in the sensor frame is known to 10 um and 0.05 mrad."""
     other = make_world(int(world.rng.integers(1 << 30)))
     rng, steps = world.rng, calibration_steps(world.rig)
     u = np.array([1e-5] * 3 + [5e-5] * 3)
     placed = displaced(other.sensor_from_camera, u * rng.normal(size=6))
     turn, frame = np.kron(np.eye(2), placed.rotation), StatedFrame("pose of the other", u)
-    evidence = list[Evidence]()
+    evidence = list[PoseEvidence]()
     for number in range(3):
         held = world.sensor_from_camera @ target_pose(rng, 0.2)
-        pose, covariance, effects = seen_target(world.rig, steps, TARGET, *world.view(held, U_PX))
+        pose, covariance, effects = measure_target_pose(world.rig, steps, TARGET, *world.view(held, U_PX))
         try:
-            theirs, spread, their_effects = seen_target(other.rig, steps, TARGET, *other.view(held, U_PX))
+            theirs, spread, their_effects = measure_target_pose(other.rig, steps, TARGET, *other.view(held, U_PX))
         except (AssertionError, ValueError):
             continue  # not in their view
         common = {"calibration of the other": (their_effects @ turn.T)[:, None]}
@@ -144,7 +144,7 @@ def other_pair(world: World) -> list[Evidence]:
 
 
 DATUM = StatedFrame("datum", np.repeat([1e-5, 1e-4], 3))
-KINDS: dict[str, Callable[[World], list[Evidence]]] = {
+KINDS: dict[str, Callable[[World], list[PoseEvidence]]] = {
     "points": lambda world: [points(world)],
     "points with datum": lambda world: [points(world, frame=DATUM)],
     "one camera": lambda world: [pixels(world)],
@@ -189,7 +189,7 @@ def test_effects_on_a_target_pose_are_those_of_the_perturbed_rig():
     world = make_world(4)
     steps = calibration_steps(world.rig)
     views = world.view(world.sensor_from_camera @ target_pose(world.rng, 0.3), U_PX)
-    pose, _, effects = seen_target(world.rig, steps, TARGET, *views)
+    pose, _, effects = measure_target_pose(world.rig, steps, TARGET, *views)
     for step, effect in zip(steps, effects, strict=True):
         other, _ = find_pose(world.rig.perturbed(step), TARGET, *views)
         turn = vector_from_rotation(other.rotation @ pose.rotation.T)
@@ -222,11 +222,11 @@ def test_two_points_leave_the_turn_about_their_line_open_and_a_face_three_compon
     known = points(world, 3)
     points_of = (known.camera_m, known.camera_covariance_m2, known.sensor_m, known.sensor_covariance_m2)
     first = KnownPoints(known.names[:2], *(array[:2] for array in points_of), known.calibration[:, :2])
-    with pytest.raises(OpenPose, match=r"^rotation about .* is open: add three points or faces"):
+    with pytest.raises(UndeterminedPose, match=r"^rotation about .* is open: add three points or faces"):
         align([first], world.sensor_from_camera)
     refused("expected a first pose", align, [first])
 
-    with pytest.raises(OpenPose) as caught:
+    with pytest.raises(UndeterminedPose) as caught:
         align(faces(world)[:1], world.sensor_from_camera)
     assert [name.split()[0] for name in caught.value.components] == ["rotation", "position"]
 
@@ -272,16 +272,16 @@ def near(world: World) -> RigidTransform:
     return displaced(world.sensor_from_camera, world.rng.normal(size=6) * np.repeat([1e-2, 1e-1], 3))
 
 
-def directions(world: World) -> list[Evidence]:
+def directions(world: World) -> list[PoseEvidence]:
     return [shaken(world, Z, U_DIRECTION, "along z"), shaken(world, X, U_DIRECTION, "along x")]
 
 
-def axes(world: World) -> list[Evidence]:
+def axes(world: World) -> list[PoseEvidence]:
     places = {"about x": (np.array([0.0, 0, 0.03]), X), "about y": (np.array([0.01, 0, 0.05]), Y)}
     return [turned(world, *place, (1e-5, U_DIRECTION), 0.06, name) for name, place in places.items()]
 
 
-def everything(world: World) -> list[Evidence]:
+def everything(world: World) -> list[PoseEvidence]:
     return [*directions(world), *axes(world)]
 
 
@@ -296,7 +296,7 @@ def rough(world: World) -> KnownPoses:
     return KnownPoses(("before",), own, np.zeros((1, 6, 6)), (stated,), covariance, np.zeros((0, 1, 6)))
 
 
-MOTION_KINDS: dict[str, Callable[[World], list[Evidence]]] = {
+MOTION_KINDS: dict[str, Callable[[World], list[PoseEvidence]]] = {
     "all": everything,
     "axes": axes,
     "directions, and a position known before": lambda world: [*directions(world), rough(world)],
@@ -345,7 +345,7 @@ def test_each_motion_leaves_open_what_it_cannot_say_and_needs_a_first_pose():
         "position along x": [along_z, about_x],
     }
     for components, evidence in expected.items():
-        with pytest.raises(OpenPose) as caught:
+        with pytest.raises(UndeterminedPose) as caught:
             align(evidence, truth)
         assert caught.value.components == tuple(components.split("|"))
         assert ("a motion in another direction" in str(caught.value)) == ("rotation" in components)
@@ -397,7 +397,7 @@ def test_an_axis_is_covered_by_its_covariance(reach_rad):
         motion, point, direction = spun(rng, reach_rad, 20)
         axis = fit_axis(motion)
         true = np.concatenate([point, direction * np.sign(direction @ axis.line[3:])])
-        rows = np.kron(np.eye(2), across(direction))
+        rows = np.kron(np.eye(2), perpendicular_directions(direction))
         root = np.linalg.cholesky(rows @ axis.covariance @ rows.T)
         whitened.append(np.linalg.solve(root, rows @ (axis.line - true)))
         reduced.append(axis.chi2 / axis.dof)
@@ -413,11 +413,11 @@ def test_an_axis_agrees_with_a_general_optimiser_at_any_angle():
     turns = rotation_from_vector(motion.pose[:, 3:])
 
     def misfit(unknown: np.ndarray) -> np.ndarray:
-        return ((turns @ unknown + motion.pose[:, :3] - unknown) @ across(axis.line[3:]).T).ravel()
+        return ((turns @ unknown + motion.pose[:, :3] - unknown) @ perpendicular_directions(axis.line[3:]).T).ravel()
 
     free = least_squares(misfit, np.zeros(3)).x
-    np.testing.assert_allclose(across(direction) @ (axis.line[:3] - free), 0, atol=2e-6)
-    np.testing.assert_allclose(across(direction) @ (axis.line[:3] - point), 0, atol=2e-6)
+    np.testing.assert_allclose(perpendicular_directions(direction) @ (axis.line[:3] - free), 0, atol=2e-6)
+    np.testing.assert_allclose(perpendicular_directions(direction) @ (axis.line[:3] - point), 0, atol=2e-6)
 
 
 def test_a_wobbling_axis_is_less_certain_and_a_body_at_rest_has_none():
@@ -440,7 +440,7 @@ U_PLACE_M, U_ROTATION_RAD = 1e-6, 1e-5
 
 def _aligned(rig: StereoRig, steps: np.ndarray, views: Views, placed: RigidTransform) -> Alignment:
     """Align by one view of the target at a known pose."""
-    pose, covariance, effects = seen_target(rig, steps, TARGET, *views)
+    pose, covariance, effects = measure_target_pose(rig, steps, TARGET, *views)
     known = np.diag([U_PLACE_M] * 3 + [U_ROTATION_RAD] * 3) ** 2
     evidence = KnownPoses(("view",), (pose,), covariance[None], (placed,), known[None], effects[:, None])
     return align([evidence])
@@ -458,7 +458,7 @@ def test_another_calibration_moves_the_pose_as_its_derivatives_say():
     steps = calibration_steps(world.rig)
     views, placed = _seen(world, 0.01)
     found = _aligned(world.rig, steps, views, placed)
-    change = by_parameters(found.by_calibration, steps)
+    change = parameter_derivatives(found.by_calibration, steps)
     assert np.allclose(change @ steps.T, found.by_calibration, rtol=1e-5, atol=1e-9)
     for _ in range(5):
         error = world.rng.normal(size=len(steps)) @ steps
@@ -475,7 +475,7 @@ def test_a_pose_moved_with_the_true_calibration_scatters_as_with_an_exact_one():
         world = make_world(seed)
         steps = calibration_steps(world.rig)
         found = _aligned(world.rig, steps, *_seen(world, 0.01))
-        moved = by_parameters(found.by_calibration, steps) @ rig_error(world.true, world.rig)
+        moved = parameter_derivatives(found.by_calibration, steps) @ rig_error(world.true, world.rig)
         error = between(displaced(found.sensor_from_camera, moved), world.sensor_from_camera)
         u = np.sqrt(np.diagonal(found.held_covariance))
         root = np.linalg.cholesky(found.held_covariance / np.outer(u, u))

@@ -16,19 +16,19 @@ from contracts import refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from photogram.alignment.evidence import seen_target
+from photogram.alignment.alignment_evidence import measure_target_pose
 from photogram.calibration.adjust import adjust
-from photogram.calibration.bundle import Drift, ellipse_centres, make_shape, see
-from photogram.calibration.file import read_calibration, read_camera, write_calibration, write_camera
-from photogram.calibration.left_out import leave_out, predicted
-from photogram.calibration.result import Calibration
-from photogram.calibration.scale import KnownLength, with_length
+from photogram.calibration.bundle import FocalDrift, ellipse_centres, make_shape, model_pixels
+from photogram.calibration.calibration_file import read_calibration, read_camera, write_calibration, write_camera
+from photogram.calibration.calibration_result import Calibration
+from photogram.calibration.initial_bundle import estimate_target_pose, image_observations, lens_prior, start_bundle
+from photogram.calibration.leave_one_out import leave_views_out, predict_view
+from photogram.calibration.scale import KnownLength, scale_to_length
 from photogram.calibration.session import calibrate_pair
-from photogram.calibration.start import lens_prior, picture_of, start_bundle, target_pose
 from photogram.camera import CAMERA_PARAMETERS, LEFT, RIG_PARAMETERS, RIGHT, Camera, StereoRig, triangulate
 from photogram.geometry import RigidTransform, rotation_from_vector, skew, vector_from_rotation
-from photogram.synthetic.board import Board, Faults, random_poses, random_rig, seen_session
-from photogram.targets.view import Target, TargetView
+from photogram.synthetic.board import Board, SessionFaults, random_poses, random_rig, simulate_session
+from photogram.targets.target_view import Target, TargetView
 
 SIZE = np.array([1280, 1024])
 SPACING = 0.012
@@ -125,7 +125,7 @@ def test_parameters_come_back_within_their_covariance():
 def test_derivatives_of_the_model(side):
     (pose,) = _poses(np.random.default_rng(1), 1)
     camera, relative = ((RIG.left, RigidTransform.identity()), (RIG.right, RIG.right_from_left))[side]
-    seen = see(camera, relative, pose, FLAT, 0.0)
+    seen = model_pixels(camera, relative, pose, FLAT, 0.0)
     assert np.abs(seen.pixel - _opencv_pixels(camera, relative @ pose, FLAT)).max() < 1e-9
     for number in range(6):
         step = 1e-6 * np.eye(6)[number]
@@ -135,7 +135,7 @@ def test_derivatives_of_the_model(side):
         ]
         ahead, behind = (_opencv_pixels(camera, relative @ there, FLAT) for there in moved)
         assert np.abs((ahead - behind) / 2e-6 - seen.by_pose[:, :, number]).max() < 1e-4
-    by_x = see(camera, relative, pose, FLAT + np.array([1e-7, 0, 0]), 0.0).pixel - seen.pixel
+    by_x = model_pixels(camera, relative, pose, FLAT + np.array([1e-7, 0, 0]), 0.0).pixel - seen.pixel
     assert np.abs(by_x / 1e-7 - seen.by_point[:, :, 0]).max() < 0.5  # of some 6000 px/m
 
 
@@ -146,12 +146,12 @@ def test_ellipse_centre_is_that_of_a_fitted_ellipse():
     radius = 0.4 * SPACING
     rim = FLAT[:, None] + radius * np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=-1)
     for camera, limit in ((replace(RIG.left, distortion=np.zeros(5)), 2e-3), (RIG.left, 4e-3)):
-        found = see(camera, RigidTransform.identity(), pose, FLAT, radius).pixel
+        found = model_pixels(camera, RigidTransform.identity(), pose, FLAT, radius).pixel
         for point in range(0, len(FLAT), 9):
             pixels = _opencv_pixels(camera, pose, rim[point]) - found[point]
             centre = np.array(cv2.fitEllipse((pixels * 64).astype(np.float32))[0]) / 64
             assert np.abs(centre).max() < limit
-        bias = found - see(camera, RigidTransform.identity(), pose, FLAT, 0.0).pixel
+        bias = found - model_pixels(camera, RigidTransform.identity(), pose, FLAT, 0.0).pixel
         assert np.abs(bias).max() > 0.02, "the correction matters in this view"
 
 
@@ -188,7 +188,7 @@ def test_outlying_points_and_pictures_and_mirrored_ones_are_named_and_left_out()
     mirrored = left.position_px * [-1, 1] + [SIZE[0] - 1, 0]
     pairs[4] = (replace(left, position_px=mirrored, index=left.index * [-1, 1] + [11, 0]), right)
     calibration = calibrate_pair(pairs, TARGET)
-    assert {item.name: item.points for item in calibration.dropped} == {"L2": 2, "R7": 0, "L4 and R4": 0}
+    assert {item.name: item.points for item in calibration.rejections} == {"L2": 2, "R7": 0, "L4 and R4": 0}
     assert _largest(calibration) < 4.5
 
 
@@ -213,7 +213,7 @@ def test_a_target_numbered_from_another_corner(kind, size, turn):
         place = (right.index @ [1, 1j] - middle) * turn + middle
         cut[number] = (left, replace(right, index=np.rint(np.stack([place.real, place.imag], -1)).astype(np.int64)))
     found = calibrate_pair(cut, target, "flat")
-    assert not [item for item in found.dropped if item.points == 0]
+    assert not [item for item in found.rejections if item.points == 0]
     assert np.allclose(found.rig.left.parameters, plain.rig.left.parameters, rtol=1e-3, atol=1e-3)
     assert found.rms_px == pytest.approx(plain.rms_px, rel=1e-3)
 
@@ -250,7 +250,7 @@ def test_a_rolled_camera_before_a_target_that_looks_alike_after_a_turn(kind, siz
     poses = [left @ pose for pose in _poses(rng, 8)]
     pairs = [(numbered(one), numbered(other)) for one, other in _views(rng, poses, rig, points, grid)]
     calibration = calibrate_pair(pairs, Target(kind, SPACING, size), "flat")
-    assert not [item for item in calibration.dropped if item.points == 0]
+    assert not [item for item in calibration.rejections if item.points == 0]
     assert _largest(calibration, rig) < 4.5
 
 
@@ -283,33 +283,33 @@ def test_scale_uncertainty_lies_along_the_baseline_and_single_pictures_count():
     assert any(item.where == "scale" for item in plain.notices)
     assert not any(item.where == "scale" for item in scaled.notices)
     more = calibrate_pair([*pairs, *((left, None) for left, _ in _session(11, 6))], TARGET)
-    u_more, u = (each.judged.u_fit[:9] for each in (more, plain))
+    u_more, u = (each.cross_validation.u_fit[:9] for each in (more, plain))
     assert (u_more < u).all()
 
 
 SESSION_BOARD = Board(Target("chessboard", 9e-3, (10, 7)))
 
 
-def _faulty(seed: int, faults: Faults, views: int = 15) -> tuple[StereoRig, list[tuple[TargetView, TargetView]]]:
+def _faulty(seed: int, faults: SessionFaults, views: int = 15) -> tuple[StereoRig, list[tuple[TargetView, TargetView]]]:
     """A random pair and a session of it, noise 0.03 px, with faults that its points do not state."""
     rng = np.random.default_rng(seed)
     rig = random_rig(rng, SIZE, 0.15)
-    return rig, seen_session(rng, rig, random_poses(rng, rig, SESSION_BOARD, views), SESSION_BOARD, 0.03, faults)
+    return rig, simulate_session(rng, rig, random_poses(rng, rig, SESSION_BOARD, views), SESSION_BOARD, 0.03, faults)
 
 
 @pytest.mark.parametrize("drifts", [False, True])
 def test_one_step_without_a_view_is_the_fit_without_it(drifts):
-    _, pairs = _faulty(0, Faults(focus=5e-4 * drifts, smooth_px=0.05), 8)
+    _, pairs = _faulty(0, SessionFaults(focus=5e-4 * drifts, smooth_px=0.05), 8)
     bundle, pairs, _ = start_bundle(pairs, SESSION_BOARD.target, "free")
-    bundle = replace(bundle, drift=Drift.over(8) if drifts else None)
+    bundle = replace(bundle, drift=FocalDrift.initial(8) if drifts else None)
     pictures = [
-        picture_of(view, number, side, bundle.shape.index, SESSION_BOARD.target.spacing_m)
+        image_observations(view, number, side, bundle.shape.index, SESSION_BOARD.target.spacing_m)
         for number, pair in enumerate(pairs)
         for side, view in enumerate(pair)
     ]
     prior = lens_prior(bundle.rig)
     whole = adjust(bundle, pictures, prior)
-    left_out = leave_out(whole, pictures)
+    left_out = leave_views_out(whole, pictures)
     u = np.sqrt(np.diagonal(whole.covariance))
     for view in (0, 5):
         kept = [replace(p, view=p.view - (p.view > view)) for p in pictures if p.view != view]
@@ -327,21 +327,21 @@ def test_one_step_without_a_view_is_the_fit_without_it(drifts):
         pose = replace(whole.bundle.of_views([view]), rig=again.bundle.rig, shape=again.bundle.shape)
         if drifts:
             pose = replace(pose, drift=replace(pose.drift, value=again.bundle.drift.value))
-        there = predicted(pose, [replace(pictures[n], view=0) for n in own])
+        there = predict_view(pose, [replace(pictures[n], view=0) for n in own])
         for n, away in zip(own, there, strict=True):
-            assert np.abs(away - left_out.away[n]).max() < 0.02 * np.abs(away).max()
+            assert np.abs(away - left_out.prediction_residuals[n]).max() < 0.02 * np.abs(away).max()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "faults",
     [
-        Faults(),
-        Faults(focus=5e-4),
-        Faults(focus=5e-4, course="warming"),
-        Faults(focus=5e-4, course="jump"),
-        Faults(smooth_px=0.05),
-        Faults(2e-4, 5e-4, 0.05, 0.03),
+        SessionFaults(),
+        SessionFaults(focus=5e-4),
+        SessionFaults(focus=5e-4, focus_profile="warming"),
+        SessionFaults(focus=5e-4, focus_profile="jump"),
+        SessionFaults(smooth_px=0.05),
+        SessionFaults(2e-4, 5e-4, 0.05, 0.03),
     ],
     ids=["none", "focus", "warming", "jump", "smooth", "all"],
 )
@@ -353,8 +353,8 @@ def test_u_holds_what_real_sessions_do_to_a_calibration(faults):
         found = calibrate_pair(pairs, SESSION_BOARD.target)
         error, u = rig_error(found.rig, rig)[:24], np.sqrt(np.diagonal(found.rig.covariance))[:24]
         ratios.append(error / u)
-        alone.append(error / found.judged.u_fit[:24])
-        assert found.judged.shape == ("free" if faults.warp_m else "flat")
+        alone.append(error / found.cross_validation.u_fit[:24])
+        assert found.cross_validation.shape == ("free" if faults.warp_m else "flat")
     pooled = np.sqrt(np.mean(np.square(ratios)))
     assert 0.6 < pooled < 1.3
     assert np.abs(ratios).max() < 5
@@ -364,15 +364,15 @@ def test_u_holds_what_real_sessions_do_to_a_calibration(faults):
 
 def test_focal_lengths_that_change_during_the_session_are_found_and_others_are_not():
     for seed in range(2):
-        rig, pairs = _faulty(seed, Faults(focus=5e-4))
+        rig, pairs = _faulty(seed, SessionFaults(focus=5e-4))
         found = calibrate_pair(pairs, SESSION_BOARD.target)
-        value, u = found.judged.drift.T
+        value, u = found.cross_validation.drift.T
         assert (np.abs(value - 5e-4) < 3.5 * u).all()
         assert (u < 1e-4).all()
         (notice,) = (item for item in found.notices if item.where == "drift")
         assert f"left by {100 * value[0]:+.3f} % (U = {200 * u[0]:.3f} %, k = 2)" in notice.text
-        steady = calibrate_pair(_faulty(seed, Faults())[1], SESSION_BOARD.target)
-        assert steady.judged.drift is None
+        steady = calibrate_pair(_faulty(seed, SessionFaults())[1], SESSION_BOARD.target)
+        assert steady.cross_validation.drift is None
         focal = [*LEFT[:2], *RIGHT[:2]]  # at any time of the session, ±0.025 % around its middle
         spread, u_drifting, u_steady = (
             5e-4 * rig.values[focal] / np.sqrt(12),
@@ -392,11 +392,11 @@ def test_a_wide_lens_gets_the_rational_model():
     ]
     turn, crossing = rotation_from_vector(np.array([0.0, 0.3, 0.01])), np.array([0.0, 0.0, 0.1])
     rig = StereoRig(*cameras, RigidTransform(turn, crossing - turn @ crossing + np.array([1e-3, 0, 0])))
-    pairs = seen_session(rng, rig, random_poses(rng, rig, SESSION_BOARD, 20), SESSION_BOARD, 0.03)
+    pairs = simulate_session(rng, rig, random_poses(rng, rig, SESSION_BOARD, 20), SESSION_BOARD, 0.03)
     found = calibrate_pair(pairs, SESSION_BOARD.target, "flat")
-    assert found.judged.lens == "rational"
-    (other,) = found.judged.others
-    assert other.predicted_px > 2 * found.judged.predicted_px
+    assert found.cross_validation.lens == "rational"
+    (other,) = found.cross_validation.alternatives
+    assert other.predicted_px > 2 * found.cross_validation.predicted_px
     assert any("a polynomial lens would give" in item.text or "polynomial" in item.text for item in found.notices)
     rays = np.column_stack([rng.uniform(-0.7, 0.7, (500, 2)), np.ones(500)])
     off = found.rig.left.project(rays) - rig.left.project(rays)
@@ -418,35 +418,35 @@ def test_a_stretched_print_is_told_by_the_focal_lengths():
 def test_a_known_length_is_weighed_against_the_spacing_and_a_contradiction_is_told():
     found = calibrate_pair(_session(10, 8), TARGET, scale_u=1e-3)
     size, spacing = np.linalg.norm(found.rig.right_from_left.translation_m), TARGET.spacing_m
-    both = with_length(found, KnownLength("0,0", "0,5", 5.005 * spacing, 5e-3 * spacing))  # 0.1 % longer, u 0.1 %
+    both = scale_to_length(found, KnownLength("0,0", "0,5", 5.005 * spacing, 5e-3 * spacing))  # 0.1 % longer, u 0.1 %
     assert np.linalg.norm(both.rig.right_from_left.translation_m) == pytest.approx(1.0005 * size, rel=1e-9)
     assert both.scale_u == pytest.approx(1e-3 / np.sqrt(2), rel=1e-3)
     names = [view.left.name for view in found.views[:2]]
     places = [view.left_from_target.apply(found.shape_m.mean(axis=0)) for view in found.views[:2]]
     apart = float(np.linalg.norm(places[1] - places[0]))
-    moved = with_length(found, KnownLength(*names, 1.02 * apart, 1e-5 * apart))
+    moved = scale_to_length(found, KnownLength(*names, 1.02 * apart, 1e-5 * apart))
     (notice,) = (item for item in moved.notices if item.where == "scale")
     assert notice.severity == "warning"
     assert "contradict" in notice.text
     assert moved.scale_u > 5e-3
-    refused("column,row", with_length, found, KnownLength("L0", "nowhere", 0.1, 0.0))
-    refused("two different places", with_length, found, KnownLength("0,0", "0,0", 0.1, 0.0))
+    refused("column,row", scale_to_length, found, KnownLength("L0", "nowhere", 0.1, 0.0))
+    refused("two different places", scale_to_length, found, KnownLength("0,0", "0,0", 0.1, 0.0))
     refused("above 0 m", KnownLength, "0,0", "1,0", 0.0, 0.0)
     refused("a smaller uncertainty, found 0.009 and 5", KnownLength, "0,0", "1,0", 0.009, 5.0)  # in um
     words = f"expected about {spacing:g} m, .* found 9 m: is one of them in mm"
-    refused(words, with_length, found, KnownLength("0,0", "1,0", 9.0, 0.01))
+    refused(words, scale_to_length, found, KnownLength("0,0", "1,0", 9.0, 0.01))
 
 
 def test_a_single_camera_is_calibrated_with_the_same_care(tmp_path):
     ratios, alone = [], []
     for seed in range(4):
-        rig, pairs = _faulty(seed, Faults(smooth_px=0.05))
+        rig, pairs = _faulty(seed, SessionFaults(smooth_px=0.05))
         found = calibrate_pair([(left, None) for left, _ in pairs], SESSION_BOARD.target, "flat")
         assert found.single
         assert [item.name for item in found.parameters] == [f"left.{name}" for name in CAMERA_PARAMETERS[:9]]
         error = (found.rig.left.parameters - rig.left.parameters)[:9]
         ratios.append(error / [item.u for item in found.parameters])
-        alone.append(error / found.judged.u_fit[:9])
+        alone.append(error / found.cross_validation.u_fit[:9])
     assert np.abs(ratios).max() < 4.5
     assert 0.4 < np.sqrt(np.mean(np.square(ratios))) < 1.4 < np.sqrt(np.mean(np.square(alone)))
     write_camera(tmp_path / "camera.json", found)
@@ -489,7 +489,7 @@ def test_points_off_the_lattice_are_found_where_asked_for():
 def test_offsets_that_points_do_not_have_cost_no_uncertainty(seed):
     pairs = _session(seed, 10)
     flat, free = (calibrate_pair(pairs, TARGET, shape, lens="polynomial") for shape in ("flat", "free"))
-    free_u, flat_u = free.judged.u_fit, flat.judged.u_fit
+    free_u, flat_u = free.cross_validation.u_fit, flat.cross_validation.u_fit
     assert (free_u <= 1.12 * flat_u).all(), "the spread of points that lie on their lattice goes to the end of its fit"
     assert (free_u[flat_u > 0] > 0.97 * flat_u[flat_u > 0]).all()
     assert 0 < np.abs(free.shape_m - flat.shape_m).max() < 3e-6
@@ -504,7 +504,7 @@ def test_target_pose_comes_back(tilt, turn, depth):
     pose = RigidTransform(rotation, np.array([0, 0, depth]) - rotation @ FLAT.mean(axis=0))
     (pair,) = _views(np.random.default_rng(0), [pose])
     for left, right in (pair, (pair[0], None), (None, pair[1])):
-        found, covariance = target_pose(RIG, TARGET, left, right)
+        found, covariance = estimate_target_pose(RIG, TARGET, left, right)
         turned = vector_from_rotation(found.rotation @ rotation.T)
         error = np.concatenate([found.translation_m - pose.translation_m, turned])
         assert error @ np.linalg.solve(covariance, error) < 40  # χ² of six: 40 is exceeded once in 2 million
@@ -516,14 +516,14 @@ def test_a_target_that_looks_alike_is_numbered_as_the_left_picture_and_one_of_an
     rng = np.random.default_rng(17)
     (pose,) = _poses(rng, 1)
     ((left, right),) = _views(rng, [pose], RIG, points, grid)
-    plain = seen_target(RIG, np.eye(32), target, left, right)
+    plain = measure_target_pose(RIG, np.eye(32), target, left, right)
     half_turn = replace(right, index=[11, 9] - right.index)
-    turned = seen_target(RIG, np.eye(32), target, left, half_turn)
+    turned = measure_target_pose(RIG, np.eye(32), target, left, half_turn)
     np.testing.assert_allclose(turned[0].pose, plain[0].pose, rtol=1e-12)
     for expected, found in zip(plain[1:], turned[1:], strict=True):
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-15)
     words = "L0 and R0: expected one pose of a target with spacing 12 m, found none"
-    refused(words, seen_target, RIG, np.eye(32), replace(target, spacing_m=12.0), left, right)
+    refused(words, measure_target_pose, RIG, np.eye(32), replace(target, spacing_m=12.0), left, right)
 
 
 # The calibration file: what is written comes back, and every wrong file is refused by file and key.
@@ -687,6 +687,6 @@ def test_pictures_of_two_sizes_belong_to_two_cameras_and_not_to_one():
     assert np.abs(rig_error(cut.rig, whole.rig)).max() < 0.2 * np.sqrt(np.diagonal(whole.rig.covariance).max())
     left, right = pairs[3]
     odd = calibrate_pair([*pairs[:3], (_resized(left, (1024, 1280)), right), *pairs[4:]], TARGET, "flat")
-    assert [(item.name, "1024 x 1280" in item.reason) for item in odd.dropped if not item.points] == [("L3", True)]
+    assert [(item.name, "1024 x 1280" in item.reason) for item in odd.rejections if not item.points] == [("L3", True)]
     mixed = [(_resized(a, (1270, 1020)), b) if n % 2 else (a, b) for n, (a, b) in enumerate(pairs)]
     refused("L0 of 1280 x 1024 px and L1 of 1270 x 1020 px", calibrate_pair, mixed, TARGET)

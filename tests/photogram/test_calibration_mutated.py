@@ -24,10 +24,10 @@ import pytest
 from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
+from photogram.calibration.calibration_file import read_calibration, read_camera, write_calibration
+from photogram.calibration.exchange.calibration_export import export_calibration
+from photogram.calibration.exchange.calibration_import import import_calibration
 from photogram.calibration.exchange.lens import LengthUnit
-from photogram.calibration.exchange.read import import_calibration
-from photogram.calibration.exchange.write import export_calibration
-from photogram.calibration.file import read_calibration, read_camera, write_calibration
 from photogram.camera import Camera, StereoRig
 from photogram.geometry import RigidTransform
 

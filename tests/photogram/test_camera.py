@@ -14,8 +14,8 @@ from hypothesis.extra.numpy import arrays
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from photogram.calibration.file import read_calibration
-from photogram.camera import RIG_PARAMETERS, Camera, Points, StereoRig, triangulate
+from photogram.calibration.calibration_file import read_calibration
+from photogram.camera import RIG_PARAMETERS, Camera, Points3D, StereoRig, triangulate
 from photogram.geometry import (
     RigidTransform,
     fit_rigid,
@@ -412,7 +412,7 @@ def test_wrong_values_are_named():
     refused("right_px", triangulate, stereo_rig(), left, right[:, :5])
     refused("left_px", triangulate, stereo_rig(), left[0], right[0])
     refused("covariance_right_px2", triangulate, stereo_rig(), left, right, None, np.zeros((5, 2, 2)))
-    refused("covariance_m2", Points, np.zeros((1, 2, 3)), np.zeros((1, 2, 3)), np.zeros((1, 2)))
+    refused("covariance_m2", Points3D, np.zeros((1, 2, 3)), np.zeros((1, 2, 3)), np.zeros((1, 2)))
     refused("rotation: expected an orthonormal", RigidTransform, 1.00001 * np.eye(3), np.zeros(3))
     refused("reflection", RigidTransform, np.diag([1.0, 1.0, -1.0]), np.zeros(3))
     refused(r"translation_m: expected an array of shape \(3\)", RigidTransform, np.eye(3), np.zeros(2))

@@ -9,10 +9,10 @@ import pytest
 from scipy.signal import savgol_coeffs
 
 from photogram.bspline import spline_of_image
-from photogram.subsets.find import find_anew
+from photogram.subsets.find import find_without_prediction
 from photogram.subsets.icgn import Registration, TrackSettings, noise_of_residual, position_covariance, register
 from photogram.subsets.icgn_torch import register_frames, spline_frames, torch_reference
-from photogram.subsets.reference import Reference, TrackStatus, prepare_reference
+from photogram.subsets.reference import ReferenceSubsets, TrackStatus, prepare_reference
 
 SIZE, MIDDLE, AMPLITUDE_PX = (640, 121), 60.0, 0.5
 CONTRAST, NOISE, FRAMES = 36.0, 2.1, 5
@@ -46,7 +46,7 @@ class Star:
 
     first: np.ndarray
     later: list[np.ndarray]
-    reference: Reference
+    reference: ReferenceSubsets
     found: list[Registration]
 
     @property
@@ -75,7 +75,7 @@ def star(make_texture) -> Star:
 
     first, later = stored(plain), [stored(waved) for _ in range(FRAMES)]
     reference = prepare_reference(spline_of_image(first), CENTRES, SETTINGS.radius_px, 2)
-    found = [find_anew(reference, first, (image, spline_of_image(image)), SETTINGS) for image in later]
+    found = [find_without_prediction(reference, first, (image, spline_of_image(image)), SETTINGS) for image in later]
     return Star(first, later, reference, found)
 
 

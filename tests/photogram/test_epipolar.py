@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from photogram.calibration.file import read_calibration
+from photogram.calibration.calibration_file import read_calibration
 from photogram.camera import RIG_PARAMETERS, Camera, StereoRig, epipolar_residual
 from photogram.epipolar import MOVED_PX, EpipolarCheck, check_epipolar
 from photogram.geometry import RigidTransform, rotation_from_vector
@@ -168,13 +168,13 @@ def test_without_a_covariance_a_tenth_of_a_pixel_is_trusted():
 def test_a_pair_that_no_calibration_error_explains_is_refuted_and_one_that_is_off_is_only_told(u_px):
     """16 px is another arrangement; 0.5 px, or 3 px of a calibration known to 1 px, is what a warning is for."""
     rig = _rig(u_px)
-    apart = check_epipolar(_tracks([_turned(rig, 0, 16.0 / 3200)] * FRAMES), rig).refuted
+    apart = check_epipolar(_tracks([_turned(rig, 0, 16.0 / 3200)] * FRAMES), rig).rejection_reason
     size = float(apart.split("epipolar residual is ")[1].split(" px")[0])
     assert size == pytest.approx(16.0, abs=0.7)
-    assert check_epipolar(_tracks([rig] * FRAMES), rig).refuted == ""
-    assert check_epipolar(_tracks([_turned(rig, 0, 0.5 / 3200)] * FRAMES), rig).refuted == ""
+    assert check_epipolar(_tracks([rig] * FRAMES), rig).rejection_reason == ""
+    assert check_epipolar(_tracks([_turned(rig, 0, 0.5 / 3200)] * FRAMES), rig).rejection_reason == ""
     vague = _rig(1.0)
-    assert check_epipolar(_tracks([_turned(vague, 0, 3.0 / 3200)] * FRAMES), vague).refuted == ""
+    assert check_epipolar(_tracks([_turned(vague, 0, 3.0 / 3200)] * FRAMES), vague).rejection_reason == ""
 
 
 @pytest.mark.parametrize("frame", [2, 17, 38])

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from photogram.images.exposure import clip_level, mosaic_contrast, without_pattern
+from photogram.images.exposure import clip_level, missing_pattern_reason, mosaic_contrast
 
 SHAPE = (300, 420)
 Y, X = np.mgrid[: SHAPE[0], : SHAPE[1]]
@@ -54,18 +54,18 @@ SHOWN = {
 @pytest.mark.parametrize("name", BLANK)
 def test_an_image_of_nothing_is_named_with_its_grey_values(name):
     image, why = BLANK[name]
-    assert without_pattern(image, FULL).startswith(f"{why}, ")
-    assert str(int(np.quantile(image, 0.99))) in without_pattern(image, FULL)
+    assert missing_pattern_reason(image, FULL).startswith(f"{why}, ")
+    assert str(int(np.quantile(image, 0.99))) in missing_pattern_reason(image, FULL)
 
 
 @pytest.mark.parametrize("name", SHOWN)
 def test_a_pattern_is_seen_in_its_noise_and_without(name):
-    assert without_pattern(seen(SHOWN[name]), FULL) == ""
-    assert without_pattern(np.rint(np.clip(SHOWN[name], 0, FULL)).astype(np.uint16), FULL) == ""
+    assert missing_pattern_reason(seen(SHOWN[name]), FULL) == ""
+    assert missing_pattern_reason(np.rint(np.clip(SHOWN[name], 0, FULL)).astype(np.uint16), FULL) == ""
 
 
 def test_noise_alone_is_no_pattern_a_hundred_times_in_a_hundred():
-    assert all(without_pattern(seen(level, seed), FULL) for seed in range(50) for level in (5.0, 400.0))
+    assert all(missing_pattern_reason(seen(level, seed), FULL) for seed in range(50) for level in (5.0, 400.0))
 
 
 @pytest.mark.parametrize("name", SHOWN)

@@ -13,9 +13,9 @@ import tifffile
 from cine_factory import write_cine, write_film
 from contracts import refused
 
-from photogram.images.files import open_sequence, read_picture
-from photogram.images.orientation import orientations, tag_notices
-from photogram.images.sequence import copied_frames
+from photogram.images.image_files import open_sequence, read_image
+from photogram.images.orientation import read_orientations, tag_notices
+from photogram.images.sequence import find_copied_frames
 
 RNG = np.random.default_rng(8)
 GREY = RNG.integers(0, 1000, (12, 18), dtype=np.uint16)
@@ -67,7 +67,7 @@ def test_pixels_are_those_of_the_sensor_whatever_the_tag_says(tmp_path, name, ta
     """Recordings and calibrations see the same pixels, and both say so."""
     grey = (GREY >> 4).astype(np.uint8) if name.endswith("jpg") else GREY
     path = write_turned(tmp_path / name, grey, tag)
-    seen = read_picture(path)[0]
+    seen = read_image(path)[0]
     if name.endswith("jpg"):  # which no recording takes
         assert seen.shape == grey.shape
         np.testing.assert_array_equal(seen, cv2.imdecode(cv2.imencode(".jpg", grey)[1], cv2.IMREAD_UNCHANGED))
@@ -78,7 +78,7 @@ def test_pixels_are_those_of_the_sensor_whatever_the_tag_says(tmp_path, name, ta
         assert [(notice.severity, f"orientation tag {tag}" in notice.text) for notice in sequence.notices] == [
             ("warning", True)
         ]
-    (notice,) = tag_notices(orientations([path, tmp_path / "absent.tif"]))
+    (notice,) = tag_notices(read_orientations([path, tmp_path / "absent.tif"]))
     assert f"orientation tag {tag}" in notice.text
 
 
@@ -86,7 +86,7 @@ def test_pixels_are_those_of_the_sensor_whatever_the_tag_says(tmp_path, name, ta
 def test_what_opencv_decodes_is_not_turned_either(tmp_path, tag):
     path = write_lzw(tmp_path / "lzw.tif", GREY, tag)
     np.testing.assert_array_equal(open_sequence([path]).read(0), GREY)
-    np.testing.assert_array_equal(read_picture(path)[0], GREY)
+    np.testing.assert_array_equal(read_image(path)[0], GREY)
     assert len(open_sequence([path]).notices) == (tag != 1)
 
 
@@ -94,7 +94,7 @@ def test_what_opencv_decodes_is_not_turned_either(tmp_path, tag):
 @pytest.mark.parametrize("name", TURNED)
 def test_mirrored_pixels_are_refused(tmp_path, name, tag):
     path = write_turned(tmp_path / name, (GREY >> 4).astype(np.uint8), tag)
-    refused(f"{name}: .*orientation tag {tag} .mirrored", read_picture, path)
+    refused(f"{name}: .*orientation tag {tag} .mirrored", read_image, path)
     if not name.endswith("jpg"):
         refused(f"{name}: .*orientation tag {tag} .mirrored", open_sequence, [path])
 
@@ -103,8 +103,8 @@ def test_mirrored_pixels_are_refused(tmp_path, name, tag):
 def test_a_tag_that_turns_nothing_is_no_news(tmp_path, tag):
     for name in TURNED:
         path = write_turned(tmp_path / name, (GREY >> 4).astype(np.uint8), tag)
-        assert not tag_notices(orientations([path]))
-        read_picture(path)
+        assert not tag_notices(read_orientations([path]))
+        read_image(path)
 
 
 def frames_of(path: Path) -> np.ndarray:
@@ -139,7 +139,7 @@ def test_all_images_of_a_stack_with_one_directory_are_frames(tmp_path, order, ki
     stack = (STACK if kind == np.uint16 else STACK >> 8).astype(kind)
     path = one_directory(tmp_path / "stack.tif", stack, f"ImageJ=1.53t\nimages=5\n{axes}\n", order)
     np.testing.assert_array_equal(frames_of(path), stack)
-    refused("stack.tif: expected one image, found a stack of 5", read_picture, path)
+    refused("stack.tif: expected one image, found a stack of 5", read_image, path)
 
 
 @pytest.mark.parametrize(
@@ -192,7 +192,7 @@ def test_files_in_which_0_is_white_are_read_as_grey_values(tmp_path, kind, optio
     grey = (GREY if kind == np.uint16 else GREY >> 2).astype(kind)
     tifffile.imwrite(tmp_path / "white.tif", np.iinfo(kind).max - grey, photometric="miniswhite", **options)
     np.testing.assert_array_equal(open_sequence([tmp_path / "white.tif"]).read(0), grey)
-    np.testing.assert_array_equal(read_picture(tmp_path / "white.tif")[0], grey)
+    np.testing.assert_array_equal(read_image(tmp_path / "white.tif")[0], grey)
     tifffile.imwrite(tmp_path / "black.tif", grey, photometric="minisblack")
     refused("black.tif: expected 0 to be white", open_sequence, [tmp_path / "white.tif", tmp_path / "black.tif"])
     refused("white.tif: .*MINISWHITE", open_sequence, [tmp_path / "white.tif"], 7)
@@ -220,4 +220,4 @@ def test_a_frame_that_is_there_twice_is_found_in_every_container(tmp_path, name)
         write_cine(path, frames, bits=8)
     else:
         write_film(path, frames)
-    assert np.flatnonzero(copied_frames(open_sequence(paths))).tolist() == [3, 5]
+    assert np.flatnonzero(find_copied_frames(open_sequence(paths))).tolist() == [3, 5]

@@ -12,7 +12,7 @@ import pytest
 import tifffile
 from contracts import refused
 
-from photogram.images.files import open_sequence
+from photogram.images.image_files import open_sequence
 from photogram.images.noise import NoiseModel, fit_noise_model
 from photogram.images.sequence import AHEAD, ImageSequence
 from photogram.point_tables import read_point_tables

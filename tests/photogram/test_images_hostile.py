@@ -15,7 +15,7 @@ import tifffile
 from contracts import refused
 
 from photogram import point_tables
-from photogram.images.files import open_sequence, read_picture
+from photogram.images.image_files import open_sequence, read_image
 from photogram.point_tables import read_point_tables
 
 WIDE = 60_000
@@ -57,7 +57,7 @@ def test_pictures_larger_than_any_camera_are_refused(tmp_path):
     (tmp_path / "a.bmp").write_bytes(b"BM" + head + palette)
     for path in (*pictures, tmp_path / "a.bmp"):
         refused(f"{path.name}: expected at most 268435456 pixels, found {WIDE} x {WIDE}", open_sequence, [path])
-        refused(f"{path.name}: (not a readable|expected at most 268435456 pixels)", read_picture, path)
+        refused(f"{path.name}: (not a readable|expected at most 268435456 pixels)", read_image, path)
     cine = bytearray(cine_factory.cine_bytes(np.zeros((2, 16, 24), np.uint16)))
     struct.pack_into("<ii", cine, 48, WIDE, WIDE)
     (tmp_path / "a.cine").write_bytes(cine)
@@ -67,7 +67,7 @@ def test_pictures_larger_than_any_camera_are_refused(tmp_path):
 def test_a_picture_cut_short_is_refused_and_nothing_else_is_said(tmp_path, capfd):
     whole = _png(tmp_path / "whole.png", 64, 64).read_bytes()
     (tmp_path / "cut.png").write_bytes(whole[:-12])
-    for read in (read_picture, lambda path: open_sequence([path])):
+    for read in (read_image, lambda path: open_sequence([path])):
         refused("cut.png: truncated, the end mark of the PNG file is missing", read, tmp_path / "cut.png")
     assert capfd.readouterr() == ("", ""), "what decodes PNG files has a terminal of its own"
 
@@ -129,5 +129,5 @@ def test_what_is_no_file_is_refused_before_it_is_opened(tmp_path):
         ("nul\0.png", "embedded null"),
     ):
         refused(f": .*{found}", open_sequence, [tmp_path / name], error=FileNotFoundError)
-    refused("pipe.png: .*a device or pipe", read_picture, tmp_path / "pipe.png", error=FileNotFoundError)
+    refused("pipe.png: .*a device or pipe", read_image, tmp_path / "pipe.png", error=FileNotFoundError)
     refused("pipe.csv: .*a device or pipe", read_point_tables, [tmp_path / "pipe.csv"], error=FileNotFoundError)

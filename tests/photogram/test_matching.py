@@ -16,14 +16,14 @@ from photogram.geometry import RigidTransform
 from photogram.images.sequence import ImageSequence
 from photogram.measure import body as measure
 from photogram.measure import follow
-from photogram.subsets.find import DepthRange, held_together, identity
+from photogram.subsets.find import DepthRange, drop_disagreeing, identity_registration
 from photogram.subsets.icgn import TrackSettings
 from photogram.subsets.reference import TrackStatus, prepare_reference
 from photogram.subsets.search import agreeing_neighbours, template_shifts
-from photogram.subsets.sweep import TOLERANCE_PX, line_starts, line_uncertainty_px, surfaces
+from photogram.subsets.sweep import TOLERANCE_PX, fit_surfaces, line_starts, line_uncertainty_px
 from photogram.subsets.texture import repeat_px, repeat_steps_px
 from photogram.subsets.track import StereoGrid, lay_stereo_grid, match_stereo, stereo_tracks, track_stereo
-from photogram.synthetic.scene import Face, render, tiled, view_of
+from photogram.synthetic.scene import Face, render, tile_texture, view_of
 
 MIDDLE = (160, 128)
 PERIOD_M = 0.032  # twice in the 64 mm that a camera sees
@@ -39,7 +39,7 @@ def turned(body: Face, degrees: tuple[float, float, float]) -> Face:
 
 def foil(half_m: tuple[float, float], turn_deg: float = 0.0, period_m: float = PERIOD_M) -> Face:
     """A face in the plane z = 0 with a foil printed from one tile."""
-    return turned(replace(face(half_m, 5), texture=tiled(wide(5), period_m)), (0, 0, turn_deg))
+    return turned(replace(face(half_m, 5), texture=tile_texture(wide(5), period_m)), (0, 0, turn_deg))
 
 
 @cache
@@ -216,10 +216,10 @@ def test_surfaces_are_told_apart_and_strays_left_out():
     right = np.stack([rig.project(rays / (rays @ plane)[:, None])[1] for plane in planes])
     right[1, 25:] = np.nan
     right[0, :8, 0] += rng.uniform(20, 60, 8)
-    first, second, *_ = surfaces(rig, left, right)
+    first, second, *_ = fit_surfaces(rig, left, right)
     assert (first == [-1] * 8 + [0] * 32).all()
     assert (second == [1] * 25 + [-1] * 15).all()
-    assert surfaces(rig, left, np.full_like(right, np.nan)) == []
+    assert fit_surfaces(rig, left, np.full_like(right, np.nan)) == []
 
 
 def test_the_distance_of_copies_is_found_and_there_is_none_without():
@@ -250,14 +250,14 @@ def test_a_subset_on_a_copy_while_its_neighbours_are_not_is_lost(make_texture):
     image = 2000 + 400 * make_texture(seed=9, s=1.4, waves=60).image((160, 160))
     points = np.stack(np.meshgrid(np.arange(30.0, 140, 21), np.arange(30.0, 140, 21)), axis=-1).reshape(-1, 2)
     reference = prepare_reference(spline_of_image(image), points, 10)
-    found = identity(reference)
+    found = identity_registration(reference)
     turn = np.radians(8.0)  # all turn together, one is a copy of 40 px beside that
     turned_px = (points - 80) @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]) + 80
     found.warp[:, [0, 3]] = turned_px - points
     found.warp[:, [1, 2, 4, 5]] = np.cos(turn) - 1, -np.sin(turn), np.sin(turn), np.cos(turn) - 1
     assert (agreeing_neighbours(points, found.warp) == 1.0).all()
     found.warp[14, 0] += 40.0
-    held = held_together(reference, found)
+    held = drop_disagreeing(reference, found)
     assert np.flatnonzero(held.status != TrackStatus.OK).tolist() == [14]
     assert np.isnan(held.warp[14]).all()
 

@@ -15,15 +15,22 @@ import torch
 from contracts import NEEDS_GPU, refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from speckle import PIXEL_M, SENSOR, Stereo, camera, face, rendered, sequence, two_places
+from speckle import PIXEL_M, SENSOR, Stereo, camera, face, render_images, sequence, two_poses
 
 from photogram import arrays
 from photogram.bspline import Spline, evaluate, spline_of_image
 from photogram.camera import Camera, StereoRig
-from photogram.direct import fit as direct_fit
-from photogram.direct import fit_torch
-from photogram.direct.cells import LEAST_FILLED, compare_cells, lay_cells, pixel_residuals, prepare_cells
-from photogram.direct.fit import BodyView, DirectFit, approach, fit_direct, image_noise, rest_covariance, view_body
+from photogram.direct import direct_fit, fit_torch
+from photogram.direct.cells import MIN_FILLED_SHARE, compare_cells, lay_cells, pixel_residuals, prepare_cells
+from photogram.direct.direct_fit import (
+    BodyView,
+    DirectFit,
+    coarse_fit,
+    fit_direct,
+    image_noise,
+    rest_covariance,
+    view_body,
+)
 from photogram.direct.fit_torch import fit_frames, torch_project, torch_view
 from photogram.direct.surface import PlacedCamera, body_patches, patch_rates, patch_warps
 from photogram.epipolar import check_epipolar
@@ -31,12 +38,12 @@ from photogram.geometry import RigidTransform
 from photogram.images.noise import NoiseModel
 from photogram.images.sequence import ImageSequence
 from photogram.measure import follow, follow_torch
-from photogram.measure.again import Swing, prepare_again
 from photogram.measure.body import BodyMotion, body_motion, measure_body
-from photogram.measure.follow import Course, FollowedBlock, KnownBody, follow_block, prepare_body, sine_terms
-from photogram.measure.follow_torch import foretold_poses
+from photogram.measure.exposure_motion import ExposureMotion, prepare_exposure_correction
+from photogram.measure.follow import BodyPrior, BodyTracker, FollowedBlock, follow_block, prepare_body, sine_terms
+from photogram.measure.follow_torch import predict_poses
 from photogram.motion import deformation
-from photogram.subsets.find import dropped
+from photogram.subsets.find import drop_subsets
 from photogram.subsets.icgn import TrackSettings
 from photogram.subsets.icgn_torch import spline_frames
 from photogram.subsets.reference import TrackStatus
@@ -67,7 +74,9 @@ def test_a_body_at_rest_without_noise_is_at_rest_within_the_rounding(bits, degre
 
     Rotations count as what they move at the rim; 10⁻³ of a grey level of 12 bit is what float32 keeps of one.
     """
-    (left, right), *others = rendered(np.zeros((3, 6)), (0.015, 0.013), (100, 90), 31, ImageSensor(bits), noisy=False)
+    (left, right), *others = render_images(
+        np.zeros((3, 6)), (0.015, 0.013), (100, 90), 31, ImageSensor(bits), noisy=False
+    )
     body = measure_body((left, right), *others, TrackSettings(radius_px=8, degree=degree))
     assert body.notices == ()
     step_px = PIXEL_M / 2**bits
@@ -79,7 +88,7 @@ def test_a_body_at_rest_without_noise_is_at_rest_within_the_rounding(bits, degre
 
 @pytest.fixture(scope="module")
 def scene() -> Stereo:
-    return rendered(POSES, (0.019, 0.016), (120, 100), 31)
+    return render_images(POSES, (0.019, 0.016), (120, 100), 31)
 
 
 @pytest.fixture(scope="module")
@@ -154,7 +163,7 @@ BLOCK_POSES = np.sin(2.1 * np.arange(8))[:, None] * SWING
 @pytest.fixture(scope="module")
 def series() -> tuple[object, ...]:
     """What `measure_body` takes: a body that swings."""
-    return (*rendered(BLOCK_POSES, (0.015, 0.013), (100, 90), 41), SETTINGS)
+    return (*render_images(BLOCK_POSES, (0.015, 0.013), (100, 90), 41), SETTINGS)
 
 
 @pytest.fixture
@@ -199,8 +208,10 @@ def test_blocks_can_be_followed_elsewhere_and_in_any_order(series, measured):
 def test_the_rows_of_a_cell_span_a_third_of_a_period(series, row_s, side_px):
     """20 µs times 16 rows are 0.32 of a period of 1 kHz; cells of less than 9 px tell too little."""
     prepared = prepare_body(*series)
-    swing = Swing(np.array([250.0, 1000.0]), np.zeros((2, 6), complex), np.arange(8) / 50.0, 1e-4, (row_s, 0.0), False)
-    assert {view.cells.side_px for view in prepare_again(prepared, swing).scene.views} == {side_px}
+    swing = ExposureMotion(
+        np.array([250.0, 1000.0]), np.zeros((2, 6), complex), np.arange(8) / 50.0, 1e-4, (row_s, 0.0), False
+    )
+    assert {view.cells.side_px for view in prepare_exposure_correction(prepared, swing).scene.views} == {side_px}
 
 
 @pytest.mark.parametrize("length", [1, 3, 5])
@@ -209,7 +220,10 @@ def test_what_was_followed_gives_the_same_however_much_of_it_is_read_at_a_time(s
     prepared = prepare_body(*series)
     block = [frame for frames in prepared.blocks for frame in follow_block(prepared, frames)]
     lost = block[2][0][1]
-    block[2] = ((block[2][0][0], dropped(lost, np.arange(len(lost.status)) % 5 == 0, TrackStatus.LEFT_IMAGE)), None)
+    block[2] = (
+        (block[2][0][0], drop_subsets(lost, np.arange(len(lost.status)) % 5 == 0, TrackStatus.LEFT_IMAGE)),
+        None,
+    )
     whole = body_motion(prepared, [tuple(block)])
     monkeypatch.setattr(follow, "BLOCK_FRAMES", length)
     parts = body_motion(prepared, [tuple(block)])
@@ -314,7 +328,7 @@ def large() -> tuple[object, ...]:
     """A body of some 230 cells, which swings by 4 px and is touched half way, and where it is in every frame."""
     poses = LONG.copy()
     poses[TOUCHED:, :2] += 2e-3  # 12 px
-    return rendered(poses, (0.025, 0.022), (170, 150), 51), poses
+    return render_images(poses, (0.025, 0.022), (170, 150), 51), poses
 
 
 def test_in_frames_without_subsets_the_motion_is_as_good_as_with_them(large, monkeypatch):
@@ -346,13 +360,13 @@ def test_known_lines_foretell_the_body_and_move_nothing(large, monkeypatch):
 
     def counted(*arguments):
         approached.append(1)
-        return approach(*arguments)
+        return coarse_fit(*arguments)
 
     monkeypatch.setattr(follow, "approach", counted)
     for line in (None, 0.9, 0.37):
         terms = None if line is None else sine_terms(np.arange(TOUCHED) / (2.0 * np.pi), np.array([line]))
         approached.clear()
-        scene = prepare_body(before, rig, pose, SEPTIC, known=KnownBody(terms=terms))
+        scene = prepare_body(before, rig, pose, SEPTIC, prior=BodyPrior(terms=terms))
         motions.append(body_motion(scene, [follow_block(scene, block) for block in scene.blocks]).motion)
         numbers.append(len(approached))
     assert numbers == [5, 2, 5]
@@ -365,10 +379,10 @@ def test_known_lines_foretell_the_body_and_move_nothing(large, monkeypatch):
 def test_subsets_are_looked_for_in_about_as_many_frames_as_wanted_and_no_two_lines_fold(count, wanted):
     sought = follow._sought(range(2, count), wanted)
     assert len(sought) == count
-    assert sought[: 2 + follow.FORETELLING].all()
+    assert sought[: 2 + follow.MIN_PREDICTION_FRAMES].all()
     if sought.all():
         return
-    leads = 2 + follow.FORETELLING * -(-(count - 2) // follow.BLOCK_FRAMES)
+    leads = 2 + follow.MIN_PREDICTION_FRAMES * -(-(count - 2) // follow.BLOCK_FRAMES)
     assert sought.sum() <= max(wanted, leads) + 0.1 * count + 3
     frames = np.flatnonzero(sought)
     if len(frames) < 24:
@@ -388,7 +402,7 @@ def test_an_approach_by_some_cells_leads_next_to_the_fit_by_all(large):
     )
     splines = [spline_of_image(side.read(3), SETTINGS.degree) for side in images]
     start = RigidTransform.from_pose(poses[3] + np.array([5e-5, -5e-5, 5e-5, 3e-4, 3e-4, -3e-4]))
-    near, fit = approach(prepared.near, splines, start), fit_direct(prepared.views, splines, start)
+    near, fit = coarse_fit(prepared.near, splines, start), fit_direct(prepared.views, splines, start)
     u = np.sqrt(np.diagonal(fit.covariance))
     assert np.max(np.abs(near.pose - fit.moved.pose) / u) < 8.0
     assert np.max(np.abs(fit_direct(prepared.views, splines, near).moved.pose - fit.moved.pose) / u) < 0.05
@@ -419,7 +433,7 @@ class Scene:
 @pytest.fixture(scope="module")
 def plate() -> Scene:
     shown, one = face((0.017, 0.017), 7, is_round=True), camera((110, 100), (-0.1, 0.1, 2e-4, -1e-4, 0.0))
-    places = tuple(PlacedCamera(one, place) for place in two_places(0.1))
+    places = tuple(PlacedCamera(one, place) for place in two_poses(0.1))
     views = [view_of(place.camera, place.camera_from_body) for place in places]
     images = [[render(view, shown, pose[None], np.ones(1)) for view in views] for pose in (np.zeros(6), POSE)]
     return Scene((places[0], places[1]), shown, (images[0][0], images[0][1]), (images[1][0], images[1][1]))
@@ -597,7 +611,7 @@ def test_known_lines_foretell_the_rest_of_a_batch_on_a_device_which_is_compared_
     """Counted: steps and comparisons of a frame. The motion is as the CPU's within what both leave."""
     count = np.arange(40)
     poses = sum(np.sin(line * count + k)[:, None] * np.roll(0.06 * SWING, k) for k, line in enumerate(SWINGS))
-    images, *others = rendered(poses - poses[0], (0.015, 0.013), (100, 90), 43)
+    images, *others = render_images(poses - poses[0], (0.015, 0.013), (100, 90), 43)
     compared, batches = list[int](), list[tuple[int, float]]()
     compare, fit_all = fit_torch._compared, follow_torch.fit_frames
 
@@ -613,8 +627,8 @@ def test_known_lines_foretell_the_rest_of_a_batch_on_a_device_which_is_compared_
 
     monkeypatch.setattr(fit_torch, "_compared", comparing)
     monkeypatch.setattr(follow_torch, "fit_frames", fitted)
-    known = KnownBody(terms=sine_terms(count.astype(np.float64), np.array(SWINGS) / (2.0 * np.pi)))
-    scene = prepare_body(images, *others, SEPTIC, device="cpu:0", known=known)
+    known = BodyPrior(terms=sine_terms(count.astype(np.float64), np.array(SWINGS) / (2.0 * np.pi)))
+    scene = prepare_body(images, *others, SEPTIC, device="cpu:0", prior=known)
     (block,) = scene.blocks
     here, there = ([fit for _, fit in follow_block(scene, block, where)] for where in ("cpu", "cpu:0"))
     assert [frames for frames, _ in batches] == [12, 12, 14]
@@ -623,7 +637,7 @@ def test_known_lines_foretell_the_rest_of_a_batch_on_a_device_which_is_compared_
         assert np.max(np.abs(other.moved.pose - one.moved.pose) / sigma(one.covariance)) < 0.1
 
 
-def course_of(poses: np.ndarray, terms: np.ndarray | None = None) -> Course:
+def course_of(poses: np.ndarray, terms: np.ndarray | None = None) -> BodyTracker:
     """A body whose frames so far gave these poses, and of which 20 points are seen at 1 px by 0.1 mm or 2 mrad."""
     rng = np.random.default_rng(29)
     rates = rng.normal(0.0, [1e4, 1e4, 1e4, 500, 500, 500], (20, 2, 6))
@@ -631,9 +645,9 @@ def course_of(poses: np.ndarray, terms: np.ndarray | None = None) -> Course:
     fits = [
         DirectFit(RigidTransform.from_pose(pose), covariance, 1.0, 99, np.zeros(0), np.zeros((0, 0))) for pose in poses
     ]
-    lead, known = ((None, fits[0]),) if fits else (), KnownBody(terms=terms)
+    lead, known = ((None, fits[0]),) if fits else (), BodyPrior(terms=terms)
     scene = SimpleNamespace(seen=[SimpleNamespace(rates=rates)], lead=lead, body=known)
-    return cast("Course", SimpleNamespace(fits=fits, scene=scene))
+    return cast("BodyTracker", SimpleNamespace(fits=fits, scene=scene))
 
 
 AMPLITUDE = np.array([5e-4, -3e-4, 2e-4, 1e-3, -2e-3, 2e-3])
@@ -646,7 +660,7 @@ def test_sines_are_foretold_over_a_whole_batch(lines):
     swings = [np.sin(line * frames + k) * np.roll(AMPLITUDE, k) / (1 + k) for k, line in enumerate(lines)]
     truth = 2 * AMPLITUDE + np.sum(swings, axis=0)
     noisy = truth + np.random.default_rng(30).normal(0, 1e-3, truth.shape) * np.abs(AMPLITUDE)
-    found = foretold_poses(course_of(noisy[:60]), 50)
+    found = predict_poses(course_of(noisy[:60]), 50)
     assert found.shape == (50, 6)
     assert np.sqrt(np.mean(((found - truth[60:]) / AMPLITUDE) ** 2)) < 0.02
 
@@ -655,14 +669,14 @@ def test_rest_is_expected_to_stay_and_what_cannot_be_foretold_is_taken_frame_by_
     """Rest, random motion, too few frames for sines, random motion near its mean, too few for any rule, none."""
     rng = np.random.default_rng(31)
     rest, jumps = rng.normal(0, 1e-6, (20, 6)), rng.normal(0, 1e-3, (20, 6))
-    np.testing.assert_allclose(foretold_poses(course_of(rest), 12), np.tile(rest[-1], (12, 1)), atol=1e-12)
+    np.testing.assert_allclose(predict_poses(course_of(rest), 12), np.tile(rest[-1], (12, 1)), atol=1e-12)
     for past in (jumps, jumps[:8]):
-        assert foretold_poses(course_of(past), 12).shape == (1, 6)
+        assert predict_poses(course_of(past), 12).shape == (1, 6)
     mean = np.tile(0.05 * jumps.mean(axis=0), (12, 1))
-    np.testing.assert_allclose(foretold_poses(course_of(0.05 * jumps), 12), mean, atol=1e-12)
+    np.testing.assert_allclose(predict_poses(course_of(0.05 * jumps), 12), mean, atol=1e-12)
     mean = np.tile(jumps[:3].mean(axis=0), (9, 1))
-    np.testing.assert_allclose(foretold_poses(course_of(jumps[:3]), 9), mean, atol=1e-12)
-    assert foretold_poses(course_of(jumps[:0]), 9).shape == (0, 6)
+    np.testing.assert_allclose(predict_poses(course_of(jumps[:3]), 9), mean, atol=1e-12)
+    assert predict_poses(course_of(jumps[:0]), 9).shape == (0, 6)
 
 
 def test_known_lines_foretell_as_far_as_their_fit_is_certain():
@@ -675,7 +689,7 @@ def test_known_lines_foretell_as_far_as_their_fit_is_certain():
         terms, moving = (sine_terms(frames / (2.0 * np.pi), np.array(own)) for own in (lines, lines + more))
         truth = moving @ rng.normal(0.0, 1.0, (moving.shape[1], 6)) * AMPLITUDE
         course = course_of(truth[:first] + rng.normal(0.0, 1.0, (first, 6)) * u, terms)
-        found = Course.continued(course, range(first, len(frames)))
+        found = BodyTracker.extrapolate(course, range(first, len(frames)))
         off = np.linalg.norm((found - truth[first : first + len(found)]) / u, axis=1)
         return len(found), float(np.max(off, initial=0.0))
 
@@ -708,7 +722,7 @@ def test_every_pixel_of_a_well_filled_square_appears_once(seed, side, filled):
     assert first[-1] == len(runs)
     for index, centre in enumerate(centres):
         mine = runs[first[index] : first[index + 1]]
-        assert mine[:, 2].sum() >= LEAST_FILLED * side**2
+        assert mine[:, 2].sum() >= MIN_FILLED_SHARE * side**2
         half = (side - 1) / 2
         assert np.all(np.abs(mine[:, 0] - centre[1]) <= half)
         assert np.all(mine[:, 1] >= centre[0] - half)

@@ -11,8 +11,8 @@ from hypothesis.extra.numpy import arrays
 from scipy import ndimage
 
 from photogram.bspline import spline_of_image
-from photogram.calibration.file import read_calibration
-from photogram.camera import Points, triangulate
+from photogram.calibration.calibration_file import read_calibration
+from photogram.camera import Points3D, triangulate
 from photogram.geometry import RigidTransform, fit_rigid, rotation_from_vector
 from photogram.motion import (
     Deformation,
@@ -41,9 +41,9 @@ def moved(reference: np.ndarray, pose: np.ndarray, origin: np.ndarray = ORIGIN) 
     return RigidTransform.from_pose(pose).apply(reference - origin) + origin
 
 
-def of(position: np.ndarray, covariance: np.ndarray = NOISE) -> Points:
+def of(position: np.ndarray, covariance: np.ndarray = NOISE) -> Points3D:
     known = np.isfinite(position).all(axis=2)[..., None, None]
-    return Points(position, np.where(known, covariance, np.nan), np.zeros(position.shape[:2]))
+    return Points3D(position, np.where(known, covariance, np.nan), np.zeros(position.shape[:2]))
 
 
 def shaking(frames: int, seed: int = 1, angle: float = 2e-3) -> np.ndarray:
@@ -60,7 +60,7 @@ def varying_noise(frames: int, count: int) -> np.ndarray:
     return np.broadcast_to(each, (frames, count, 3, 3))
 
 
-def sample(frames: int, count: int, pose: np.ndarray, seed: int) -> tuple[np.ndarray, Points]:
+def sample(frames: int, count: int, pose: np.ndarray, seed: int) -> tuple[np.ndarray, Points3D]:
     reference, covariance = body(count), varying_noise(frames, count)
     error = (np.linalg.cholesky(covariance) @ np.random.default_rng(seed).normal(size=(frames, count, 3, 1)))[..., 0]
     return reference, of(np.stack([moved(reference, one) for one in pose]) + error, covariance)
@@ -248,7 +248,7 @@ def test_a_body_that_bends_is_not_turned_to_where_it_is_known_worst():
     stretched = reference * [1.0, 0.92, 1.0] + rng.multivariate_normal(np.zeros(3), covariance, len(reference))
     shift = np.array([1e-4, 2e-4, -1e-4])
     position = np.stack([reference, stretched + shift])
-    points = Points(position, np.broadcast_to(covariance, (*position.shape, 3)), np.zeros(position.shape[:2]))
+    points = Points3D(position, np.broadcast_to(covariance, (*position.shape, 3)), np.zeros(position.shape[:2]))
     motion = fit_motion(points, None, np.zeros(3))
     np.testing.assert_allclose(motion.pose[1, :3], shift, atol=1e-5)
     assert np.max(np.abs(motion.pose[1, 3:])) < 1e-3
@@ -265,7 +265,7 @@ FRAMES = 60
 PLATE = np.array([(x, y, 0.02) for y in np.linspace(-0.04, 0.04, 7) for x in np.linspace(-0.05, 0.05, 9)])
 
 
-def moving(rng: np.random.Generator, bent: np.ndarray | float = 0.0, uneven: float = 10.0) -> Points:
+def moving(rng: np.random.Generator, bent: np.ndarray | float = 0.0, uneven: float = 10.0) -> Points3D:
     """Points whose noise grows away from the middle; the reference frame has noise of its own."""
     pose = np.concatenate([rng.normal(0, 1e-4, (FRAMES, 3)), rng.normal(0, 0.02, (FRAMES, 3))], axis=1)
     pose[0] = 0.0
@@ -273,10 +273,10 @@ def moving(rng: np.random.Generator, bent: np.ndarray | float = 0.0, uneven: flo
     grow = (1.0 + uneven * np.abs(PLATE[:, 0]))[:, None, None]
     noise = rng.normal(size=moved.shape)[..., None, :] @ np.swapaxes(grow * ROOT, 1, 2)
     covariance = np.broadcast_to(grow**2 * (ROOT @ ROOT.T), (*moved.shape, 3))
-    return Points(moved + noise[..., 0, :], covariance, np.zeros(moved.shape[:2]))
+    return Points3D(moved + noise[..., 0, :], covariance, np.zeros(moved.shape[:2]))
 
 
-def beside(points: Points) -> Deformation:
+def beside(points: Points3D) -> Deformation:
     """Against the first frame, whose noise is that of the reference."""
     return deformation(points, fit_motion(points, None, np.array([0.01, 0.0, -0.03])))
 
@@ -292,7 +292,7 @@ def test_a_rigid_body_leaves_noise_of_the_stated_covariance_which_counts_the_lev
     np.testing.assert_allclose(found.mean(axis=(0, 1)) / 3, 1.0, atol=0.2)
     points = moving(np.random.default_rng(9))
     few = np.array([0, 8, 30, 54, 62])
-    part = Points(points.position_m[:, few], points.covariance_m2[:, few], points.reprojection_px[:, few])
+    part = Points3D(points.position_m[:, few], points.covariance_m2[:, few], points.reprojection_px[:, few])
     shape = beside(part)
     full = np.linalg.inv(part.covariance_m2)
     assert squares(shape).mean() / 3 == pytest.approx(1.0, abs=0.1)
@@ -342,7 +342,7 @@ def test_wrong_calls_are_named():
     points = moving(np.random.default_rng(12))
     motion = fit_motion(points, None, np.zeros(3))
     refused("reference_m: expected an array of shape", deformation, points, motion, np.zeros((4, 3)))
-    part = Points(points.position_m[1:], points.covariance_m2[1:], points.reprojection_px[1:])
+    part = Points3D(points.position_m[1:], points.covariance_m2[1:], points.reprojection_px[1:])
     refused(r"motion\.pose: expected an array of shape", deformation, part, motion)
 
 
@@ -383,7 +383,7 @@ def test_scatter_of_a_rigid_fit_is_stated_with_the_correlation_and_not_without()
         field = [ndimage.uniform_filter(rng.normal(size=(110, 130)), side) * side for _ in range(3)]
         noise[k] = np.stack([part[rows, columns].ravel() for part in field], axis=1) @ root.T
     covariance = np.broadcast_to(root @ root.T, (frames, len(centres), 3, 3))
-    points = Points(reference + noise, covariance, np.zeros((frames, len(centres))))
+    points = Points3D(reference + noise, covariance, np.zeros((frames, len(centres))))
     origin = reference.mean(axis=0)
     plain = fit_motion(points, reference, origin)
     aware = fit_motion(points, reference, origin, overlap_correlation(centres, radius))

@@ -33,7 +33,7 @@ def test_names_count_frames(names, place, missing):
     counted = numbers_of_names(names)
     assert counted is not None
     assert counted.missing == missing
-    assert place is None or counted.place.tolist() == place
+    assert place is None or counted.frame_index.tolist() == place
 
 
 @pytest.mark.parametrize(
@@ -56,7 +56,7 @@ def test_time_stamps_of_a_film_show_what_it_lacks(rate_hz):
     """Rounded to a millisecond, as Matroska stores them."""
     whole, lacking = (np.round(np.array(which) / rate_hz, 3) for which in (EIGHT * 1, LACK))
     assert numbers_of_times(whole, 1e-3).missing == ""
-    assert numbers_of_times(lacking, 1e-3).place.tolist() == LACK
+    assert numbers_of_times(lacking, 1e-3).frame_index.tolist() == LACK
     assert "1 between" in numbers_of_times(lacking, 1e-3).missing
     assert numbers_of_times(np.array([0.0, 0.03, 0.08, 0.1, 0.16, 0.2]), 1e-3) is None  # as a telephone films
     assert numbers_of_times(np.arange(5) * 1e-3, 1e-3) is None  # too fast for its stamps

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from speckle import SENSOR, camera, face, sequence, two_places
+from speckle import SENSOR, camera, face, sequence, two_poses
 
-from photogram.calibration.file import read_camera, write_calibration
+from photogram.calibration.calibration_file import read_camera, write_calibration
 from photogram.camera import FaceCamera, StereoRig, locate
 from photogram.geometry import RigidTransform
 from photogram.measure.body import measure_body
@@ -17,7 +17,7 @@ from photogram.subsets.icgn import TrackSettings
 from photogram.synthetic.scene import motion_bound, render, view_of
 
 LENS = camera((100, 80), (-0.09, 0.1, 1e-4, -1e-4, 0))
-AWAY = two_places(0.35)[0]
+AWAY = two_poses(0.35)[0]
 RIG = FaceCamera(LENS, AWAY.apply(np.zeros(3)), AWAY.rotation[:, 2])
 POINTS = np.stack(np.meshgrid(np.linspace(-0.014, 0.014, 12), np.linspace(-0.011, 0.011, 9), [0.0]), -1).reshape(-1, 3)
 MOTION = np.array([2e-5, -3e-5, 1.5e-4, 2e-3, -3e-3, 4e-3])

@@ -25,7 +25,7 @@ from photogram.subsets.icgn_torch import (
 )
 from photogram.subsets.reference import (
     PARAMETERS,
-    Reference,
+    ReferenceSubsets,
     TrackStatus,
     prepare_reference,
     shape_values,
@@ -291,7 +291,12 @@ def noisy_frames(texture) -> NDArray[np.uint16]:
 
 
 def both_engines(
-    reference: Reference, images, start, degree: int = 5, how: TrackSettings = SETTINGS, precision: str = "float64"
+    reference: ReferenceSubsets,
+    images,
+    start,
+    degree: int = 5,
+    how: TrackSettings = SETTINGS,
+    precision: str = "float64",
 ) -> list[tuple[Registration, Registration]]:
     """Results of the compiled and of the batched engine, frame by frame."""
     expected = [register(reference, spline_of_image(i, degree), s, how) for i, s in zip(images, start, strict=True)]
@@ -340,7 +345,7 @@ def test_importing_the_package_does_not_import_torch():
 
 
 @pytest.fixture(scope="module")
-def prepared(noisy_frames) -> Reference:
+def prepared(noisy_frames) -> ReferenceSubsets:
     return prepare_reference(spline_of_image(noisy_frames[0]), OFF_PIXEL, 10)
 
 

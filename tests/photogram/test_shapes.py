@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from speckle import SENSOR, camera, face, two_places
+from speckle import SENSOR, camera, face, two_poses
 
 from photogram.bspline import spline_of_image
-from photogram.direct.fit import BodyView, DirectFit, fit_direct, rigid_share, view_body
+from photogram.direct.direct_fit import BodyView, DirectFit, fit_direct, rigid_share, view_body
 from photogram.direct.fit_torch import fit_frames, torch_view
 from photogram.direct.shapes import PlainShapes
 from photogram.direct.surface import PlacedCamera
@@ -17,10 +17,10 @@ from photogram.geometry import RigidTransform
 from photogram.images.noise import NoiseModel
 from photogram.subsets.icgn_torch import spline_frames
 from photogram.subsets.texture import textured_area
-from photogram.synthetic.scene import bent, motion_bound, render, view_of
+from photogram.synthetic.scene import bend_view, motion_bound, render, view_of
 
 FACE = face((0.017, 0.017), 7, is_round=True)
-PLACES = tuple(PlacedCamera(camera((110, 100), (-0.1, 0.1, 2e-4, -1e-4, 0.0)), place) for place in two_places(0.1))
+PLACES = tuple(PlacedCamera(camera((110, 100), (-0.1, 0.1, 2e-4, -1e-4, 0.0)), place) for place in two_poses(0.1))
 VIEWS = [view_of(place.camera, place.camera_from_body) for place in PLACES]
 MODEL = NoiseModel(SENSOR.read_noise_grey**2 + 1 / 12, 1 / SENSOR.electrons_per_grey)
 REACH_M, SIZE_M, STILL = 0.017, 1e-6, np.zeros(6)
@@ -51,7 +51,7 @@ BENT: dict[str, Bending] = {
 def pictures(bending: Bending | None, size_m: float = SIZE_M, pose: np.ndarray = STILL) -> list[np.ndarray]:
     seen = VIEWS
     if bending is not None:
-        seen = [bent(view, FACE, pose, lambda u, v: size_m * bending(u, v)) for view in VIEWS]
+        seen = [bend_view(view, FACE, pose, lambda u, v: size_m * bending(u, v)) for view in VIEWS]
     return [render(view, FACE, pose[None], np.ones(1)) * SENSOR.full_scale for view in seen]
 
 

@@ -24,7 +24,7 @@ from photogram.subsets.search import (
 from photogram.subsets.texture import (
     aliasing_bias,
     aliasing_notice,
-    assess,
+    assess_subsets,
     default_radius_px,
     fine_texture_share,
     lay_grid,
@@ -138,7 +138,7 @@ def test_predicted_sigma_is_the_scatter_of_tracking():
     still, moved = images(5.0, 1.2, np.array([0.0, 0.4]))
     first = SENSOR.digitise(still, rng)
     reference = prepare_reference(spline_of_image(first), lay_grid(INNER, radius, 2 * radius + 1), radius)
-    quality = assess(reference, first, NOISE, SENSOR.full_scale)
+    quality = assess_subsets(reference, first, NOISE, SENSOR.full_scale)
     assert quality.usable.all()
     assert quality.notices("left camera") == ()
     start = np.zeros((len(reference.centre_px), 6))
@@ -157,7 +157,7 @@ def test_unusable_subsets_are_told_apart_and_counted():
     image[20:60, 20:60] = 4095
     image[100:150, 100:150] = np.random.default_rng(4).normal(1000, 12, (50, 50)).astype(np.uint16)
     centres = np.array([[90.0, 40.0], [40.0, 40.0], [125.0, 125.0], [4.0, 90.0], [np.nan, np.nan]])
-    quality = assess(prepare_reference(spline_of_image(image), centres, 10), image, NOISE, 4095)
+    quality = assess_subsets(prepare_reference(spline_of_image(image), centres, 10), image, NOISE, 4095)
     expected = [TrackStatus.OK, TrackStatus.SATURATED, TrackStatus.FLAT, TrackStatus.LEFT_IMAGE, TrackStatus.NO_START]
     assert quality.status.tolist() == expected
     assert np.isfinite(quality.predicted_sigma_px).all(axis=1).tolist() == quality.usable.tolist()

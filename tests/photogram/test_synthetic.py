@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from board_pictures import SPACING_M, camera_of, charuco, chessboard, pose_of, truth_px
+from board_images import SPACING_M, camera_of, charuco, chessboard, pose_of, truth_px
 from contracts import refused
 
 from photogram.camera import Camera, StereoRig
@@ -23,7 +23,7 @@ from photogram.synthetic.scene import (
     texture_from_samples,
     view_of,
 )
-from photogram.targets.view import Target
+from photogram.targets.target_view import Target
 
 PIXEL_M = 0.2e-3
 DOWN = RigidTransform(np.diag([1.0, -1.0, -1.0]), np.array([0, 0, 0.3]))  # a pixel sees PIXEL_M

@@ -8,29 +8,29 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from board_pictures import SENSOR, camera_of, charuco, chessboard, errors, picture, pose_of, truth_px
-from board_pictures import SPACING_M as SPACING
+from board_images import SENSOR, camera_of, charuco, chessboard, errors, picture, pose_of, truth_px
+from board_images import SPACING_M as SPACING
 from contracts import coverage_contract, refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
 from photogram.arrays import FloatArray
-from photogram.calibration.bundle import see
+from photogram.calibration.bundle import model_pixels
 from photogram.camera import Camera
 from photogram.geometry import RigidTransform, rotation_from_vector, vector_from_rotation
 from photogram.images.noise import NoiseModel
 from photogram.synthetic.board import Board, render_board
 from photogram.targets.charuco import find_charuco
 from photogram.targets.chessboard import corner_view, find_chessboard, lattice_bend
-from photogram.targets.crossing import NO_CROSSING, OUTSIDE, SATURATED, Response, refine_corners
+from photogram.targets.crossing import NO_CROSSING, OUTSIDE, SATURATED, CameraResponse, refine_corners
 from photogram.targets.dots import find_dots
-from photogram.targets.ellipse import Ellipses, fit_ellipses
-from photogram.targets.view import Target, TargetNotFound, TargetView, find_target, picture_noise
+from photogram.targets.ellipse import FittedEllipses, fit_ellipses
+from photogram.targets.target_view import Target, TargetNotFound, TargetView, estimate_image_noise, find_target
 
 slow = partial(pytest.param, marks=pytest.mark.slow)
 NOISE = NoiseModel(36.0, 0.125)
-RESPONSE = Response(NOISE, SENSOR.full_scale)
+RESPONSE = CameraResponse(NOISE, SENSOR.full_scale)
 
 
 def _expected(pose: RigidTransform, board: Board, camera: Camera) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -67,7 +67,9 @@ def test_covariance_is_the_scatter_and_the_peer_scatters_more():
     clean = render_board(camera, pose, board, slant=0.3)
     for seed in range(12):
         image = SENSOR.digitise(clean, np.random.default_rng(seed))
-        corners = refine_corners(image, truth + 0.3, axes, Response(picture_noise(image), SENSOR.full_scale), bend)
+        corners = refine_corners(
+            image, truth + 0.3, axes, CameraResponse(estimate_image_noise(image), SENSOR.full_scale), bend
+        )
         error.append(corners.position_px - truth)
         whitened.append(np.linalg.solve(np.linalg.cholesky(corners.covariance_px2), error[-1][..., None]))
         refined = truth.astype(np.float32).reshape(-1, 1, 2)
@@ -79,7 +81,7 @@ def test_covariance_is_the_scatter_and_the_peer_scatters_more():
 
 def test_noise_of_the_picture_is_found():
     board, camera = chessboard(), camera_of()
-    noise = picture_noise(picture(camera, pose_of(board, camera, 40.0, (0.3, 0.2, 0.1)), board))
+    noise = estimate_image_noise(picture(camera, pose_of(board, camera, 40.0, (0.3, 0.2, 0.1)), board))
     grey = np.array([400.0, 3000.0])
     np.testing.assert_allclose(noise.variance(grey), SENSOR.variance(grey), rtol=0.1)
 
@@ -255,7 +257,7 @@ def test_what_is_lost_is_counted_and_said():
     start[:9] += 19.0  # into the middle of squares
     view = corner_view(image, board.target, index, start, np.tile(axes, (77, 1, 1)), "a", SENSOR.full_scale)
     assert (len(view.index), view.lost) == (68, 9)
-    assert view.lost_why == "68 of 77 corners can be measured (lost: 9 no crossing of two edges)"
+    assert view.loss_reasons == "68 of 77 corners can be measured (lost: 9 no crossing of two edges)"
     start += rng.choice([-19.0, 19.0], start.shape) * (np.arange(77) > 12)[:, None]
     words = r"^\d of 77 corners can be measured \(lost: 7\d no crossing of two edges"
     arguments = board.target, index, start, np.tile(axes, (77, 1, 1)), "a", SENSOR.full_scale
@@ -303,7 +305,7 @@ def test_dots_on_a_sheet_at_full_scale_stay_where_they_are(gain, amount):
     assert (image == SENSOR.full_scale).mean() > 0.2
     view = find_target(image, board.target, "a", SENSOR.full_scale)
     points = np.column_stack([view.index, np.zeros(len(view.index))]) * SPACING
-    truth = see(CAMERA, RigidTransform.identity(), place, points, board.radius * SPACING).pixel
+    truth = model_pixels(CAMERA, RigidTransform.identity(), place, points, board.radius * SPACING).pixel
     error = view.position_px - truth
     whitened = np.linalg.solve(np.linalg.cholesky(view.covariance_px2), error[..., None])
     assert len(view.index) == 88
@@ -551,7 +553,7 @@ def render_dot(centre: np.ndarray, shape: np.ndarray, sigma: float, size: int, s
     return (BACKGROUND + CONTRAST * pixels) * light
 
 
-def fit(image: np.ndarray, start: np.ndarray, shape: np.ndarray, ring: bool = False) -> Ellipses:
+def fit(image: np.ndarray, start: np.ndarray, shape: np.ndarray, ring: bool = False) -> FittedEllipses:
     return fit_ellipses(image, start[None], 1.1 * shape[None], np.array([30.0]), np.array([ring]))
 
 

@@ -15,11 +15,11 @@ from contracts import refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
-from speckle import rendered, sequence
+from speckle import render_images, sequence
 
 from photogram.camera import Camera, StereoRig, triangulate
 from photogram.geometry import RigidTransform
-from photogram.images.files import open_sequence
+from photogram.images.image_files import open_sequence
 from photogram.images.sequence import AHEAD, ImageSequence
 from photogram.kernels import device as device_module
 from photogram.kernels.device import resolve_device
@@ -461,7 +461,7 @@ def motion_of(rig: StereoRig, images: Sequence[ImageSequence], origin_m: np.ndar
 def test_swapped_cameras_see_the_same_motion():
     """The left camera lays the grid, so other subsets are followed: the same motion within its uncertainty."""
     poses = np.array([np.zeros(6), [1e-4, -8e-5, 2e-4, 1e-3, -2e-3, 3e-3], [-9e-5, 5e-5, -3e-4, -2e-3, 1e-3, 1e-3]])
-    images, rig, _ = rendered(poses, (0.017, 0.017), (110, 100), 42, ImageSensor(12, 16.0, 3.0))
+    images, rig, _ = render_images(poses, (0.017, 0.017), (110, 100), 42, ImageSensor(12, 16.0, 3.0))
     swap = StereoRig(rig.right, rig.left, rig.right_from_left.inverse())
     origin = np.array([0.0, 0.0, 0.3])
     plain, swapped = motion_of(rig, images, origin), motion_of(swap, images[::-1], rig.right_from_left.apply(origin))

@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from photogram.images import video
-from photogram.images.files import open_sequence
+from photogram.images.image_files import open_sequence
 from photogram.images.video import linear_12_of_10
 
 RNG = np.random.default_rng(4)
@@ -141,7 +141,7 @@ def test_bitmaps_are_read_and_others_than_grey_refused(tmp_path):
     refused("cut.bmp: truncated", open_sequence, [tmp_path / "cut.bmp"])
 
 
-@pytest.mark.parametrize(("suffix", "codec", "severity"), [(".avi", "MJPG", "warning"), (".avi", "FFV1", "info")])
+@pytest.mark.parametrize(("suffix", "codec", "severity"), [(".avi", "MJPG", "warning"), (".avi", "FFV1", "note")])
 def test_films_are_read_frame_by_frame_with_a_warning(tmp_path: Path, suffix: str, codec: str, severity: str):
     rng, path = np.random.default_rng(3), tmp_path / f"film{suffix}"
     smooth = [cv2.GaussianBlur(rng.uniform(0, 255, (64, 96)), (0, 0), 3) * 3 - 250 for _ in range(4)]
@@ -206,7 +206,7 @@ def test_frames_that_a_film_lacks_are_told_by_its_time_stamps(tmp_path):
         data = data.replace(old, new)
     path.write_bytes(data)
     counted = open_sequence([path]).numbers
-    assert (counted.place.tolist(), counted.missing) == ([0, 1, 2, 4, 5, 6], "1 between 0.08 s and 0.16 s")
+    assert (counted.frame_index.tolist(), counted.missing) == ([0, 1, 2, 4, 5, 6], "1 between 0.08 s and 0.16 s")
 
 
 @pytest.mark.parametrize(("matrix", "tag"), [((0, 1, -1, 0), 6), ((-1, 0, 0, -1), 3), ((0, -1, 1, 0), 8)])

@@ -11,7 +11,7 @@ from scipy import signal
 from scipy.integrate import solve_ivp
 
 from shaker.compensation.effects import (
-    KEPT_SHARE,
+    MODEL_ERROR_SHARE,
     CompensationWithUncertainty,
     filtered_noise,
     gain_band,
@@ -23,17 +23,17 @@ from shaker.compensation.effects import (
 from shaker.compensation.filter import (
     Compensation,
     CompensationFilter,
+    CompensationTarget,
     Sections,
     SensorDynamics,
-    Target,
     band_ratio,
     best_damping,
     discretisation_error,
-    filled,
+    discretise,
     loaded_dynamics,
     modal_dynamics,
+    pad_sections,
     parameter_sections,
-    sampled,
     single_mode,
 )
 from shaker.compensation.force_feedback import (
@@ -49,13 +49,13 @@ from shaker.lti.system import ModalModel
 from shaker.release.load_model import LoadModel
 
 SINGLE = single_mode(500.0, 0.004)
-PUBLISHED = Compensation(SINGLE, Target(1000.0, 0.5))
+PUBLISHED = Compensation(SINGLE, CompensationTarget(1000.0, 0.5))
 OMEGA = 6280.0
 TWO_MASSES = LoadModel("Fy", "Fy", "V", 0.240, 2.36e6, 6.0)
 THREE_MASSES = LoadModel("Fy", "Fy", "V", 0.240, 2.36e6, 6.0, 1.89e6, 4.0)
 
 
-def _for_load(load: float, target: Target, model: LoadModel = TWO_MASSES, modes: int = 1) -> Compensation:
+def _for_load(load: float, target: CompensationTarget, model: LoadModel = TWO_MASSES, modes: int = 1) -> Compensation:
     """The filter of a sensor that carries a load."""
     return Compensation(loaded_dynamics(model, load, modes=modes), target)
 
@@ -82,12 +82,12 @@ def test_the_published_case():
 
 
 def test_the_filter_is_proper_and_its_factor_the_ratio_of_the_denominators_at_rest():
-    factor = _for_load(0.0, Target(OMEGA / (2 * np.pi), 0.5)).system.gain / TWO_MASSES.moving_mass
+    factor = _for_load(0.0, CompensationTarget(OMEGA / (2 * np.pi), 0.5)).system.gain / TWO_MASSES.moving_mass
     assert factor == pytest.approx(OMEGA**2 / 2.36e6, rel=1e-12)
     assert factor == pytest.approx(16.7, abs=0.02)
     assert len(PUBLISHED.system.zeros) == len(PUBLISHED.system.poles) == 2
     assert PUBLISHED.system.static_gain == pytest.approx(1.0, rel=1e-14)
-    calibrated = Compensation(single_mode(500.0, 0.004, 2.5e-3), Target(1000.0, 0.5), calibrated=True)
+    calibrated = Compensation(single_mode(500.0, 0.004, 2.5e-3), CompensationTarget(1000.0, 0.5), calibrated=True)
     assert calibrated.compensated.static_gain == pytest.approx(1.0, rel=1e-13)
 
 
@@ -109,7 +109,7 @@ def test_best_damping_is_where_a_search_finds_the_widest_band(error):
 
 def test_bandwidth_target_is_that_of_the_closed_form_for_one_mode_and_counts_the_poles_that_stay():
     found = target_for_bandwidth(SINGLE, 900.0, 0.1)
-    kept = (1 - KEPT_SHARE) * 0.1
+    kept = (1 - MODEL_ERROR_SHARE) * 0.1
     assert found.damping_ratio == pytest.approx(best_damping(kept), abs=2e-5)
     assert found.frequency_hz == pytest.approx(900.0 / band_ratio(best_damping(kept) + 1e-9, kept), rel=1e-4)
     sensor = modal_dynamics(_chain(1700.0, 0.015, 6000.0))
@@ -118,7 +118,7 @@ def test_bandwidth_target_is_that_of_the_closed_form_for_one_mode_and_counts_the
     refused("compensate more modes or the real poles", target_for_bandwidth, sensor, 8000.0, 0.01)
 
 
-def _band_hz(sensor: SensorDynamics, target: Target) -> float:
+def _band_hz(sensor: SensorDynamics, target: CompensationTarget) -> float:
     """Where the compensated sensor leaves ±10 %."""
     return indices(Compensation(sensor, target).compensated).band_10_hz or 0.0
 
@@ -126,10 +126,10 @@ def _band_hz(sensor: SensorDynamics, target: Target) -> float:
 def test_damping_is_chosen_for_the_whole_sensor():
     """One mode: the closed form. Two: the mode above raises the gain, and more damping is needed to keep 10 %."""
     one = target_for_frequency(SINGLE, 1000.0, 0.1)
-    assert one.damping_ratio == best_damping((1 - KEPT_SHARE) * 0.1)
+    assert one.damping_ratio == best_damping((1 - MODEL_ERROR_SHARE) * 0.1)
     sensor = loaded_dynamics(THREE_MASSES, 0.098, modes=2)
     two = target_for_frequency(sensor, 1000.0, 0.1)
-    bands = [_band_hz(sensor, Target(1000.0, two.damping_ratio + by)) for by in (-0.03, 0.0, 0.03)]
+    bands = [_band_hz(sensor, CompensationTarget(1000.0, two.damping_ratio + by)) for by in (-0.03, 0.0, 0.03)]
     assert two.damping_ratio > one.damping_ratio
     assert bands[1] > 1.2 * bands[0]
     assert bands[1] > bands[2]
@@ -138,34 +138,34 @@ def test_damping_is_chosen_for_the_whole_sensor():
 def test_a_low_pass_takes_the_noise_away_and_nothing_else():
     """The filter is that without it times a Butterworth low-pass of scipy, and the search for a damping knows it."""
     sensor = loaded_dynamics(THREE_MASSES, 0.198, modes=2)
-    plain, quiet = (Compensation(sensor, Target(1000.0, 0.55, None, corner)) for corner in (None, 4000.0))
+    plain, quiet = (Compensation(sensor, CompensationTarget(1000.0, 0.55, None, corner)) for corner in (None, 4000.0))
     band = np.array([1.0, 200.0, 900.0, 3000.0])
     b, a = signal.butter(2, 2 * np.pi * 4000.0, analog=True)
     expected = plain.system.response(band) * signal.freqs(b, a, 2 * np.pi * band)[1]
     np.testing.assert_allclose(quiet.system.response(band), expected, rtol=1e-9)
-    found = sampled(quiet, 200e3)
+    found = discretise(quiet, 200e3)
     assert len(found.sos) == 3
     assert np.max(np.abs(discretisation_error(quiet, found, band))) < 0.01
-    assert white_noise_gain(found) < 0.4 * white_noise_gain(sampled(plain, 200e3))
+    assert white_noise_gain(found) < 0.4 * white_noise_gain(discretise(plain, 200e3))
     wide = target_for_frequency(SINGLE, 1000.0, 0.1, None, 1500.0)
-    same = Target(1000.0, best_damping(0.09), None, 1500.0)
+    same = CompensationTarget(1000.0, best_damping(0.09), None, 1500.0)
     assert _band_hz(SINGLE, wide) > _band_hz(SINGLE, same)
     assert wide.damping_ratio < same.damping_ratio
 
 
 def test_real_poles_move_with_the_mode():
     sensor = modal_dynamics(_chain(1700.0, 0.015, 6000.0), real_poles=True)
-    found = Compensation(sensor, Target(3000.0, 0.6, 30e3)).compensated
+    found = Compensation(sensor, CompensationTarget(3000.0, 0.6, 30e3)).compensated
     np.testing.assert_allclose(found.poles[-1], -2 * np.pi * 30e3, rtol=1e-9)
     assert len(found.poles) == 3
-    refused("real_hz", Compensation, sensor, Target(3000.0, 0.6))
+    refused("real_hz", Compensation, sensor, CompensationTarget(3000.0, 0.6))
 
 
 @pytest.mark.parametrize("load", [0.008, 0.098])
 def test_further_modes_are_damped_and_kept_well_above_the_target(load):
     """With 8 g the second mode is at 2490 Hz and stays there, with 98 g it is at 884 Hz and goes to 2000 Hz."""
     sensor = loaded_dynamics(THREE_MASSES, load, modes=2)
-    found = indices(Compensation(sensor, Target(1000.0, 0.5)).compensated)
+    found = indices(Compensation(sensor, CompensationTarget(1000.0, 0.5)).compensated)
     assert [mode.damping_ratio for mode in found.modes] == pytest.approx([0.5, 0.5], rel=1e-9)
     assert [mode.natural_hz for mode in found.modes] == pytest.approx([1000.0, max(2000.0, sensor.frequency_hz[1])])
 
@@ -173,7 +173,7 @@ def test_further_modes_are_damped_and_kept_well_above_the_target(load):
 @pytest.mark.parametrize(("load", "share"), [(0.008, 0.035), (0.048, 0.18), (0.098, 0.31), (0.198, 0.47)])
 def test_ringing_of_a_filter_for_no_load(load, share):
     """The published sensor with the filter for no load: what is left from 2 ms on, by the step response of scipy."""
-    filtered = _for_load(0.0, Target(OMEGA / (2 * np.pi), 0.5))
+    filtered = _for_load(0.0, CompensationTarget(OMEGA / (2 * np.pi), 0.5))
     found = residual_ringing(filtered, TWO_MASSES.system(load), 2e-3)
     assert found == pytest.approx(share, abs=5e-3)
     top = np.polymul([2.36e6], [0.24, 6.0, 2.36e6])
@@ -191,13 +191,13 @@ def test_a_filter_for_the_load_leaves_only_the_decay_of_the_target():
 def test_matched_sections_cancel_the_sampled_sensor_at_every_rate():
     for rate in (5e3, 1e4, 1e5):
         sensor = PUBLISHED.sensor.system.sampled(rate)
-        zeros = np.roots(sampled(PUBLISHED, rate).sos[0, :3])
+        zeros = np.roots(discretise(PUBLISHED, rate).sos[0, :3])
         np.testing.assert_allclose(np.sort_complex(zeros), np.sort_complex(sensor.poles), rtol=1e-10)
 
 
 def test_tustin_keeps_the_frequency_of_the_mode_and_is_scipys():
     rate = 20e3
-    found = sampled(PUBLISHED, rate, "tustin")
+    found = discretise(PUBLISHED, rate, "tustin")
     assert abs(discretisation_error(PUBLISHED, found, np.array([500.0]))[0]) < 1e-11
     omega = 2 * np.pi * 500.0
     top, below = PUBLISHED.system.coefficients()
@@ -210,7 +210,7 @@ def test_discretisation_error_falls_with_the_rate_and_is_that_of_scipy(method):
     band = np.linspace(1.0, 1000.0, 64)
     errors = []
     for rate in (10e3, 20e3, 40e3):
-        found = sampled(PUBLISHED, rate, method)  # type: ignore[arg-type]
+        found = discretise(PUBLISHED, rate, method)  # type: ignore[arg-type]
         other = signal.sosfreqz(found.sos, worN=band, fs=rate)[1]
         np.testing.assert_allclose(found.response(band), other, rtol=1e-9)
         errors.append(np.max(np.abs(discretisation_error(PUBLISHED, found, band))))
@@ -220,7 +220,7 @@ def test_discretisation_error_falls_with_the_rate_and_is_that_of_scipy(method):
 def test_sampled_step_has_the_published_overshoot():
     rate = 100e3
     time = np.arange(4000) / rate
-    response = signal.sosfilt(sampled(PUBLISHED, rate).sos, PUBLISHED.sensor.system.step(time))
+    response = signal.sosfilt(discretise(PUBLISHED, rate).sos, PUBLISHED.sensor.system.step(time))
     assert np.max(response) - 1 == pytest.approx(0.163, abs=1e-3)
     outside = np.flatnonzero(np.abs(response - 1) > 0.02)[-1]
     assert time[outside] == pytest.approx(1.29e-3, abs=2e-5)
@@ -240,10 +240,10 @@ def test_covariance_of_modes_reaches_the_sensor_and_that_of_a_load_follows_the_r
 
 def test_wrong_calls_name_the_argument():
     refused("damping_ratio: expected 0 or more", single_mode, 500.0, -0.01)
-    refused("frequency_hz: expected a positive number", Target, 0.0, 0.5)
-    refused("sample_rate_hz: expected at least", sampled, PUBLISHED, 2000.0)
+    refused("frequency_hz: expected a positive number", CompensationTarget, 0.0, 0.5)
+    refused("sample_rate_hz: expected at least", discretise, PUBLISHED, 2000.0)
     with pytest.raises(ValueError, match="method"):
-        sampled(PUBLISHED, 2e4, "zoh")  # type: ignore[arg-type]
+        discretise(PUBLISHED, 2e4, "zoh")  # type: ignore[arg-type]
     refused("permitted_error", best_damping, 1.5)
     refused("modes: expected 0 to 1", modal_dynamics, _chain(1700.0, 0.015, 6000.0), modes=2)
     refused("modes: expected 0 or more", loaded_dynamics, TWO_MASSES, 0.0, modes=-1)
@@ -255,12 +255,14 @@ RATE = 50e3
 
 def _sections(load: float) -> Sections:
     """Low-pass and two modes, always three sections, of which the last lets all pass where the load is none."""
-    return filled(sampled(_for_load(load, Target(1000.0, 0.5, None, 6000.0), THREE_MASSES, 2), RATE), 3)
+    return pad_sections(
+        discretise(_for_load(load, CompensationTarget(1000.0, 0.5, None, 6000.0), THREE_MASSES, 2), RATE), 3
+    )
 
 
 def _uncertain(calibrated: bool = False, corner: float | None = None) -> Compensation:
     sensor = replace(single_mode(500.0, 0.004, 2.0), covariance=np.diag([0.05, 1e-4, 0.0]) ** 2)
-    return Compensation(sensor, Target(1000.0, 0.5, None, corner), calibrated)
+    return Compensation(sensor, CompensationTarget(1000.0, 0.5, None, corner), calibrated)
 
 
 def _run(data: np.ndarray, level: float | None, switch: int, cuts: list[int]) -> np.ndarray:
@@ -321,7 +323,7 @@ def test_white_noise_gain_is_the_energy_of_the_impulse_response_and_that_of_a_de
     for sections in (_sections(0.0), _sections(0.198)):
         energy = np.sum((sections.gain * signal.sosfilt(sections.sos, np.eye(1, 20_000)[0])) ** 2)
         assert white_noise_gain(sections) == pytest.approx(np.sqrt(energy), rel=1e-9)
-    sections, frequency = sampled(_uncertain(), RATE), np.linspace(0.0, RATE / 2, 20_001)
+    sections, frequency = discretise(_uncertain(), RATE), np.linspace(0.0, RATE / 2, 20_001)
     density = np.full(frequency.shape, 1.0 / np.sqrt(RATE / 2))
     assert filtered_noise(sections, frequency, density)[1] == pytest.approx(white_noise_gain(sections), rel=1e-6)
 
@@ -342,7 +344,7 @@ def test_parameter_sections_are_the_derivatives(method, corner):
     compensation = _uncertain(calibrated=True, corner=corner)
     frequency = np.array([100.0, 480.0, 900.0])
     slopes = compensation.sensitivities(frequency)
-    base = sampled(compensation, 1e6, method).response(frequency)  # type: ignore[arg-type]
+    base = discretise(compensation, 1e6, method).response(frequency)  # type: ignore[arg-type]
     for place, one in enumerate(parameter_sections(compensation, 1e6, method)):  # type: ignore[arg-type]
         np.testing.assert_allclose(one.response(frequency), base * slopes[:, place], rtol=2e-3, atol=1e-9)
 
@@ -356,7 +358,7 @@ def test_every_sample_lies_within_its_uncertainty_as_often_as_it_should():
     for _ in range(400):
         f, zeta = 500.0 + 0.05 * rng.normal(), 0.004 + 1e-4 * rng.normal()
         seen = single_mode(f, zeta, 2.0).system.step(time) + noise * rng.normal(size=400)
-        errors.append(CompensationFilter(sampled(compensation, RATE))(seen[None])[0] - aim)
+        errors.append(CompensationFilter(discretise(compensation, RATE))(seen[None])[0] - aim)
     clean = compensation.sensor.system.step(time)
     told = CompensationWithUncertainty(compensation, RATE, noise=noise)(clean[None])
     errors_ = np.array(errors) - (told.value[0] - aim)
@@ -365,12 +367,12 @@ def test_every_sample_lies_within_its_uncertainty_as_often_as_it_should():
 
 
 def test_a_block_of_gaps_is_refused():
-    stream = CompensationFilter(sampled(_uncertain(), RATE), 2)
+    stream = CompensationFilter(discretise(_uncertain(), RATE), 2)
     refused("block: expected finite samples", stream, np.array([[1.0, np.nan], [0.0, 0.0]]))
     refused("block: expected an array of shape", stream, np.zeros((3, 5)))
     assert stream(np.zeros((2, 0))).shape == (2, 0)
     refused("sections: expected 1, found 3", stream.switch, _sections(0.1))
-    refused("sections: expected a rate", stream.switch, sampled(_uncertain(), 2 * RATE))
+    refused("sections: expected a rate", stream.switch, discretise(_uncertain(), 2 * RATE))
     refused("sos: expected sections with a0 = 1", Sections, np.ones((1, 6)) * 2.0, 1.0, RATE)
 
 
@@ -384,7 +386,9 @@ LOOP = HapticLoop(
     force_gain=5.0,
     sample_rate_hz=10e3,
 )
-UNAWARE, AWARE = (sampled(_for_load(load, Target(1000.0, 0.55)), LOOP.sample_rate_hz) for load in (0.0, LOAD))
+UNAWARE, AWARE = (
+    discretise(_for_load(load, CompensationTarget(1000.0, 0.55)), LOOP.sample_rate_hz) for load in (0.0, LOAD)
+)
 HAND = push(np.arange(12_000) / LOOP.sample_rate_hz, 0.03, 1.0)
 
 
@@ -406,7 +410,7 @@ def test_fast_sampling_follows_the_continuous_equations():
         return [v, (applied - actuator - 2.0 * v) / 0.8, rate, omega2 * (applied - told) - damping * rate]
 
     exact = solve_ivp(slopes, (0.0, time[-1]), np.zeros(4), "DOP853", time, rtol=1e-9, atol=1e-12).y
-    np.testing.assert_allclose(found.told, exact[2], atol=3e-3 * np.max(np.abs(exact[2])))
+    np.testing.assert_allclose(found.indicated, exact[2], atol=3e-3 * np.max(np.abs(exact[2])))
 
 
 def test_the_limit_of_the_bare_sensor_is_that_of_the_characteristic_polynomial():
@@ -453,7 +457,7 @@ def test_a_hand_at_rest_in_the_ball_is_in_balance_and_noise_of_the_sensor_reache
     still = np.full(30_000, 0.02)
     found = simulate_feedback(LOOP, TWO_MASSES.system(0.0), UNAWARE, still)
     balance = 0.02 * 500.0 * 1000.0 / 1500.0
-    assert (found.applied[-1], found.told[-1]) == pytest.approx((balance, found.fed_back[-1]), rel=1e-6)
+    assert (found.applied[-1], found.indicated[-1]) == pytest.approx((balance, found.fed_back[-1]), rel=1e-6)
     noise = np.random.default_rng(3).normal(scale=0.01, size=len(HAND))
     quiet, loud = (_fed_back(5.0, UNAWARE, 0.0, added) for added in (None, noise))
     assert 0.0 < np.std(loud.applied - quiet.applied) < 0.01

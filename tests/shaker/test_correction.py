@@ -17,9 +17,9 @@ from shaker.arrays import ComplexArray, FloatArray
 from shaker.identification.sensitivity import fit_chain, sensor_model
 from shaker.identification.sensor import (
     NO_CHAIN,
-    Chain,
-    Drive,
+    ChainModel,
     Load,
+    SensorExcitation,
     SensorModel,
     correct_phasors,
     correct_record,
@@ -28,20 +28,20 @@ from shaker.identification.sensor import (
 from shaker.sine.phasor import Phasors
 
 MASS, INTERNAL = 4.236, 0.769
-DRIVES: tuple[Drive, ...] = ("base", "force")
+DRIVES: tuple[SensorExcitation, ...] = ("base", "force")
 
 
 CHAINS = [
     NO_CHAIN,
-    Chain("delay", np.array([4e-5])),
-    Chain("lag", np.array([4e-5])),
-    Chain("delay_lag", np.array([3e-5, 4e-5])),
-    Chain("second_order", np.array([4e-5, 2e-9])),
-    Chain("butterworth", np.array([6e-5])),
+    ChainModel("delay", np.array([4e-5])),
+    ChainModel("lag", np.array([4e-5])),
+    ChainModel("delay_lag", np.array([3e-5, 4e-5])),
+    ChainModel("second_order", np.array([4e-5, 2e-9])),
+    ChainModel("butterworth", np.array([6e-5])),
 ]
 
 
-def model(chain: Chain = NO_CHAIN, damping: float = DAMPING, relative: float = 0.0) -> SensorModel:
+def model(chain: ChainModel = NO_CHAIN, damping: float = DAMPING, relative: float = 0.0) -> SensorModel:
     """A sensor whose parameters are known to `relative`, independently."""
     values = np.array([STATIC, STIFFNESS, damping, INTERNAL, *chain.parameters])
     return SensorModel(STATIC, STIFFNESS, damping, INTERNAL, chain, np.diag((relative * values) ** 2), "(V/V)/N")
@@ -51,11 +51,11 @@ def drawn(one: SensorModel, load: Load, rng: np.random.Generator) -> tuple[Senso
     """A sensor and a load whose parameters are off by errors of the stated covariance."""
     values = np.array([one.sensitivity, one.stiffness, one.damping, one.internal_mass, *one.chain.parameters])
     scalars, chain = np.split(values + rng.standard_normal(len(values)) * np.sqrt(one.covariance.diagonal()), [4])
-    other = SensorModel(*scalars.tolist(), Chain(one.chain.kind, chain), one.covariance, one.unit)
+    other = SensorModel(*scalars.tolist(), ChainModel(one.chain.kind, chain), one.covariance, one.unit)
     return other, replace(load, mass=load.mass + load.u_mass * float(rng.standard_normal()))
 
 
-def state_space(drive: Drive, time_s: float) -> signal.StateSpace:
+def state_space(drive: SensorExcitation, time_s: float) -> signal.StateSpace:
     """Output of a sensor behind a first-order lag for the force on its load, from the equations of motion.
 
     States: deflection, its rate, output. M·ẍ = -k·x - b·ẋ + F, F = -M·a_base for a moving base, output ∝ k·x.
@@ -72,7 +72,7 @@ def state_space(drive: Drive, time_s: float) -> signal.StateSpace:
 
 @pytest.mark.parametrize("drive", DRIVES)
 def test_output_factor_is_that_of_the_equations_of_motion(drive):
-    one, load = model(Chain("lag", np.array([LAG]))), Load(MASS, drive)
+    one, load = model(ChainModel("lag", np.array([LAG]))), Load(MASS, drive)
     at = np.array([1.0, 300.0, 1000.0, 1490.0, 1600.0, 6000.0])
     system, s = state_space(drive, LAG), 2j * np.pi * at
     response = np.stack([system.C @ np.linalg.solve(x * np.eye(3) - system.A, system.B)[:, 0] for x in s])
@@ -93,7 +93,7 @@ def test_derivatives(drive, mass, damping, chain):
     values = np.array([STATIC, STIFFNESS, damping, INTERNAL, *chain.parameters, mass])
 
     def logarithm(moved: FloatArray) -> ComplexArray:
-        other = SensorModel(*moved[:4].tolist(), Chain(chain.kind, moved[4:-1]), one.covariance, one.unit)
+        other = SensorModel(*moved[:4].tolist(), ChainModel(chain.kind, moved[4:-1]), one.covariance, one.unit)
         return np.log(other.output_factor(at, replace(load, mass=float(moved[-1]))))
 
     for place, size in enumerate(values):
@@ -119,12 +119,12 @@ def test_bands_are_the_published_ones_of_light_damping_and_the_textbook_s_of_hea
 
 def test_band_of_a_moving_base_is_that_of_the_chain():
     base = Load(MASS, "base")
-    band = usable_band(model(Chain("lag", np.array([LAG])), damping=1e-6), base, 0.05)
+    band = usable_band(model(ChainModel("lag", np.array([LAG])), damping=1e-6), base, 0.05)
     assert band.upper_hz == pytest.approx(np.sqrt(0.95**-2 - 1.0) / (2.0 * np.pi * LAG), rel=1e-6)
-    turned = usable_band(model(Chain("delay", np.array([LAG])), damping=1e-6), base, 0.05, 0.1)
+    turned = usable_band(model(ChainModel("delay", np.array([LAG])), damping=1e-6), base, 0.05, 0.1)
     assert (turned.limit, turned.upper_hz) == ("phase", pytest.approx(0.1 / (2.0 * np.pi * LAG), rel=1e-6))
-    assert usable_band(model(Chain("delay", np.array([LAG])), damping=0.0), base, 0.05).upper_hz == np.inf
-    heavier = usable_band(model(Chain("lag", np.array([LAG])), damping=1e-6), Load(3.0 * MASS, "base"), 0.05)
+    assert usable_band(model(ChainModel("delay", np.array([LAG])), damping=0.0), base, 0.05).upper_hz == np.inf
+    heavier = usable_band(model(ChainModel("lag", np.array([LAG])), damping=1e-6), Load(3.0 * MASS, "base"), 0.05)
     assert heavier.upper_hz == pytest.approx(band.upper_hz, rel=1e-9)
 
 
@@ -132,8 +132,8 @@ def test_band_of_a_moving_base_is_that_of_the_chain():
     ("drive", "chain", "phase"),
     [
         ("force", NO_CHAIN, None),
-        ("force", Chain("lag", np.array([LAG])), 0.05),
-        ("base", Chain("second_order", np.array([LAG, 2e-9])), None),
+        ("force", ChainModel("lag", np.array([LAG])), 0.05),
+        ("base", ChainModel("second_order", np.array([LAG, 2e-9])), None),
     ],
 )
 def test_uncertainty_of_the_edge_is_that_of_draws(drive, chain, phase):
@@ -169,7 +169,7 @@ def test_sensitivity_and_mechanics_join():
 
 
 def test_phasors_are_corrected_with_the_uncertainty_of_the_model():
-    one, load = model(Chain("lag", np.array([LAG])), relative=0.003), Load(MASS, "force", 0.01)
+    one, load = model(ChainModel("lag", np.array([LAG])), relative=0.003), Load(MASS, "force", 0.01)
     at, force = np.array([100.0, 700.0, 1200.0]), np.array([[10.0 + 2.0j], [5.0j], [-3.0 + 0.0j]])
     output = force * one.output_factor(at, load)[:, None]
     noise = np.full((3, 1, 1), (1e-4 * STATIC) ** 2) * np.eye(2)
@@ -208,7 +208,7 @@ def simulated(rate: float = RATE, seconds: float = 0.04) -> tuple[FloatArray, Fl
 
 
 def test_record_is_corrected():
-    one, load = model(Chain("lag", np.array([LAG]))), Load(MASS, "force")
+    one, load = model(ChainModel("lag", np.array([LAG]))), Load(MASS, "force")
     force, output = simulated()
     assert np.abs(output / STATIC - force).max() > 10.0
     found = correct_record(output, RATE, one, load, BAND)
@@ -221,7 +221,7 @@ def test_record_is_corrected():
 @settings(max_examples=15, deadline=None)
 @given(delay=st.floats(-3e-4, 3e-4), place=st.integers(0, 200), size=st.floats(1.0, 1e6))
 def test_one_end_does_not_see_the_other(delay, place, size):
-    one, load = model(Chain("delay", np.array([delay]))), Load(MASS, "base")
+    one, load = model(ChainModel("delay", np.array([delay]))), Load(MASS, "base")
     output = np.random.default_rng(0).standard_normal(3000)
     plain = correct_record(output, RATE, one, load, BAND)
     output[place] += size
@@ -232,15 +232,15 @@ def test_one_end_does_not_see_the_other(delay, place, size):
 
 
 def test_correction_is_linear_and_a_constant_is_divided_by_the_static_factor():
-    one, load = model(Chain("second_order", np.array([LAG, 2e-9]))), Load(MASS, "base")
+    one, load = model(ChainModel("second_order", np.array([LAG, 2e-9]))), Load(MASS, "base")
     found = correct_record(np.full(4000, 1e-4), RATE, one, load, BAND)
     assert np.allclose(found.force, 1e-4 / STATIC / (1.0 + INTERNAL / MASS), rtol=2e-5)
-    assert found.beyond < 1e-4 * found.force[0]
+    assert found.removed_rms < 1e-4 * found.force[0]
     assert found.notices == ()
 
 
 def test_uncertainty_of_a_record_is_that_of_draws():
-    one, load = model(Chain("lag", np.array([LAG])), relative=0.002), Load(MASS, "force", 0.01)
+    one, load = model(ChainModel("lag", np.array([LAG])), relative=0.002), Load(MASS, "force", 0.01)
     _, output = simulated()
     u_noise = 0.05 * STATIC
     found = correct_record(output, RATE, one, load, BAND, u_noise=u_noise)
@@ -263,7 +263,7 @@ def test_what_lies_beyond_the_band_is_said():
     time = np.arange(4000) / RATE
     tone = STATIC * np.cos(2.0 * np.pi * 9000.0 * time)
     found = correct_record(tone, RATE, one, load, BAND)
-    assert found.beyond == pytest.approx(np.sqrt(0.5) / (1.0 + INTERNAL / MASS), rel=0.02)
+    assert found.removed_rms == pytest.approx(np.sqrt(0.5) / (1.0 + INTERNAL / MASS), rel=0.02)
     (notice,) = found.notices
     assert "above 4000 Hz, which is removed, not corrected" in notice.text
 

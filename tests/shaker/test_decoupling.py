@@ -10,10 +10,17 @@ from hypothesis import strategies as st
 from scipy.signal import StateSpace, cont2discrete, dlsim, lfilter
 
 from shaker.arrays import ComplexArray, FloatArray
-from shaker.decoupling.filter import DecouplingFilter, Recorded, Target, crosstalks, design_decoupling, static_inverse
-from shaker.decoupling.fit import MultiFit, fit_steps
-from shaker.decoupling.model import MultiModel, check_separable, in_order, missing_loads, sampled_modes
-from shaker.decoupling.responses import ResponseFit, Responses, fit_responses
+from shaker.decoupling.common_pole_fit import MultiFit, fit_steps
+from shaker.decoupling.filter import (
+    DecouplingFilter,
+    DecouplingTarget,
+    SignalLevels,
+    crosstalks,
+    design_decoupling,
+    static_inverse,
+)
+from shaker.decoupling.model import MultiModel, check_separable, missing_loads, sampled_modes, sort_components
+from shaker.decoupling.response_fit import ResponseFit, Responses, fit_responses
 from shaker.release.record import StepRecord
 
 
@@ -82,8 +89,8 @@ class Sensor:
 SENSOR = Sensor()
 
 
-RATE_HZ, TARGET = 10e3, Target(np.array([300.0, 250.0]), np.array([0.6, 0.7]))
-RECORDED = Recorded(RATE_HZ, np.array([0.01, 0.01]), np.ones(2))
+RATE_HZ, TARGET = 10e3, DecouplingTarget(np.array([300.0, 250.0]), np.array([0.6, 0.7]))
+RECORDED = SignalLevels(RATE_HZ, np.array([0.01, 0.01]), np.ones(2))
 
 
 def _two_modes(show: FloatArray, drive: FloatArray) -> MultiModel:
@@ -136,7 +143,7 @@ def test_response_is_the_transform_of_the_impulse_response_and_constant_outputs_
 
 @pytest.mark.parametrize("delay", [0, 1, 5])
 def test_filter_times_sensor_is_the_target(delay):
-    clear = Recorded(RATE_HZ, np.array([1e-5, 1e-5]), np.ones(2))
+    clear = SignalLevels(RATE_HZ, np.array([1e-5, 1e-5]), np.ones(2))
     decoupler = design_decoupling(MODEL, TARGET, clear, delay)
     assert decoupler.delay == delay
     frequency_hz = np.linspace(0.0, 1000.0, 41)
@@ -152,7 +159,10 @@ def test_sensor_without_stable_inverse_has_a_stable_filter():
     one, other = ([1.0, 2.0 * z * w, w**2] for z, w in zip(model.damping_ratio, omega, strict=True))
     first, second = share * omega**2
     assert np.any(np.roots(np.polyadd(np.multiply(first, other), np.multiply(second, one))).real > 0.0)
-    target, recorded = Target(np.array([150.0]), np.array([0.6])), Recorded(RATE_HZ, np.array([1e-3]), np.ones(1))
+    target, recorded = (
+        DecouplingTarget(np.array([150.0]), np.array([0.6])),
+        SignalLevels(RATE_HZ, np.array([1e-3]), np.ones(1)),
+    )
     decoupler = design_decoupling(model, target, recorded)
     assert np.abs(decoupler.poles).max() < 1.0
     frequency_hz = np.array([0.0, 20.0, 60.0, 150.0])
@@ -188,13 +198,13 @@ def _continuous(model: MultiModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def test_growing_models_impossible_targets_and_missing_or_inseparable_loads_are_refused_by_name():
     refused("decay", design_decoupling, replace(MODEL, damping_ratio=-MODEL.damping_ratio), TARGET, RECORDED)
-    refused("between 0 and 1", Target, np.array([300.0]), np.array([1.2]))
-    refused("above 0", Target, np.array([-300.0]), np.array([0.5]))
+    refused("between 0 and 1", DecouplingTarget, np.array([300.0]), np.array([1.2]))
+    refused("above 0", DecouplingTarget, np.array([-300.0]), np.array([0.5]))
     assert missing_loads(("Fx", "Fy", "Fz"), ("Fx", "Fz")) == ("Fy",)
     static = np.zeros((2, 6))
     static[0, 0] = static[1, 5] = 1.0
     assert missing_loads(("a", "b"), ("Fx",), static) == ("Mz",)
-    assert in_order(("Mz", "Fy", "Mz", "Fx")) == ("Fx", "Fy", "Mz")
+    assert sort_components(("Mz", "Fy", "Mz", "Fx")) == ("Fx", "Fy", "Mz")
     refused("Fx and My alike", check_separable, np.array([[1.0, 2.0], [0.5, 1.0]]), ("a", "b"), ("Fx", "My"))
     refused("at least as many as loads", check_separable, np.ones((1, 2)), ("a",), ("Fx", "My"))
     refused("none for My", check_separable, np.array([[1.0, 0.0], [0.5, 0.0]]), ("a", "b"), ("Fx", "My"))
@@ -266,8 +276,8 @@ def released() -> MultiFit:
 
 @pytest.fixture(scope="module")
 def three_loads(released) -> DecouplingFilter:
-    recorded = Recorded(SENSOR.rate_hz, released.noise, released.amplitude)
-    return design_decoupling(released.model, Target(np.full(3, 300.0), np.full(3, 0.6)), recorded)
+    recorded = SignalLevels(SENSOR.rate_hz, released.noise, released.amplitude)
+    return design_decoupling(released.model, DecouplingTarget(np.full(3, 300.0), np.full(3, 0.6)), recorded)
 
 
 def test_releases_give_poles_residues_and_noise(released):

@@ -12,14 +12,14 @@ from scipy.optimize import brentq
 
 from shaker.arrays import FloatArray
 from shaker.elastomer.frame import (
-    NAMES,
-    Frame,
+    MODE_NAMES,
+    BeamFrame,
     RigidPart,
     block,
     cross_frame,
     dense_modes,
     fit_platform,
-    joined,
+    join_bodies,
     named_modes,
     pillar,
     platform_stiffness,
@@ -27,19 +27,19 @@ from shaker.elastomer.frame import (
     sensitivities,
     solve_frame,
 )
-from shaker.elastomer.geometry import CrossBeams, Material, Section, beam_matrices, beam_stiffness, lumped
+from shaker.elastomer.geometry import CrossBeams, ElasticMaterial, Section, beam_matrices, beam_stiffness, lump_mass
 
-ALUMINIUM = Material(72e9, 0.3, 2820.0)
+ALUMINIUM = ElasticMaterial(72e9, 0.3, 2820.0)
 ELEMENT = CrossBeams(ALUMINIUM, 0.064, 0.0038, 0.0038, 0.001, 0.032, 0.0038)
 SHEAR, THICK = 5.0 / 6.0, Section(0.012, 0.020)
 PUBLISHED_HZ = {"Tx": 1660.0, "Ty": 1661.0, "Tz": 2025.0, "Rx": 3577.0, "Ry": 3578.0, "Rz": 5094.0}
 
 
-def _bar(length: float, pieces: int, both: bool) -> Frame:
+def _bar(length: float, pieces: int, both: bool) -> BeamFrame:
     """A straight thick bar along x, its first end clamped, or both."""
     nodes = np.zeros((pieces + 1, 3))
     nodes[:, 0] = np.linspace(0.0, length, pieces + 1)
-    return Frame(
+    return BeamFrame(
         node_m=nodes,
         beam=np.stack([np.arange(pieces), np.arange(1, pieces + 1)], axis=1),
         section=(THICK,) * pieces,
@@ -72,7 +72,7 @@ def _timoshenko_hz(length: float, both: bool) -> FloatArray:
     return np.array([brentq(ends, grid[i], grid[i + 1], xtol=1e-9) for i in crossed])
 
 
-def _load(frame: Frame, node: int, load: FloatArray) -> FloatArray:
+def _load(frame: BeamFrame, node: int, load: FloatArray) -> FloatArray:
     """Displacements and turns of a node under a load on it."""
     stiffness, _ = frame.matrices
     column = frame.reduction[6 * node : 6 * node + 6]
@@ -131,7 +131,7 @@ def test_a_beam_moved_rigidly_has_no_force_and_its_own_mass(length, width, heigh
     assert np.linalg.eigvalsh(mass).min() > 0.0
     total = ALUMINIUM.density_kgm3 * section.area_m2 * length
     if motion < 3:
-        assert (ends @ mass @ ends, ends @ lumped(mass) @ ends) == pytest.approx((total, total), rel=1e-9)
+        assert (ends @ mass @ ends, ends @ lump_mass(mass) @ ends) == pytest.approx((total, total), rel=1e-9)
     if motion == 5:
         turning = ALUMINIUM.density_kgm3 * section.bending_in_plane_m4 * length
         assert ends @ mass @ ends == pytest.approx(total * length**2 / 3.0 + turning, rel=1e-9)
@@ -192,9 +192,9 @@ def test_fit_finds_a_platform_that_was_there_and_tells_where_none_is():
     fit = fit_platform(ELEMENT, 0.012, stiff)
     assert fit.misfit > 0.01
     assert any("no platform meets" in notice.text for notice in fit.notices)
-    platform = joined([block(2820.0, 0.013, 0.006), pillar(7850.0, 0.004, 0.02, 0.003)])
+    platform = join_bodies([block(2820.0, 0.013, 0.006), pillar(7850.0, 0.004, 0.02, 0.003)])
     hertz = solve_frame(ELEMENT, 0.013, platform, pieces=3).modes.frequency_hz
-    found = fit_platform(ELEMENT, 0.013, dict(zip(NAMES, hertz.tolist(), strict=True))).platform
+    found = fit_platform(ELEMENT, 0.013, dict(zip(MODE_NAMES, hertz.tolist(), strict=True))).platform
     assert (found.mass_kg, found.height_m) == pytest.approx((platform.mass_kg, platform.height_m), rel=1e-5)
     assert found.inertia_kgm2 == pytest.approx(platform.inertia_kgm2, rel=1e-5)
 
@@ -231,8 +231,8 @@ def test_modes_of_one_frequency_are_turned_into_the_axes():
     again = named_modes(model.modes.frequency_hz, shape, lambda x: mass @ x, model.frame.rigid_motions(centre))
     for mode, other in {0: 1, 1: 0, 3: 4, 4: 3, 2: None, 5: None}.items():
         motion = np.abs(again.shape[:6, mode])
-        assert motion[mode] > 0.0, NAMES[mode]
-        assert other is None or motion[other] < 1e-6 * motion[mode], NAMES[mode]
+        assert motion[mode] > 0.0, MODE_NAMES[mode]
+        assert other is None or motion[other] < 1e-6 * motion[mode], MODE_NAMES[mode]
 
 
 def test_inertia_of_block_and_pillar_by_summation():
@@ -262,7 +262,7 @@ def test_kinetic_energy_of_joined_parts_is_that_of_the_parts(motion, heights):
     for part in parts:
         own = velocity + np.cross(turn, [0.0, 0.0, part.height_m])
         energy += part.mass_kg * own @ own + turn @ (part.inertia_kgm2 * turn)
-    whole = np.array(motion) @ joined(parts).mass_matrix @ np.array(motion)
+    whole = np.array(motion) @ join_bodies(parts).mass_matrix @ np.array(motion)
     assert whole == pytest.approx(energy, rel=1e-9, abs=1e-15)
 
 
@@ -278,6 +278,6 @@ def test_wrong_numbers_are_refused_by_name():
     for half_size in (-0.001, 0.032, 0.05):  # that leave no arm
         refused("half_size_m: expected", cross_frame, ELEMENT, half_size)
     refused("compliant_thickness_m: expected", replace, ELEMENT, compliant_thickness_m=0.0)
-    refused("poisson_ratio: expected", Material, 72e9, 0.5, 2820.0)
+    refused("poisson_ratio: expected", ElasticMaterial, 72e9, 0.5, 2820.0)
     refused("inertia_kgm2: expected", RigidPart, 0.01, 0.0, np.zeros(2))
     refused("wanted_hz: expected", fit_platform, ELEMENT, 0.01, {"Tx": 1660.0})

@@ -5,17 +5,17 @@ import pytest
 from contracts import refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from identification_factory import ALONG_Z, FloatArray, again, oscillator, recording, rigid_mass
+from identification_factory import ALONG_Z, FloatArray, oscillator, recording, replace_ratio, rigid_mass
 
-from shaker.identification.fit import Identification, identify
-from shaker.identification.measured import InertiaError, MeasuredCurve, MeasuredTransfer, Placement, RelativeError
+from shaker.identification.measured_curves import CurveError, InertiaError, MeasuredCurve, MeasuredTransfer, Placement
 from shaker.identification.oscillator import fit_resonance
-from shaker.identification.structures import Suspension
+from shaker.identification.structure_fit import Identification, identify
+from shaker.identification.structures import SpringSuspension
 from shaker.mechanics import Mechanics, poles, respond
 
 K, B, MI = 4.753e8, 900.0, 1.28
 LOADS = (4.236, 8.798)
-VERTICAL, GRID_HZ = Suspension((2,)), 0.78125
+VERTICAL, GRID_HZ = SpringSuspension((2,)), 0.78125
 
 
 def lines(mass: float, k: float = K, count: int = 200) -> FloatArray:
@@ -29,7 +29,7 @@ def twin(load, *, noise=1e-06, rng=None, internal=MI, k=K, b=B, z_load=0.0, z_sc
     mass = load + internal + 3e-4 * z_load
     frequency = lines(mass, k)
     value = oscillator(2j * np.pi * frequency, mass, k, b) * np.exp(2e-3 * z_scale)
-    errors = [RelativeError("top: scale", np.full((len(frequency), 1), 2e-3 + 0j))]
+    errors = [CurveError("top: scale", np.full((len(frequency), 1), 2e-3 + 0j))]
     words = {"errors": errors, "inertia_errors": [InertiaError(f"mass of {load} kg", rigid_mass(3e-4))]}
     return recording(name or f"{load} kg", frequency, value, rigid_mass(load), ALONG_Z, noise=noise, rng=rng, **words)
 
@@ -86,10 +86,12 @@ def test_published_pair_of_resonances_gives_one_stiffness_and_another_internal_m
     assert found.value("internal_mass") == pytest.approx(1.280, abs=5e-4)
     assert found.value("stiffness_z") == pytest.approx(4.753e8, rel=1e-4)
     # With the internal mass of the rotation test stated, no single stiffness explains both: 4.313e8 and 4.512e8.
-    stated = identify(recordings, VERTICAL, each_recording=["damping_z"], known={"internal_mass": (0.769, 1e-3)})
+    stated = identify(
+        recordings, VERTICAL, each_recording=["damping_z"], stated_values={"internal_mass": (0.769, 1e-3)}
+    )
     assert "contradicted by the recordings" in told(stated, "internal_mass")
     for one, k in zip(recordings, (4.313e8, 4.512e8), strict=True):
-        alone = identify([one], VERTICAL, known={"internal_mass": (0.769, 0.0)})
+        alone = identify([one], VERTICAL, stated_values={"internal_mass": (0.769, 0.0)})
         assert alone.value("stiffness_z") == pytest.approx(k, rel=2e-4)
 
 
@@ -105,7 +107,9 @@ def test_resonances_that_no_load_on_a_spring_has_are_named():
 
 def test_one_recording_agrees_with_the_fit_of_one_resonance():
     record = twin(4.236, noise=0.05, rng=np.random.default_rng(4))
-    found = identify([again(record, noise=0.05)], VERTICAL, known={"internal_mass": (MI, 0.0)}, gain=["top 1"])
+    found = identify(
+        [replace_ratio(record, noise=0.05)], VERTICAL, stated_values={"internal_mass": (MI, 0.0)}, gain=["top 1"]
+    )
     curve = MeasuredCurve(record.ratio.frequency_hz, record.ratio.value[:, 0], record.ratio.covariance)
     fit = fit_resonance(curve, "transmissibility")
     (mode,), (factor,) = found.modes, found.factors
@@ -148,7 +152,7 @@ def test_stated_masses_dominate_where_the_noise_is_small():
 
 
 def test_a_clock_moves_the_stiffness_by_twice_its_error():
-    found = identify([again(twin(load), noise=1e-6, u_clock=1e-4) for load in LOADS], VERTICAL)
+    found = identify([replace_ratio(twin(load), noise=1e-6, u_clock=1e-4) for load in LOADS], VERTICAL)
     assert found.u("stiffness_z") / K == pytest.approx(2e-4, rel=0.01)
     assert found.u("internal_mass") < 1e-4
     assert [unknown.name for unknown in found.unknowns] == ["clock"]
@@ -158,7 +162,9 @@ def test_gain_and_delay_that_nobody_stated():
     recordings = []
     for load, gain, delay in zip(LOADS, (3.0 * np.exp(1j), 0.4), (2e-5, -3e-6), strict=True):
         record = twin(load)
-        recordings.append(again(record, record.ratio.value[:, 0] * gain * np.exp(-record.s * delay), noise=1e-5))
+        recordings.append(
+            replace_ratio(record, record.ratio.value[:, 0] * gain * np.exp(-record.s * delay), noise=1e-5)
+        )
     found = identify(recordings, VERTICAL, gain=["top 1"], delay=["top 1"])
     assert found.value("stiffness_z") == pytest.approx(K, rel=1e-5)
     assert found.value("damping_z") == pytest.approx(B, rel=1e-4)
@@ -172,7 +178,7 @@ def test_a_window_that_adds_decay_is_no_damping():
     frequency = lines(LOADS[0] + MI)
     value = oscillator(40.0 + 2j * np.pi * frequency, LOADS[0] + MI, K, B)
     record = recording("blow", frequency, value, rigid_mass(LOADS[0]), ALONG_Z, noise=1e-5, added_decay_per_s=40.0)
-    found = identify([record], VERTICAL, known={"internal_mass": (MI, 0.0)})
+    found = identify([record], VERTICAL, stated_values={"internal_mass": (MI, 0.0)})
     assert found.value("damping_z") == pytest.approx(B, rel=1e-4)
 
 
@@ -198,7 +204,11 @@ def test_correlated_lines_widen_the_uncertainty():
     kernel = np.array([1.0, 4 / 9, 1 / 36]) + 0j
     record = twin(LOADS[0], noise=0.02)
     alone, together = (
-        identify([again(record, noise=0.02, line_correlation=c)], VERTICAL, known={"internal_mass": (MI, 0.0)})
+        identify(
+            [replace_ratio(record, noise=0.02, line_correlation=c)],
+            VERTICAL,
+            stated_values={"internal_mass": (MI, 0.0)},
+        )
         for c in (None, kernel)
     )
     widening = np.sqrt(1.0 + 2.0 * (4 / 9 + 1 / 36))  # of a smooth sum over many lines
@@ -222,7 +232,7 @@ def test_equal_loads_leave_the_internal_mass_open_and_say_so():
 
 
 def test_a_stated_mass_passes_through_where_the_curves_say_nothing_of_it():
-    found = identify([twin(4.236)], VERTICAL, known={"internal_mass": (MI, 0.004)})
+    found = identify([twin(4.236)], VERTICAL, stated_values={"internal_mass": (MI, 0.004)})
     assert found.u("internal_mass") == pytest.approx(0.004, rel=1e-6)
     u_mass = np.hypot(0.004, 3e-4)
     assert found.u("stiffness_z") / K == pytest.approx(u_mass / (4.236 + MI), rel=1e-4)
@@ -234,7 +244,7 @@ def test_a_misfit_enlarges_the_uncertainty_and_is_named():
     s = 2j * np.pi * frequency
     value = oscillator(s, 4.236 + MI, K, B) + 0.05 / (1.0 + s / (2.0 * np.pi * 1480.0 * (0.004 + 1j)))
     records = [recording("a", frequency, value, rigid_mass(4.236), ALONG_Z, noise=noise) for noise in (1e-4, 1.0)]
-    bad, good = (identify([r], VERTICAL, known={"internal_mass": (MI, 0.0)}) for r in records)
+    bad, good = (identify([r], VERTICAL, stated_values={"internal_mass": (MI, 0.0)}) for r in records)
     assert bad.chi_squared > 4.0 * bad.dof
     assert "depart from the model" in told(bad, "identification")
     enlarged = 1e-4 * np.sqrt(bad.chi_squared / bad.dof)
@@ -287,7 +297,7 @@ def test_what_cannot_be_fitted_is_refused_with_a_reason():
     record = twin(4.236)
     line = record.ratio.at_lines(np.arange(1))
     few = recording("few", line.frequency_hz, line.value, record.mass_matrix, ALONG_Z, noise=1e-3)
-    across = again(record, noise=1e-3, base=Placement(np.zeros(3), np.array([1.0, 0.0, 0.0])))
+    across = replace_ratio(record, noise=1e-3, base=Placement(np.zeros(3), np.array([1.0, 0.0, 0.0])))
     wrong = [
         ([], {}, "records: expected one recording or more"),
         ([record, record], {}, "records: expected different names"),
@@ -297,7 +307,7 @@ def test_what_cannot_be_fitted_is_refused_with_a_reason():
         ([record], {"each_recording": ["damping_x"]}, "each_recording"),
         ([across], {}, "reference that sees the drive"),
         ([few], {}, "more real values than unknowns"),
-        ([again(record, noise=0.0)], {}, "covariance of 4.236 kg: expected positive definite"),
+        ([replace_ratio(record, noise=0.0)], {}, "covariance of 4.236 kg: expected positive definite"),
     ]
     for records, words, message in wrong:
         refused(message, identify, records, VERTICAL, **words)
@@ -312,7 +322,7 @@ def test_covariances_from_few_periods_still_give_the_scatter():
     value = oscillator(2j * np.pi * frequency, mass, K, B)
     for _ in range(120):
         record = recording("a", frequency, value, rigid_mass(LOADS[0]), ALONG_Z, noise=0.05, rng=rng, dof=8.0)
-        found = identify([record], VERTICAL, known={"internal_mass": (MI, 0.0)})
+        found = identify([record], VERTICAL, stated_values={"internal_mass": (MI, 0.0)})
         assert found.notices == ()  # χ²/dof of 8/6 is what such covariances leave
         deviation.append([(found.value(n) - t) / found.u(n) for n, t in (("stiffness_z", K), ("damping_z", B))])
     # 240 values: standard deviation of their scatter 0.046.

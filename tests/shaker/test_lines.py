@@ -24,7 +24,7 @@ from shaker.lines.spectrum import (
     hann_window,
     noise_level,
 )
-from shaker.sine.fit import fit_sines
+from shaker.sine.sine_fit import fit_sines
 from shaker.sine.solve import SineModel
 
 NOTHING, RATE = np.empty(0), 6400.0
@@ -72,7 +72,7 @@ def test_noise_level_after_a_change_is_that_of_the_whole_anew():
     np.testing.assert_array_equal(after[:], anew[:])
     assert not np.array_equal(after[:], before[:])
     for low, high in [(3, 50), (3, 20_001), (6000, 6001), (9990, 12_000), (19_000, 20_001)]:
-        assert after.below(slice(low, high)) <= after[low:high].min()
+        assert after.lower_bound(slice(low, high)) <= after[low:high].min()
 
 
 def test_a_record_is_transformed_once_for_both_looks(monkeypatch):
@@ -111,11 +111,11 @@ def test_fitted_line_is_near_the_bound_and_covered():
         fit_line(centred_spectrum(sine + noise * rng.normal(size=samples)), samples, 123.0, 6.0 * noise**2 / samples)
         for _ in range(800)
     ]
-    error = np.array([line.place for line in lines]) - place
+    error = np.array([line.bin_position for line in lines]) - place
     # Rife and Boorstyn 1974, in bins.
     bound = np.sqrt(6.0 * noise**2 / (np.pi**2 * amplitude**2 * samples))
     assert 1.0 < np.std(error) / bound < 1.4
-    assert np.mean([line.u_place for line in lines]) == pytest.approx(np.std(error), rel=0.08)
+    assert np.mean([line.u_bin_position for line in lines]) == pytest.approx(np.std(error), rel=0.08)
     assert np.mean([line.u_value for line in lines]) == pytest.approx(
         np.std([line.value.real for line in lines]), rel=0.08
     )
@@ -136,7 +136,7 @@ EXPECTED = np.array([17.3, 34.6, 51.9])
 def test_noise_alone_makes_no_more_lines_than_stated(samples, expected, chance, trials, most, exponent):
     rng = np.random.default_rng(2)
     found = (find_peaks(_pink(rng, samples, exponent), chance, expected, NOTHING) for _ in range(trials))
-    assert sum(len(own.place) > 0 for own in found) <= most
+    assert sum(len(own.bin_position) > 0 for own in found) <= most
 
 
 def test_noise_through_a_resonance_is_no_line():
@@ -190,7 +190,7 @@ def test_a_combination_is_the_first_that_trying_all_pairs_finds(seed):
     )
     frequency_hz[10:] = np.minimum(frequency_hz[10:], rate_hz - frequency_hz[10:])
     strength = np.concatenate([np.linspace(1.0, 0.8, 10), np.full(63, 1e-3)])
-    lines = detection.LineList(frequency_hz, np.full(73, 1e-4), strength, rate_hz, resolution_hz)
+    lines = detection.DetectedLines(frequency_hz, np.full(73, 1e-4), strength, rate_hz, resolution_hz)
     named = detection.name_lines(lines, fundamentals)
 
     def tried(line: float, orders: range, folded: bool) -> tuple[float, float] | None:
@@ -423,7 +423,7 @@ def test_mains_is_told_and_is_no_line():
     time, values = _record(np.random.default_rng(8), {1: 100.0})
     lines = find_lines(time, values + 0.5 * np.sin(2 * np.pi * 50.01 * time), [106.25])
     assert lines.multiple.tolist() == [1]
-    assert [n.severity for n in lines.notices] == ["info"]
+    assert [n.severity for n in lines.notices] == ["note"]
     assert "mains hum (50 Hz)" in lines.notices[0].text
     assert [origin.kind for origin in lines.others.origin] == ["mains"]
     # Rife and Boorstyn 1974 as below, for noise as strong as the hum: 0.9 mHz, and 3 mm/s² for its amplitude

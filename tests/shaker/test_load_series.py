@@ -25,13 +25,13 @@ from shaker.release.load_model import (
 )
 from shaker.release.load_modes import (
     FreeDecay,
-    Output,
     Resonances,
     SeriesMasses,
+    SeriesOutput,
     as_resonances,
-    coloured,
+    coloured_normal,
     free_decay,
-    projected,
+    project_amplitudes,
     record_modes,
     stated_masses,
     stated_resonances,
@@ -41,7 +41,7 @@ from shaker.release.record import StepRecord
 
 LOADS = np.array([0.0, 0.008, 0.048, 0.098, 0.198])
 PUBLISHED_HZ, MOVING = np.array([500.0, 486.0, 450.0, 393.0, 320.0]), 0.240
-OUTPUT = Output("Fy", "Fy", "V")
+OUTPUT = SeriesOutput("Fy", "Fy", "V")
 NUMBERS = (2.36e6, 6.0, 1.89e6, 4.0)
 U = np.diag([2e2, 1e-2, 1e3, 5e-2])
 MODEL = LoadModel("Fy", "Fy", "V", MOVING, *NUMBERS, covariance=U**2, u_moving_mass=1e-4)
@@ -309,11 +309,11 @@ def test_projection_leaves_nothing_of_its_own_modes():
     poles = np.array([-30.0 + 2j * np.pi * 400.0, -80.0 + 2j * np.pi * 900.0])
     amplitude = np.array([1.0 - 0.4j, 0.2 + 0.3j])
     decay = FreeDecay("sum", t, 0.7 + (np.exp(t[:, None] * poles) @ amplitude).real, 1)
-    residual, slope = projected(decay, poles)
+    residual, slope = project_amplitudes(decay, poles)
     assert np.max(np.abs(residual)) < 1e-12
     for place in range(4):
         moved = poles + np.where(np.arange(2) == place // 2, (1e-3, 1e-3j)[place % 2], 0.0)
-        np.testing.assert_allclose(projected(decay, moved)[0] / 1e-3, slope[:, place], atol=2e-6)
+        np.testing.assert_allclose(project_amplitudes(decay, moved)[0] / 1e-3, slope[:, place], atol=2e-6)
 
 
 def test_coloured_noise_is_weighed_by_its_spectrum():
@@ -322,7 +322,7 @@ def test_coloured_noise_is_weighed_by_its_spectrum():
     noise = np.convolve(rng.standard_normal(4100), np.full(5, 0.2), mode="valid")
     gain = np.abs([np.mean(np.exp(1j * w * np.arange(5))) for w in (0.1, 2.0)])
     expected = gain**2 * np.sum(slope**2, axis=0)
-    np.testing.assert_allclose(np.diag(coloured(slope, noise)), expected, rtol=0.35)
+    np.testing.assert_allclose(np.diag(coloured_normal(slope, noise)), expected, rtol=0.35)
 
 
 def test_refusals():

@@ -424,7 +424,7 @@ def test_false_poles_are_told():
     assert pole_notices(far) == ()
     assert "half the sampling rate" in pole_notices(far, 1e5)[0].text
     near = lti([-10, -3e3 + 1e4j, -3e3 - 1e4j], zeros=[-10.05])
-    assert [n.severity for n in pole_notices(near)] == ["info"]
+    assert [n.severity for n in pole_notices(near)] == ["note"]
 
 
 def test_roots_are_found_to_the_last_digits_whatever_the_curve():

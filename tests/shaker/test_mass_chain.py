@@ -15,16 +15,16 @@ from shaker.arrays import ComplexArray, FloatArray
 from shaker.frf.chain import (
     PoleModel,
     ResponseTable,
+    cascade_responses,
     common_covariance,
     filter_poles,
     pole_response,
-    product,
     ratio_unit,
     split_ratio,
     table_response,
 )
-from shaker.identification.fit import Identification, identify
-from shaker.identification.measured import InertiaError, MeasuredTransfer, Placement
+from shaker.identification.measured_curves import InertiaError, MeasuredTransfer, Placement
+from shaker.identification.structure_fit import Identification, identify
 from shaker.identification.structures import ChainStructure, Stage
 from shaker.mechanics import MassChain, oscillator_hz, required_stiffness, shared_spring
 
@@ -187,7 +187,7 @@ def test_a_mount_whose_resonance_lies_above_the_band_is_found_with_what_certaint
 
 
 def test_stages_without_a_mass_of_their_own_and_the_names_of_all():
-    joint = ChainStructure(2, (Stage("sensor"), Stage("joint", own_mass=False)))
+    joint = ChainStructure(2, (Stage("sensor"), Stage("joint", has_mass=False)))
     names = [parameter.name for parameter in joint.parameters]
     assert names == ["stiffness_z", "stiffness_z_joint", "damping_z", "damping_z_joint", "internal_mass"]
     turning = ChainStructure(4)
@@ -358,7 +358,7 @@ def test_short_tables(count):
 
 def test_elements_multiply_and_their_errors_add_in_squares():
     parts = [pole_response(DECADES_HZ, model, u_gain=u) for model, u in ((LOWPASS, 3e-3), (HIGHPASS, 4e-3))]
-    both = product(parts)
+    both = cascade_responses(parts)
     np.testing.assert_allclose(both.value, parts[0].value * parts[1].value)
     np.testing.assert_allclose(both.u_magnitude, 5e-3)
     assert len(both.causes) == 6

@@ -12,10 +12,10 @@ from scipy.stats import f as fisher
 from scipy.stats import kstest
 
 from shaker.arrays import FloatArray
-from shaker.sine.fit import Stationarity, fit_sines, stationarity
 from shaker.sine.noise import LineNoise, levels_at_lines, line_noise, neighbour_bins
 from shaker.sine.phasor import Phasors, derivative_factor, stack_phasors
-from shaker.timebase.edges import PASS_BAND, kernel_reach, resampled
+from shaker.sine.sine_fit import Stationarity, fit_sines, stationarity
+from shaker.timebase.edges import PASS_BAND, kernel_reach, resample
 
 CAMERA_HZ, FRAMES = 52.874, 211
 
@@ -218,14 +218,14 @@ def test_a_rate_as_uncertain_as_stated_makes_no_more_alarms_than_noise():
         noise = rng.normal(size=FRAMES)
         result = found(time, (2000.0 * np.cos(fast * time) + noise)[:, None], [115.748])
         plain.append(result.p_value[0, 0])
-        beside.append(result.p_value_beside(turn * rate)[0, 0])
+        beside.append(result.p_value_with_rate(turn * rate)[0, 0])
         bent = 2000.0 * np.cos(fast * time + 6e-3 * np.cos(2 * np.pi * time / time[-1])) + noise
-        drifting.append(found(time, bent[:, None], [115.748]).p_value_beside(turn * rate)[0, 0])
+        drifting.append(found(time, bent[:, None], [115.748]).p_value_with_rate(turn * rate)[0, 0])
     assert np.mean(np.array(plain) < 0.01) > 0.3
     assert kstest(beside, "uniform").pvalue > 1e-3
     assert np.mean(np.array(beside) < 0.01) < 0.04
     assert np.mean(np.array(drifting) < 0.01) > 0.95
-    np.testing.assert_allclose(result.p_value_beside(0.0), result.p_value)
+    np.testing.assert_allclose(result.p_value_with_rate(0.0), result.p_value)
 
 
 def test_halves_where_there_are_no_two_beats_and_nothing_where_they_are_too_short():
@@ -309,18 +309,18 @@ def test_selection_keeps_values_and_covariances_together():
 def test_a_line_in_the_pass_band_keeps_amplitude_and_phase(share, place, phase, stretch):
     time, reach = np.arange(3000.0), kernel_reach(share)
     position = np.arange(reach + 0.3, 3000 - reach, (1.0 + stretch) / share)
-    found = resampled(np.cos(2.0 * np.pi * place * share * time + phase), position, share)
+    found = resample(np.cos(2.0 * np.pi * place * share * time + phase), position, share)
     np.testing.assert_allclose(found, np.cos(2.0 * np.pi * place * share * position + phase), atol=3e-5)
 
 
 def test_what_would_fold_is_taken_out_samples_are_met_and_positions_beyond_the_record_refused():
     time, reach = np.arange(3000.0), kernel_reach(0.5)
     for place in (0.6, 0.75, 0.95):
-        folding = resampled(np.cos(np.pi * place * time), np.arange(reach + 0.3, 3000 - reach, 2.0), 0.5)
+        folding = resample(np.cos(np.pi * place * time), np.arange(reach + 0.3, 3000 - reach, 2.0), 0.5)
         assert np.abs(folding).max() < 2e-5
     samples = np.random.default_rng(1).standard_normal(200)
     reach = kernel_reach(1.0)
     place = np.arange(reach, 200 - reach).astype(float)
-    np.testing.assert_allclose(resampled(samples, place), samples[reach : 200 - reach], atol=1e-12)
-    refused("position: expected", resampled, samples, np.array([199.0]))
-    refused("share: expected a number above 0", resampled, samples, place, 1.5)
+    np.testing.assert_allclose(resample(samples, place), samples[reach : 200 - reach], atol=1e-12)
+    refused("position: expected", resample, samples, np.array([199.0]))
+    refused("share: expected a number above 0", resample, samples, place, 1.5)

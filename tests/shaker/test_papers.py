@@ -26,16 +26,16 @@ from published_formulas import (
 )
 from scipy import signal
 
-from shaker.compensation.filter import Compensation, Target, band_ratio, loaded_dynamics, single_mode
+from shaker.compensation.filter import Compensation, CompensationTarget, band_ratio, loaded_dynamics, single_mode
 from shaker.elastomer.frame import fit_platform
 from shaker.elastomer.geometry import PublishedStatics
-from shaker.identification.measured import MeasuredCurve
+from shaker.identification.measured_curves import MeasuredCurve
 from shaker.identification.oscillator import peak_readings
 from shaker.lti.indices import Indices, indices
 from shaker.lti.system import LinearSystem
 from shaker.mechanics import required_stiffness
-from shaker.release.fit import fit_sim, fit_step
 from shaker.release.load_model import LoadModel, first_mode_hz, formula_limit
+from shaker.release.step_fit import fit_sim, fit_step
 from shaker.sine.phasor import derivative_factor
 from shaker.static_rotation.harmonics import fit_angles
 from shaker.static_rotation.masses import mass_of_weight
@@ -103,12 +103,14 @@ def converted() -> tuple[list[float], list[float]]:
 
 def filtered() -> Compensation:
     """The filter of equations 15 to 17 by the program."""
-    return Compensation(loaded_dynamics(load_paper.TWO_MASS, 0.151), Target(OMEGA / (2 * np.pi), 0.5))
+    return Compensation(loaded_dynamics(load_paper.TWO_MASS, 0.151), CompensationTarget(OMEGA / (2 * np.pi), 0.5))
 
 
 def target(place: int) -> float:
     """2ζω_n and ω_n² of 1000 Hz and 0.5."""
-    pole = Compensation(loaded_dynamics(load_paper.TWO_MASS, 0.151), Target(1000.0, 0.5)).compensated.poles[0]
+    pole = Compensation(loaded_dynamics(load_paper.TWO_MASS, 0.151), CompensationTarget(1000.0, 0.5)).compensated.poles[
+        0
+    ]
     return float((-2 * pole.real, abs(pole) ** 2)[place])
 
 

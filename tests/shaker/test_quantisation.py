@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from shaker.sine.fit import fit_sines
 from shaker.sine.quantisation import quantisation_error
+from shaker.sine.sine_fit import fit_sines
 
 ORDERS = np.arange(1, 200)
 

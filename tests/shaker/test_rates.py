@@ -11,8 +11,8 @@ from scipy.special import sici
 
 from shaker.lines.rate_planner import (
     PREFERRED,
+    RateScan,
     Sampling,
-    Scan,
     amplitude_covariance,
     best_rates,
     candidate_rates,
@@ -28,14 +28,14 @@ from shaker.sine.aliasing import (
     alias_frequency,
     condition_number,
     exposure_gain,
-    folded_harmonics,
+    find_aliased_harmonics,
     nearest_clear_rate,
     sampling_grid,
     separation_bins,
     sine_columns,
     usable_lines,
 )
-from shaker.sine.fit import fit_sines
+from shaker.sine.sine_fit import fit_sines
 
 CAMERA_HZ = 52.874
 
@@ -86,13 +86,13 @@ def test_folded_line_is_dropped_by_name(lines, rate, dropped, reason):
 
 def test_harmonics_that_fold_onto_a_line_are_named():
     # The real record at 200 Hz: the fourth and sixth harmonic of 120 Hz come back at 80 Hz, like 120 Hz itself.
-    folds = folded_harmonics(120.0, [100.0, 120.0, 150.0], 200.0, 0.05, max_multiple=6)
+    folds = find_aliased_harmonics(120.0, [100.0, 120.0, 150.0], 200.0, 0.05, max_multiple=6)
     assert [(fold.frequency_hz, fold.multiple, fold.fundamental_hz) for fold in folds] == [
         (480.0, 4, 120.0),
         (720.0, 6, 120.0),
     ]
     assert all(fold.alias_hz == pytest.approx(80.0) for fold in folds)
-    assert not folded_harmonics(106.25, [106.25], CAMERA_HZ, 0.25, max_multiple=20)
+    assert not find_aliased_harmonics(106.25, [106.25], CAMERA_HZ, 0.25, max_multiple=20)
 
 
 def test_grid_with_gaps_is_recognised():
@@ -226,7 +226,7 @@ def test_published_case():
         np.linalg.cond(sine_columns(np.arange(211) / CAMERA_HZ, plan.lines.frequency_hz))
     )
     np.testing.assert_allclose(plan.gain, np.sinc(plan.lines.frequency_hz * 40e-6))
-    assert not plan.folds
+    assert not plan.aliased_harmonics
     # Drift and 1/f noise rule there: three times the uncertainty that white noise alone would leave.
     white = plan_at(lines_of([106.25], 4), CAMERA_HZ, Sampling(211, 40e-6, corner_hz=0.0))
     assert plan.u_amplitude[0] / white.u_amplitude[0] == pytest.approx(np.sqrt(1.0 + 5.0 / 0.502), rel=0.1)
@@ -268,7 +268,7 @@ def test_harmonics_count_once_and_unfitted_ones_that_fold_are_named():
     assert lines_of([53.7], 3).frequency_hz == pytest.approx([53.7, 107.4, 161.1])
     # 4·120 and 6·120 Hz come back at 80 Hz, like 120 Hz itself.
     plan = plan_at(lines_of([120.0], 3), 200.0, Sampling(400))
-    assert {fold.frequency_hz for fold in plan.folds} >= {480.0, 720.0}
+    assert {fold.frequency_hz for fold in plan.aliased_harmonics} >= {480.0, 720.0}
 
 
 def test_condition_over_rate_is_that_of_the_design_matrices():
@@ -304,7 +304,7 @@ def test_best_rates_are_clear_well_placed_and_apart():
         plan = plan_at(lines, rate, sampling)
         assert plan.distance_bins > CLEAR_BINS
         assert PREFERRED[0] <= plan.alias_hz[0] / rate <= PREFERRED[1]
-        assert not plan.folds
+        assert not plan.aliased_harmonics
     together = scan_rates(lines_of([100.0, 100.001], 1), RATES, Sampling(211))
     assert best_rates(together) == fewest_rates([together]) == ()
     # No other good rate is better by more than the 5 % that the distance between the lines may cost.
@@ -318,7 +318,9 @@ def test_few_rates_serve_every_point_that_can_be_served(seed, points, rates):
     rng = np.random.default_rng(seed)
     grid = np.arange(1.0, rates + 1.0)
     scans = [
-        Scan(grid, 3.0 * rng.random(rates), 1.0 + rng.random(rates), rng.integers(0, 2, rates), rng.random(rates) < 0.7)
+        RateScan(
+            grid, 3.0 * rng.random(rates), 1.0 + rng.random(rates), rng.integers(0, 2, rates), rng.random(rates) < 0.7
+        )
         for _ in range(points)
     ]
     chosen = fewest_rates(scans)

@@ -219,7 +219,7 @@ def test_scanning_vibrometer_text(tmp_path, by_rows, count):
     np.testing.assert_allclose(scan.point_m, points, atol=1e-6)
     np.testing.assert_allclose(scan.samples, blocks, rtol=1e-8)
     assert scan.sample_rate_hz == pytest.approx(51_200.0)
-    take = scan.take(count - 1)
+    take = scan.channels_at(count - 1)
     assert list(take) == ["1", "2", "3"]
     np.testing.assert_array_equal(take["2"].samples, scan.samples[1, count - 1])
     np.testing.assert_array_equal(read_channels(path, [f"3/{count}"])[f"3/{count}"].samples, scan.samples[2, -1])

@@ -11,9 +11,9 @@ from release_factory import Truth
 from scipy.stats import ttest_ind
 
 from shaker.io.condition import cut_run
-from shaker.release.reading import begun, compare_releases, read_release, read_releases
+from shaker.release.reading import compare_releases, initial_release, read_release, read_releases
 from shaker.release.record import (
-    Reading,
+    ReleaseReading,
     StepRecord,
     correlation_factor,
     response_spectrum,
@@ -27,7 +27,7 @@ TWO_MODES = Truth(frequency_hz=(500.0, 1180.0), share=(0.8, 0.2), damping_ratio=
 QUICK = Truth(frequency_hz=(1000.0,), damping_ratio=1e-3, lag_hz=None, release_s=1e-6)
 
 
-def _deviations(truth: Truth, reading: Reading) -> np.ndarray:
+def _deviations(truth: Truth, reading: ReleaseReading) -> np.ndarray:
     """Onset, length, gain, baseline and steady level off the truth, over their standard uncertainties."""
     steady = truth.baseline + truth.gain * truth.amplitude
     true = {"onset_s": truth.onset_s, "release_s": truth.release_s, "static_gain": truth.gain}
@@ -127,7 +127,7 @@ def test_a_release_without_a_lag_begins_a_fit_where_the_lag_has_it(truth):
     """To second order a lag τ is a release that is τ later, and whose second moment about its middle is τ² larger."""
     lag_s = 0.0 if truth.lag_hz is None else 1.0 / (2.0 * np.pi * truth.lag_hz)
     moment = 0.25 - 2.0 / np.pi**2 if truth.smooth else 1.0 / 12.0
-    middle_s, length_s, shape = begun(truth.record(np.random.default_rng(9), 40.0))
+    middle_s, length_s, shape = initial_release(truth.record(np.random.default_rng(9), 40.0))
     assert shape == ("smooth" if truth.smooth else "ramp")
     period_s = 1.0 / min(truth.frequency_hz)
     assert middle_s == pytest.approx(truth.onset_s + 0.5 * truth.release_s + lag_s, abs=0.01 * period_s)
@@ -136,7 +136,7 @@ def test_a_release_without_a_lag_begins_a_fit_where_the_lag_has_it(truth):
     late = replace(
         record, samples=record.samples[:, : int((truth.onset_s - record.start_s) * record.sample_rate_hz) + 40]
     )
-    refused("record: expected", begun, late)
+    refused("record: expected", initial_release, late)
 
 
 def test_a_cut_record_is_told_and_the_flat_top_of_a_slow_wave_is_not_cut():
@@ -180,12 +180,12 @@ def test_a_stated_onset_guides_the_reading():
 
 
 @pytest.fixture(scope="module")
-def reading() -> Reading:
+def reading() -> ReleaseReading:
     """Some reading."""
     return read_release(Truth().record(np.random.default_rng(0), 40.0), "Fz")
 
 
-def _kind(reading: Reading, name: str, rise_s: list[float]) -> list[Reading]:
+def _kind(reading: ReleaseReading, name: str, rise_s: list[float]) -> list[ReleaseReading]:
     """Readings of one rope with given rise times, each known to 1 ns."""
     return [replace(reading, release=name, rise_s=value, u_rise_s=1e-9) for value in rise_s]
 

@@ -12,23 +12,33 @@ from scipy import linalg
 from scipy.optimize import brentq, least_squares, minimize_scalar
 
 from shaker.arrays import ComplexArray, FloatArray
-from shaker.fitting import Block, Changes, Minimum, Prior, Residuals, Rules, Separable, eliminate, levenberg_marquardt
-from shaker.identification.measured import MeasuredCurve
+from shaker.fitting import (
+    BlockJacobian,
+    LinearBlock,
+    LMOptions,
+    Minimum,
+    ParameterPrior,
+    SeparablePoint,
+    WhitenedResiduals,
+    eliminate,
+    levenberg_marquardt,
+)
+from shaker.identification.measured_curves import MeasuredCurve
 from shaker.identification.oscillator import (
-    Kind,
     PeakReadings,
     Resonance,
+    ResonanceKind,
     fit_circle,
     fit_resonance,
     peak_readings,
     transmissibility_levels,
 )
 
-KINDS: tuple[Kind, ...] = ("transmissibility", "receptance", "mobility", "accelerance")
+KINDS: tuple[ResonanceKind, ...] = ("transmissibility", "receptance", "mobility", "accelerance")
 FREQUENCY = np.arange(1300.0, 1650.0, 1.0)
 
 
-def curve(kind: Kind, f0: float, zeta: float, gain: complex, s: ComplexArray) -> ComplexArray:
+def curve(kind: ResonanceKind, f0: float, zeta: float, gain: complex, s: ComplexArray) -> ComplexArray:
     """The textbook formulas, written out."""
     w0 = 2.0 * np.pi * f0
     pole = s**2 + 2.0 * zeta * w0 * s + w0**2
@@ -46,7 +56,7 @@ def noise(covariance: FloatArray, rng: np.random.Generator) -> ComplexArray:
     return np.asarray(draws[:, 0] + 1j * draws[:, 1])
 
 
-def fitted(value: ComplexArray, covariance: FloatArray, kind: Kind = "receptance", **words: Any) -> Resonance:
+def fitted(value: ComplexArray, covariance: FloatArray, kind: ResonanceKind = "receptance", **words: Any) -> Resonance:
     """A resonance fitted to values at `FREQUENCY`; words of the curve."""
     return fit_resonance(MeasuredCurve(FREQUENCY, value, covariance, **words), kind)
 
@@ -386,17 +396,17 @@ def test_wrong_curves_are_refused_by_name():
     refused("covariance: expected positive definite", reading, frequency + 0j, np.zeros((10, 2, 2)))
 
 
-TIME, RULES = np.linspace(0.0, 4.0, 60), Rules(foretold_share=1e-14)
+TIME, RULES = np.linspace(0.0, 4.0, 60), LMOptions(predicted_decrease_share=1e-14)
 
 
-def _decays(rates: FloatArray, data: FloatArray) -> Separable:
+def _decays(rates: FloatArray, data: FloatArray) -> SeparablePoint:
     """A level and two decays with free amplitudes, in two outputs (60, 2)."""
     waves = np.exp(-TIME[:, None] * rates)
 
-    def changes(own: FloatArray) -> Changes:
-        return Changes(np.arange(2), (-TIME[:, None] * waves)[:, :, None] * own[1:])
+    def changes(own: FloatArray) -> BlockJacobian:
+        return BlockJacobian(np.arange(2), (-TIME[:, None] * waves)[:, :, None] * own[1:])
 
-    return Separable(rates, (Block(np.hstack([np.ones((60, 1)), waves]), data, changes),))
+    return SeparablePoint(rates, (LinearBlock(np.hstack([np.ones((60, 1)), waves]), data, changes),))
 
 
 def _data() -> FloatArray:
@@ -405,9 +415,9 @@ def _data() -> FloatArray:
 
 
 def test_a_narrow_valley_is_followed_to_its_end():
-    def at(x: FloatArray) -> Residuals | None:
+    def at(x: FloatArray) -> WhitenedResiduals | None:
         residual = np.array([10.0 * (x[1] - x[0] ** 2), 1.0 - x[0]])
-        return Residuals(x, residual, np.array([[-20.0 * x[0], 10.0], [-1.0, 0.0]])) if x[0] < 1.5 else None
+        return WhitenedResiduals(x, residual, np.array([[-20.0 * x[0], 10.0], [-1.0, 0.0]])) if x[0] < 1.5 else None
 
     begin = at(np.array([-1.2, 1.0]))
     assert begin is not None
@@ -420,7 +430,7 @@ def test_a_narrow_valley_is_followed_to_its_end():
 def test_a_search_that_will_not_get_where_it_is_wanted_is_given_up():
     data = _data()
 
-    def search(wanted: float) -> Minimum[Separable]:
+    def search(wanted: float) -> Minimum[SeparablePoint]:
         start = _decays(np.array([0.5, 5.0]), data)
         return levenberg_marquardt(lambda x: _decays(x, data), start, replace(RULES, wanted=wanted))
 
@@ -461,10 +471,10 @@ def test_what_is_known_beforehand_weighs_by_its_variance():
     """Of a mean x of n data and a prior (m, u): (n x/s² + m/u²)/(n/s² + 1/u²), s² of the residual there."""
     data = np.random.default_rng(2).standard_normal(50) + 3.0
 
-    def at(x: FloatArray) -> Residuals:
-        return Residuals(x, x[0] - data, np.ones((50, 1)))
+    def at(x: FloatArray) -> WhitenedResiduals:
+        return WhitenedResiduals(x, x[0] - data, np.ones((50, 1)))
 
-    end = levenberg_marquardt(at, at(np.zeros(1)), RULES, prior=Prior(np.array([0.0]), np.array([0.1]))).point
+    end = levenberg_marquardt(at, at(np.zeros(1)), RULES, prior=ParameterPrior(np.array([0.0]), np.array([0.1]))).point
     variance = end.loss / 49
     expected = np.sum(data) / variance / (50 / variance + 100.0)
     assert end.parameters[0] == pytest.approx(expected, rel=1e-6)
@@ -482,4 +492,4 @@ def test_dependent_columns_share_and_the_root_is_that_of_the_covariance():
 
 def test_a_start_without_a_loss_is_refused():
     with pytest.raises(ValueError, match="start: expected parameters"):
-        levenberg_marquardt(lambda x: None, Residuals(np.zeros(1), np.array([np.inf]), np.ones((1, 1))), RULES)
+        levenberg_marquardt(lambda x: None, WhitenedResiduals(np.zeros(1), np.array([np.inf]), np.ones((1, 1))), RULES)

@@ -202,7 +202,7 @@ def test_segments_keep_their_starts(starts, steps, expected):
         refused(expected, times_of_segments, Path("a"), "channel", segments)
         return
     times = times_of_segments(Path("a"), "channel", segments)
-    channel = RawChannel.at(times, np.zeros(30), "")
+    channel = RawChannel.from_times(times, np.zeros(30), "")
     assert channel.gap is None if expected is None else str(channel.gap).startswith(expected)
     assert channel.start_s == starts[0]
 

@@ -23,9 +23,9 @@ from sensitivity_factory import (
 )
 
 from shaker.arrays import ComplexArray
-from shaker.identification.measured import MeasuredSensitivity, RelativeError
+from shaker.identification.measured_curves import CurveError, MeasuredSensitivity
 from shaker.identification.sensitivity import SpringPrior, fit_chain, fit_sensitivity
-from shaker.identification.sensor import CHAIN_PARAMETERS, Chain, ChainKind
+from shaker.identification.sensor import CHAIN_PARAMETERS, ChainKind, ChainModel
 
 TIME, OMEGA = DAMPING / STIFFNESS, 2.0 * np.pi * FREQUENCY
 
@@ -52,7 +52,7 @@ def clean(value: ComplexArray, size: float = 1e-4) -> MeasuredSensitivity:
 def test_a_late_clock_turns_a_sensitivity_and_does_not_enlarge_it():
     # Two standard uncertainties of a tie, 0.4 rad at the highest line: in first order, 1 + 0.4j, 8 % too large.
     turn = -0.2j * FREQUENCY[:, None] / FREQUENCY.max()
-    stated = replace(clean(STATIC * np.exp(2.0 * turn[:, 0])), errors=(RelativeError("clock bridge: time", turn),))
+    stated = replace(clean(STATIC * np.exp(2.0 * turn[:, 0])), errors=(CurveError("clock bridge: time", turn),))
     fit = fit_chain(stated, "none", None)
     assert fit.sensitivity == pytest.approx(STATIC, rel=1e-5)
     assert fit.unknowns[0].estimate == pytest.approx(2.0, rel=1e-2)
@@ -188,7 +188,7 @@ def test_common_errors_do_not_bias_the_sensitivity():
     """A covariance made of the readings would pull the mean below both (Peelle); the weighted mean lies between."""
     relative = np.full((len(FREQUENCY), 1), 0.05 + 0j)
     value = np.full(len(FREQUENCY), 1.1 * STATIC + 0j)
-    one = replace(clean(value, 1e-3), errors=(RelativeError("scale", relative),), static=STATIC, u_static=0.05 * STATIC)
+    one = replace(clean(value, 1e-3), errors=(CurveError("scale", relative),), static=STATIC, u_static=0.05 * STATIC)
     fit = fit_chain(one, "none", None)
     weight = (1.0 / 0.05) ** 2 / ((1.0 / 0.05) ** 2 + 1.0 / (0.05 * 1.0) ** 2)
     assert fit.sensitivity / STATIC == pytest.approx(1.1**weight, abs=2e-3)
@@ -256,4 +256,4 @@ def test_wrong_calls_are_refused():
         ({"covariance": 0.0 * good.covariance}, "covariance: expected positive definite"),
     ):
         refused(words, fit_chain, replace(good, **change), "lag", None)
-    refused("parameters", Chain, "lag", np.array([1.0, 2.0]))
+    refused("parameters", ChainModel, "lag", np.array([1.0, 2.0]))

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from scipy.optimize import curve_fit
 from scipy.stats import f as f_distribution
 
-from shaker.sine.fit import fit_sines
 from shaker.sine.noise import neighbour_bins
 from shaker.sine.normal_equations import LONG, Demodulator, SineSums, UniformTimes, timeline
+from shaker.sine.sine_fit import fit_sines
 from shaker.sine.solve import SineModel
 
 CAMERA_HZ, RATE_HZ = 52.874, 51_200.0
@@ -502,7 +502,7 @@ def test_sums_of_some_samples_at_a_time_give_the_least_squares_of_all(length):
     sums = SineSums(time_s, lines_hz, offset + 0.1)
     for start in range(0, 200, length):
         sums.add(values[start : start + length])
-    found, phasors, u = sums.solved(3)
+    found, phasors, u = sums.solve(3)
     design = np.column_stack([np.cos(angle), -np.sin(angle), np.ones(200)])
     for series in range(3):
         known = np.isfinite(values[:, series]).all(axis=1)

@@ -12,7 +12,7 @@ from shaker import fit_sines
 from shaker.arrays import Stacked
 from shaker.lines.frequencies import find_lines
 from shaker.lines.spectrum import amplitude_spectrum
-from shaker.sine.fit import stationarity
+from shaker.sine.sine_fit import stationarity
 
 RATE_HZ = 8000.0
 
@@ -25,12 +25,16 @@ def test_rows_channels_and_what_is_kept_are_those_of_the_array(samples, channels
     stacked = Stacked(tuple(columns), tuple(factors))
     mask = np.array(data.draw(st.lists(st.booleans(), min_size=samples, max_size=samples)))
     rows = slice(*sorted(data.draw(st.tuples(st.integers(0, samples), st.integers(0, samples)))))
-    for own, expected in ((stacked, array), (stacked.kept(mask), array[mask]), (stacked.kept(None), array)):
+    for own, expected in (
+        (stacked, array),
+        (stacked.select_rows(mask), array[mask]),
+        (stacked.select_rows(None), array),
+    ):
         assert own.shape == expected.shape
         np.testing.assert_array_equal(own[rows], expected[rows])
-        np.testing.assert_array_equal(np.concatenate([np.empty((0, channels)), *own.parts()]), expected)
-        np.testing.assert_array_equal(np.array(list(own.each())), expected.T)
-    again = stacked.kept(mask).kept(mask[mask])
+        np.testing.assert_array_equal(np.concatenate([np.empty((0, channels)), *own.iterate_row_blocks()]), expected)
+        np.testing.assert_array_equal(np.array(list(own.iterate_channels())), expected.T)
+    again = stacked.select_rows(mask).select_rows(mask[mask])
     np.testing.assert_array_equal(again[:], array[mask])
     np.testing.assert_array_equal(stacked.select([channels - 1])[:], array[:, -1:])
 

@@ -19,7 +19,7 @@ from shaker.static_rotation.harmonics import (
     standard_pressure,
     turning_sense,
 )
-from shaker.static_rotation.masses import ROWS, SensorOutputs, Turned, fit_weights, start_values
+from shaker.static_rotation.masses import ROWS, RotationRecord, SensorOutputs, fit_weights, start_values
 
 
 @pytest.mark.parametrize(
@@ -219,12 +219,14 @@ def _outputs(matrix: np.ndarray = SENSITIVITY, relative: float = 0.0, sense: Lit
     return SensorOutputs(matrix, relative * matrix, sense)
 
 
-def _turned(loads: np.ndarray, matrix: np.ndarray = SENSITIVITY, axis: np.ndarray = Z, down: np.ndarray = -Y) -> Turned:
+def _turned(
+    loads: np.ndarray, matrix: np.ndarray = SENSITIVITY, axis: np.ndarray = Z, down: np.ndarray = -Y
+) -> RotationRecord:
     """First harmonics of outputs with a little stated noise."""
     outputs = loads @ matrix.T
     fit = fit_angles(tuple("abcdef"[: len(matrix)]), STEPS, outputs)
     variance = np.tile((NOISE[: len(matrix)]) ** 2, 2)
-    return Turned("one", fit.amplitude(), np.diag(variance), 1e9, axis, down)
+    return RotationRecord("one", fit.amplitude(), np.diag(variance), 1e9, axis, down)
 
 
 @settings(deadline=None, max_examples=25)

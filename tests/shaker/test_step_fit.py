@@ -15,23 +15,23 @@ from scipy.signal import lsim
 
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.lti.system import LinearSystem, ModalModel
-from shaker.release.fit import StepFit, compare, every_order, fit_evolution, fit_sim, fit_step
-from shaker.release.output_error import Problem, Structure, columns, slopes
-from shaker.release.poles import instruments, peaks_hz, pencil
-from shaker.release.reading import read_release
-from shaker.release.record import Reading, StepRecord
-from shaker.release.response import (
-    Load,
-    Samples,
-    answers,
+from shaker.release.load_response import (
+    BlockMeans,
+    ReleaseLoad,
     every_sample,
     exponentials,
-    in_blocks,
     load_rate,
     load_share,
     pole_responses,
+    reduce_to_blocks,
     responses,
+    responses_with_derivatives,
 )
+from shaker.release.output_error import OutputErrorProblem, PoleStructure, columns, slopes
+from shaker.release.poles import instrumental_variables, matrix_pencil, peaks_hz
+from shaker.release.reading import read_release
+from shaker.release.record import ReleaseReading, StepRecord
+from shaker.release.step_fit import StepFit, fit_all_methods, fit_all_orders, fit_evolution, fit_sim, fit_step
 
 RATE_HZ, AMPLITUDE = 100e3, 50.0
 SENSOR = ((1700.0, 0.015),), (6000.0,)
@@ -79,7 +79,7 @@ def record_of(output: FloatArray, noise: float, seed: int, force: FloatArray | N
     return StepRecord("simulated", ("Fz",), "mV", samples[None], RATE_HZ, "Fz", AMPLITUDE, force=force)
 
 
-def rough(record: StepRecord, onset_s: float, release_s: float = 0.0, rise_s: float = 1e-4) -> Reading:
+def rough(record: StepRecord, onset_s: float, release_s: float = 0.0, rise_s: float = 1e-4) -> ReleaseReading:
     """Return a reading that is off by 10 µs in the onset, as a start."""
     return replace(reading_of(record, onset_s, release_s), onset_s=onset_s + 1e-5, rise_s=rise_s + release_s)
 
@@ -288,8 +288,8 @@ def test_what_tells_no_model_is_refused():
     refused("no oscillation above the noise", one_mode, silent, 0.01, modes=None, real_poles=None)
     refused("release: expected", one_mode, record_of(clean(), 1e-3, 1), release="measured")
     refused('shape: expected "step", "ramp" or "smooth"', pole_responses, POLES, np.zeros(3), 0.0, 1.0, "measured")
-    refused("load: expected at least", every_order, np.zeros(20), np.zeros(20), 1e5)
-    refused("order: expected 1 to 2", every_order(np.arange(40.0), np.arange(40.0) ** 2, 1e5, most=2).parameters, 3)
+    refused("load: expected at least", fit_all_orders, np.zeros(20), np.zeros(20), 1e5)
+    refused("order: expected 1 to 2", fit_all_orders(np.arange(40.0), np.arange(40.0) ** 2, 1e5, most=2).parameters, 3)
 
 
 def test_a_record_without_noise_gives_the_sensor():
@@ -330,18 +330,27 @@ def test_a_shape_that_is_not_told_is_in_the_uncertainty(length, level):
 POLES = np.array([2 * np.pi * 1700 * (-0.015 + 1j), 2 * np.pi * 2900 * (-0.03 + 1j), -2 * np.pi * 6000.0])
 TIME = np.arange(1500) / 1e5
 FORCE = np.cumsum(np.random.default_rng(0).standard_normal(1500))
-LOADS = (Load("step", 5.0), Load("ramp", 5.0), Load("smooth", 5.0), Load("measured", 5.0, FORCE, 0.0))
+LOADS = (
+    ReleaseLoad("step", 5.0),
+    ReleaseLoad("ramp", 5.0),
+    ReleaseLoad("smooth", 5.0),
+    ReleaseLoad("measured", 5.0, FORCE, 0.0),
+)
 SINGLE = every_sample(0 * TIME, TIME, 1e-5)
-BLOCKS = (SINGLE, in_blocks(SINGLE, 0.0035, 0.006, 7), Samples(TIME[::4], np.full(375, 4), 0 * TIME[::4], 1e-5))
+BLOCKS = (
+    SINGLE,
+    reduce_to_blocks(SINGLE, 0.0035, 0.006, 7),
+    BlockMeans(TIME[::4], np.full(375, 4), 0 * TIME[::4], 1e-5),
+)
 
 
 @pytest.mark.parametrize("load", LOADS, ids=lambda load: load.shape)
 def test_derivatives_are_those_of_differences(load):
-    structure = Structure(2, 1, 4, 2e4)
+    structure = PoleStructure(2, 1, 4, 2e4)
     samples = BLOCKS[1]
     tail = [0.004123] * load.timed + [np.log(4.3e-4)] * load.lasting
     vector = np.concatenate([structure.vector(POLES), tail])
-    problem = Problem(structure, load, samples, vector, vector)
+    problem = OutputErrorProblem(structure, load, samples, vector, vector)
     linear = np.array([0.1, 1.0, 0.3, -0.2, 0.05])
     found = slopes(problem, vector, linear, columns(problem, vector, samples)[1])
     for place in range(len(vector)):
@@ -363,7 +372,7 @@ def test_numerator_terms_are_partial_fractions(modes, low_pass):
     gaps = np.abs(system.poles[:, None] - system.poles) + np.diag(np.full(len(system.poles), np.inf))
     if gaps.min() < 1e-2 * np.abs(system.poles).max():
         return
-    structure = Structure(len(modes), len(low_pass), 1, 1e4)
+    structure = PoleStructure(len(modes), len(low_pass), 1, 1e4)
     upper = system.poles[system.poles.imag > 0]
     poles = np.concatenate([upper, system.poles[system.poles.imag == 0]])
     shares = structure.shares(structure.vector(poles))
@@ -373,7 +382,7 @@ def test_numerator_terms_are_partial_fractions(modes, low_pass):
     np.testing.assert_allclose(both / both[0], system.at(s[:, 0]), rtol=1e-6, atol=1e-9)
 
 
-@pytest.mark.parametrize("find", [pencil, instruments])
+@pytest.mark.parametrize("find", [matrix_pencil, instrumental_variables])
 def test_starts_find_the_poles_of_a_clean_decay(find):
     step = 5e-5
     k = np.arange(240) * step
@@ -390,7 +399,7 @@ def test_instruments_do_not_mind_noise_as_least_squares_do():
     for seed in range(60):
         k = np.arange(240) * step
         decay = np.real(np.exp(pole * k)) + 0.05 * np.random.default_rng(seed).standard_normal(240)
-        poles = instruments(decay, step, 3)
+        poles = instrumental_variables(decay, step, 3)
         found.append(poles[np.argmin(np.abs(poles - pole))])
     assert abs(np.mean(found).imag / pole.imag - 1.0) < 2e-3
     assert abs(np.mean(found).real / pole.real - 1.0) < 0.25
@@ -421,7 +430,7 @@ def test_one_factorisation_holds_every_order():
     rng = np.random.default_rng(4)
     load = rng.standard_normal(300)
     output = answered(sensor(((9000.0, 0.2),)), load, 1e-5) + 0.05 * rng.standard_normal(300)
-    orders = every_order(load, output, 1e5, most=6)
+    orders = fit_all_orders(load, output, 1e5, most=6)
     for order in (1, 2, 4, 6):
         k = np.arange(order, len(load) - (6 - order))
         past = [part[k - i] for i in range(order, 0, -1) for part in (load, output)]
@@ -459,7 +468,7 @@ def test_noise_biases_the_difference_equation_and_the_user_is_told():
 def test_evolution_of_modes_reaches_the_default_s_optimum():
     record = record_of(held(1800), 2e-3, 1)
     choice = {"methods": ("pencil", "evolution"), "modes": 1, "real_poles": 1}
-    both = compare(record, "Fz", rng=np.random.default_rng(1), reading=rough(record, RELEASED_S), **choice)
+    both = fit_all_methods(record, "Fz", rng=np.random.default_rng(1), reading=rough(record, RELEASED_S), **choice)
     assert [fit.method for fit in both] == ["pencil", "evolution"]
     default, evolved = (fit.model for fit in both)
     np.testing.assert_allclose(evolved.vector[:2], default.vector[:2], rtol=1e-3)
@@ -549,7 +558,7 @@ def test_fast_poles_follow_a_ramp(rate, release_s):
 
 def test_answers_to_a_measured_force_are_those_of_an_integration():
     """By scipy: real and imaginary part of an answer as the states of a real system."""
-    value = answers(LOADS[3], POLES, BLOCKS[0], 0.0, 0.0).value
+    value = responses_with_derivatives(LOADS[3], POLES, BLOCKS[0], 0.0, 0.0).value
     for place, pole in enumerate(POLES):
         a = np.array([[pole.real, -pole.imag], [pole.imag, pole.real]])
         _, output, _ = lsim((a, [[1.0], [0.0]], np.eye(2), np.zeros((2, 1))), FORCE, TIME)
@@ -561,19 +570,19 @@ def test_answers_to_a_measured_force_are_those_of_an_integration():
 @pytest.mark.parametrize("load", LOADS, ids=lambda load: load.shape)
 def test_blocks_are_means_of_samples_and_derivatives_those_of_differences(load, blocks):
     def value(poles: ComplexArray = POLES, middle_s: float = MIDDLE_S, length_s: float = LENGTH_S) -> ComplexArray:
-        return answers(load, poles, blocks, middle_s, length_s).value
+        return responses_with_derivatives(load, poles, blocks, middle_s, length_s).value
 
-    whole = answers(load, POLES, blocks, MIDDLE_S, LENGTH_S)
+    whole = responses_with_derivatives(load, POLES, blocks, MIDDLE_S, LENGTH_S)
     if load.timed:
         onset_s = MIDDLE_S - 0.5 * LENGTH_S * load.lasting
         single = 5.0 * pole_responses(POLES, TIME, onset_s, LENGTH_S, load.shape)
     else:
-        single = answers(load, POLES, BLOCKS[0], 0.0, 0.0).value
+        single = responses_with_derivatives(load, POLES, BLOCKS[0], 0.0, 0.0).value
     starts = np.concatenate([[0], np.cumsum(blocks.length)[:-1]])
     means = np.add.reduceat(single, starts, axis=0) / blocks.length[:, None]
     np.testing.assert_allclose(whole.value, means, atol=1e-12 * np.abs(means).max())
     np.testing.assert_allclose(responses(load, POLES, blocks, MIDDLE_S, LENGTH_S), whole.value, atol=1e-14)
-    held = answers(load, POLES, blocks, MIDDLE_S, LENGTH_S, held=True)
+    held = responses_with_derivatives(load, POLES, blocks, MIDDLE_S, LENGTH_S, fixed_poles=True)
     for name in ("value", "by_onset", "by_length"):
         np.testing.assert_array_equal(getattr(held, name), getattr(whole, name))
     for place, pole in enumerate(POLES):

@@ -23,16 +23,16 @@ from identification_factory import (
 from identification_factory import pitching as shifted
 from scipy.spatial.transform import Rotation
 
-from shaker.identification import fit
-from shaker.identification.fit import Identification, State, evaluate, identify
-from shaker.identification.measured import Bending, InertiaError, Placement
-from shaker.identification.problem import build
-from shaker.identification.structures import Suspension
+from shaker.identification import structure_fit
+from shaker.identification.identification_problem import build_problem
+from shaker.identification.measured_curves import Bending, InertiaError, Placement
+from shaker.identification.structure_fit import FitState, Identification, evaluate, identify
+from shaker.identification.structures import SpringSuspension
 from shaker.mechanics import respond
 
 LINES_HZ = np.arange(300.0, 3000.0, 3.125)
 K_X, B_X, K_RY, B_RY, M_I, J_I = 7.0e8, 600.0, 1.1e6, 1.2, 0.9, 1.5e-3
-PITCHING = Suspension((0, 4))
+PITCHING = SpringSuspension((0, 4))
 TOPS = (Placement(0.03 * Z, X), Placement(-0.02 * Z, X))
 BASE = Placement(-0.05 * Z, X)
 
@@ -90,13 +90,13 @@ def test_the_translational_stiffness_comes_out_of_two_modes(height, k_ry, b_x, b
 
 def test_derivatives_are_worked_out_where_a_step_begins(monkeypatch):
     """Starts that are not taken, steps that are refused, and how a valley bends need residuals alone."""
-    evaluated: list[State] = []
+    evaluated: list[FitState] = []
 
     def counted(*arguments):
         evaluated.append(evaluate(*arguments))
         return evaluated[-1]
 
-    monkeypatch.setattr(fit, "evaluate", counted)
+    monkeypatch.setattr(structure_fit, "evaluate", counted)
     identify([pitching((4.236, 0.035, 0.012)), pitching((6.962, -0.01, 0.02))], PITCHING)
     derived = [state for state in evaluated if state is not None and "jacobians" in vars(state)]
     assert 0 < len(derived) <= len(evaluated) - 3  # of four starts one is taken
@@ -106,7 +106,7 @@ def test_a_rotation_that_the_band_does_not_show_is_named():
     rng, frequency = np.random.default_rng(5), np.arange(900.0, 2200.0, 3.125)
     loads = ((4.236, 0.002, 0.012), (8.798, 0.002, 0.035))
     recordings = [pitching(load, (K_X, 1e10, B_X, B_RY), frequency, rng=rng, noise=0.02) for load in loads]
-    found = identify(recordings, PITCHING, known={"internal_inertia_ry": (J_I, 0.0)})
+    found = identify(recordings, PITCHING, stated_values={"internal_inertia_ry": (J_I, 0.0)})
     assert "stiffness_ry" in {notice.where for notice in found.notices}
     assert found.u("stiffness_ry") > found.value("stiffness_ry") / 3.0
     assert found.value("stiffness_x") == pytest.approx(K_X, rel=2e-3)
@@ -115,7 +115,7 @@ def test_a_rotation_that_the_band_does_not_show_is_named():
 def test_pitching_without_pitching_in_the_model_is_told_apart():
     rng = np.random.default_rng(5)
     recordings = [pitching(load, rng=rng) for load in ((4.236, 0.035, 0.012), (8.798, 0.045, 0.035))]
-    found = identify(recordings, Suspension((0,)))
+    found = identify(recordings, SpringSuspension((0,)))
     assert {"identification"} <= {notice.where for notice in found.notices if notice.severity == "warning"}
 
 
@@ -140,7 +140,7 @@ def test_three_axes_at_once_are_three_oscillators():
         recordings.append(
             recording(f"{load}", frequency, value, rigid_mass(load), drive, noise=1e-3, rng=rng, tops=tops, base=base)
         )
-    found = identify(recordings, Suspension((0, 1, 2)))
+    found = identify(recordings, SpringSuspension((0, 1, 2)))
     assert_holds(found, [*k, *b, M_I])
     assert len(found.modes) == 6
 
@@ -159,7 +159,7 @@ def test_rotation_is_inertia_against_a_torsion_spring():
         matrix = rigid_mass(5.0, 0.02, inertia)
         seen = {"tops": [tangential], "base": tangential}
         recordings.append(recording(f"{inertia}", frequency, value, matrix, turning, noise=1e-2, rng=rng, **seen))
-    found = identify(recordings, Suspension((5,)))
+    found = identify(recordings, SpringSuspension((5,)))
     assert found.names == ("stiffness_rz", "damping_rz", "internal_inertia_rz")
     assert [estimate.unit for estimate in found.estimates] == ["N.m/rad", "N.m.s/rad", "kg.m^2"]
     assert_holds(found, [k, b, internal])
@@ -173,9 +173,9 @@ def test_a_base_that_shifts_turns_a_load_that_can_only_turn():
     turn = -s * s * mass * height / (whole * s * s + b * s + k)
     matrix, seen = rigid_mass(mass, height, inertia), {"tops": [Placement(0.03 * Z, X)], "base": BASE}
     record = recording("a", frequency, 1.0 + 0.03 * turn, matrix, ALONG_X, noise=1e-6, **seen)
-    found = respond(Suspension((4,)).mechanics(record), np.array([1.0, k, b, 0.0]), s)
+    found = respond(SpringSuspension((4,)).mechanics(record), np.array([1.0, k, b, 0.0]), s)
     np.testing.assert_allclose(found.value[:, 0], record.ratio.value[:, 0], rtol=1e-12)
-    fitted = identify([record], Suspension((4,)), known={"internal_inertia_ry": (0.0, 0.0)})
+    fitted = identify([record], SpringSuspension((4,)), stated_values={"internal_inertia_ry": (0.0, 0.0)})
     assert fitted.value("stiffness_ry") == pytest.approx(k, rel=1e-6)
 
 
@@ -183,7 +183,7 @@ def test_a_base_that_shifts_turns_a_load_that_can_only_turn():
 @given(angle=st.floats(-3.0, 3.0))
 def test_turning_load_drive_and_transducers_about_z_changes_nothing_of_a_round_sensor(angle):
     turn = Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
-    both, sensor = np.kron(np.eye(2), turn), Suspension((0, 1, 3, 4))
+    both, sensor = np.kron(np.eye(2), turn), SpringSuspension((0, 1, 3, 4))
     weights = np.array([1.0, K_X, K_X, K_RY, K_RY, B_X, B_X, B_RY, B_RY, M_I, J_I, J_I, 0.0])
     first = pitching((4.236, 0.035, 0.012), frequency_hz=np.arange(300.0, 3000.0, 100.0))
     tops = [Placement(turn @ sight.point_m, turn @ sight.direction) for sight in TOPS]
@@ -209,17 +209,17 @@ def test_damping_may_differ_from_load_to_load():
         frequency = np.linspace(0.9 * f0, 1.1 * f0, 300)
         value = oscillator(2j * np.pi * frequency, load + M_I, K_X, b)
         recordings.append(recording(f"{load} kg", frequency, value, rigid_mass(load), ALONG_Z, noise=0.02, rng=rng))
-    found = identify(recordings, Suspension((2,)), each_recording=["damping_z"])
+    found = identify(recordings, SpringSuspension((2,)), each_recording=["damping_z"])
     assert found.names == ("stiffness_z", "damping_z: 4.236 kg", "damping_z: 8.798 kg", "internal_mass")
     assert_holds(found, [K_X, *truth.values(), M_I])
     assert found.value("lag_z: 8.798 kg") == pytest.approx(1000.0 / K_X, rel=0.01)
-    common = identify(recordings, Suspension((2,)))
+    common = identify(recordings, SpringSuspension((2,)))
     assert common.chi_squared > 2.0 * common.dof
 
 
 def test_components_that_do_not_exist_are_refused():
     for components in ((), (6,), (0, 0)):
-        refused("components: expected", Suspension, components)
+        refused("components: expected", SpringSuspension, components)
 
 
 def test_what_bends_and_its_unknowns_have_the_derivatives_they_say():
@@ -231,13 +231,13 @@ def test_what_bends_and_its_unknowns_have_the_derivatives_they_say():
         return np.asarray(rng.standard_normal(shape) + 1j * rng.standard_normal(shape))
 
     bending = Bending(("modulus", "length"), 1e-2 * some(3, lines, 6, 6), 1e-2 * some(3, lines, responses, 6))
-    problem = build([replace(record, bending=bending)], PITCHING, {}, (), (), ())
+    problem = build_problem([replace(record, bending=bending)], PITCHING, {}, (), (), ())
     (curve,) = problem.curves
     start = np.array([K_X, K_RY, B_X, B_RY, M_I, J_I, *rng.standard_normal(len(problem.names) - 6)])
     found = curve.modelled(start)
-    value, slopes = found.value, found.by_place
+    value, slopes = found.value, found.derivatives
     assert problem.names[-2:] == ("error: modulus", "error: length")
-    for column, place in enumerate(curve.places.tolist()):
+    for column, place in enumerate(curve.unknown_indices.tolist()):
         step = np.eye(len(start))[place] * 1e-5 * max(abs(start[place]), 1.0)
         ahead, behind = (curve.modelled(start + sign * step).value for sign in (1.0, -1.0))
         slope = (ahead - behind) / (2.0 * step[place])

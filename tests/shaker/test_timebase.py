@@ -575,7 +575,7 @@ def test_pulse_width(rise):
     # A fit of the same edges stands for theirs; one of other edges does not.
     of_these, of_others = (fit_trigger(find_edges(samples, RATE_HZ)) for samples in (signal, np.roll(signal, 10)))
     for begun in (of_these, of_others):
-        assert pulse_width(signal, RATE_HZ, begun=begun).width_s == pytest.approx(found.width_s, abs=1e-9)
+        assert pulse_width(signal, RATE_HZ, begin_fit=begun).width_s == pytest.approx(found.width_s, abs=1e-9)
 
 
 def test_instants_follow_edges_that_jitter():
@@ -614,7 +614,7 @@ def test_edges_do_not_depend_on_scale_level_and_sign(scale, level, seed):
 def test_later_records_move_the_offset_alone(base_lag_s, other_lag_s):
     first, second = _instants(np.random.default_rng(32))
     base, other = fit_trigger(_latched(first, RATE_HZ)), fit_trigger(_latched(second, OTHER_HZ))
-    tie, moved = tie_clocks(base, other), tie_clocks(base.later_by(base_lag_s), other.later_by(other_lag_s))
+    tie, moved = tie_clocks(base, other), tie_clocks(base.delay_by(base_lag_s), other.delay_by(other_lag_s))
     there = tie.middle_s
     u = float(tie.u_to_base_s(np.array(there)))
     deviation = moved.to_base_s(np.array(there + other_lag_s)) - base_lag_s - tie.to_base_s(np.array(there))

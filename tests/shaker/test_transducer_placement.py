@@ -9,10 +9,10 @@ from contracts import refused
 from identification_factory import ALONG_Z, FloatArray, X, oscillator, recording, rigid_mass
 from identification_factory import pitching as shifted
 
-from shaker.identification.fit import Identification, identify
-from shaker.identification.measured import AT_THE_BASE, MeasuredTransfer, Placement, PlacementError
-from shaker.identification.problem import acting, displacements
-from shaker.identification.structures import ChainStructure, Suspension
+from shaker.identification.identification_problem import displacements, effective_placement_errors
+from shaker.identification.measured_curves import REFERENCE_INDEX, MeasuredTransfer, Placement, PlacementError
+from shaker.identification.structure_fit import Identification, identify
+from shaker.identification.structures import ChainStructure, SpringSuspension
 from shaker.mechanics import respond
 
 K_X, K_RY, B_X, B_RY, M_I, J_I = 7.0e8, 1.07e6, 2500.0, 4.0, 0.9, 1.5e-3
@@ -20,7 +20,7 @@ TRUTH = {"stiffness_x": K_X, "stiffness_ry": K_RY, "internal_mass": M_I}
 LOADS = ((4.236, 0.012, 0.0182), (6.962, -0.012, 0.0118))  # kg, height of the centre of mass in m, kg·m²
 PLACES = np.array([[0.05, 0.0, 0.06], [0.05, 0.0, -0.03]])
 U_PLACE, U_TILT = 1e-3, 2e-3
-PITCHING, BASE = Suspension((0, 4)), Placement(np.array([-0.12, 0.0, 0.0]), X)
+PITCHING, BASE = SpringSuspension((0, 4)), Placement(np.array([-0.12, 0.0, 0.0]), X)
 
 
 def errors_of(name: str, place: int, point: FloatArray) -> list[PlacementError]:
@@ -45,12 +45,12 @@ def pitching(draws, load=LOADS[0], *, noise=0.002, rng=None):
     stated = {"tops": tuple(Placement(point, X) for point in PLACES), "base": BASE}
     record = shifted(load, springs, internal, frequency, true, noise=noise, rng=rng, **stated)
     known = [error for c, point in enumerate(PLACES) for error in errors_of(f"top {c + 1}", c, point)]
-    return replace(record, placement_errors=(*known, *errors_of("base", AT_THE_BASE, BASE.point_m)))
+    return replace(record, placement_errors=(*known, *errors_of("base", REFERENCE_INDEX, BASE.point_m)))
 
 
 def fitted(records: Sequence[MeasuredTransfer]) -> Identification:
     """Both loads, the moment of inertia inside the sensor stated."""
-    return identify(records, PITCHING, known={"internal_inertia_ry": (J_I, 0.0)})
+    return identify(records, PITCHING, stated_values={"internal_inertia_ry": (J_I, 0.0)})
 
 
 def away(found: Identification) -> list[float]:
@@ -66,7 +66,9 @@ def test_a_row_that_changes_changes_the_ratio_as_its_derivative_says():
     record = replace(
         pitching(np.zeros((2, 4))),
         drive=drive,
-        placement_errors=tuple(PlacementError(f"{c}", place, change[c]) for c, place in enumerate((0, 1, AT_THE_BASE))),
+        placement_errors=tuple(
+            PlacementError(f"{c}", place, change[c]) for c, place in enumerate((0, 1, REFERENCE_INDEX))
+        ),
     )
     for structure in (PITCHING, ChainStructure(4)):
         count = len(structure.parameters)
@@ -88,9 +90,9 @@ def test_a_row_that_changes_changes_the_ratio_as_its_derivative_says():
 def test_only_what_changes_a_reading_becomes_an_unknown():
     record = pitching(np.zeros((2, 4)))
     expected = [f"top {c} {what}" for c in (1, 2) for what in ("z", "towards z")]
-    assert [error.name for error in acting(record, PITCHING.body)] == expected
+    assert [error.name for error in effective_placement_errors(record, PITCHING.body)] == expected
     turning = replace(record, drive=np.eye(6)[4], base=Placement(np.array([0.0, 0.0, 0.1]), X))
-    names = [error.name for error in acting(turning, Suspension((4,)).body)]
+    names = [error.name for error in effective_placement_errors(turning, SpringSuspension((4,)).body)]
     assert names == [*expected, "base z", "base towards z"]
     nowhere = (PlacementError("a", 2, np.ones(6)),)
     refused("placement_errors: expected a place of -1 to 1, found 2", replace, record, placement_errors=nowhere)
@@ -112,7 +114,9 @@ def test_one_translation_does_not_see_where_it_is_measured():
     )
     changes = [U_PLACE * np.array([0.0, 0.0, 0.0, 1.0, 1.0, 0.0]), U_TILT * np.array([1.0, 0.0, 0.0, 0.0, 0.1, 0.02])]
     unsure = replace(bare, placement_errors=tuple(PlacementError(f"{c}", 0, row) for c, row in enumerate(changes)))
-    first, second = (identify([r], Suspension((2,)), known={"internal_mass": (0.0, 0.0)}) for r in (bare, unsure))
+    first, second = (
+        identify([r], SpringSuspension((2,)), stated_values={"internal_mass": (0.0, 0.0)}) for r in (bare, unsure)
+    )
     assert second.unknowns == ()
     assert first.estimates == second.estimates
     np.testing.assert_array_equal(first.covariance, second.covariance)

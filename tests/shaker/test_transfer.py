@@ -20,7 +20,7 @@ from shaker.frf.impact import transfer_impact
 from shaker.frf.periodic import transfer_periodic
 from shaker.frf.random import transfer_random
 from shaker.frf.result import TransferFunction, TransferRecord, pooled_scatter
-from shaker.identification.measured import MeasuredCurve
+from shaker.identification.measured_curves import MeasuredCurve
 from shaker.identification.oscillator import fit_resonance
 from shaker.io import read_channels
 
@@ -135,7 +135,7 @@ def test_a_window_is_taken_only_where_the_response_outlasts_it():
     short = transfer_impact(blows(3, 1e-3), 0.05)
     # Decay of the oscillator: 70.3/s.
     assert 50.0 < short.added_decay_per_s < 250.0
-    assert any("exponential window" in text for text in told(short, "info"))
+    assert any("exponential window" in text for text in told(short, "note"))
 
 
 @pytest.mark.parametrize(("hits", "tolerance"), [(5, 0.02), (1, 0.025)])
@@ -288,7 +288,7 @@ def test_a_response_that_drifts_over_the_periods_is_told():
     steady = chirp_record(4096.0, 6.0, 1e-3)
     grows = 1.0 + 1e-2 * np.arange(len(steady.reference)) / len(steady.reference)
     both = replace(steady, reference=steady.reference * grows, responses=steady.responses * grows[:, None])
-    texts = told(transfer_periodic(both, PERIOD_S), "info")
+    texts = told(transfer_periodic(both, PERIOD_S), "note")
     assert any("amplitude changes by" in text for text in texts)
     one = replace(steady, responses=steady.responses * grows[:, None])
     assert any("drifts over the periods" in text for text in told(transfer_periodic(one, PERIOD_S)))

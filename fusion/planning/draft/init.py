@@ -8,14 +8,15 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from fusion.base import InputError, natural_key
-from fusion.planning.draft.channels import HEAD
-from fusion.planning.draft.inventory import Inventory, holds_recording, look_into
-from fusion.planning.draft.recording import Surveyed, driven_axis, recording_text
-from fusion.planning.draft.rig import rig_text
+from fusion.base import natural_key
+from fusion.errors import InputError
+from fusion.planning.draft.channel_guess import HEAD
+from fusion.planning.draft.inventory import Inventory, is_recording_folder, survey_folder
+from fusion.planning.draft.recording_draft import SurveyedRecording, driven_axis, recording_text
+from fusion.planning.draft.rig_draft import rig_text
 from fusion.recording.load import RECORDING_NAME
 from fusion.recording.toml import UNFILLED, read_toml, to_toml
-from fusion.report.files import write_whole
+from fusion.report.atomic_files import write_atomically
 
 RIG_NAME = "rig.toml"
 EXAMPLE_RECORDING = "Fz-0106.25"
@@ -39,7 +40,7 @@ class Draft:
     found: tuple[str, ...]
 
     @property
-    def asked(self) -> int:
+    def unfilled(self) -> int:
         """Return how many values are left to fill in."""
         return sum(text.count(f'= "{UNFILLED}"') for text in self.files.values())
 
@@ -57,11 +58,11 @@ def draft(folder: str | Path, like: str | Path | None = None) -> Draft:
     fusion.base.InputError: sample_images/demo/Fz-0080: expected a folder without recording.toml, found one there
     """
     folder = Path(folder)
-    found = [look_into(place) for place in _recordings(folder)]
+    found = [survey_folder(place) for place in _recordings(folder)]
     found = [inventory for inventory in found if not inventory.empty]
     if not found:
         raise InputError(folder, "", "none", "recorders' files or pictures in this folder or in folders directly below")
-    surveyed = [Surveyed.of(inventory) for inventory in found]
+    surveyed = [SurveyedRecording.of(inventory) for inventory in found]
     files = {}
     if like is not None:
         for item in surveyed:
@@ -94,7 +95,7 @@ def run_init(folder: Path, like: Path | None = None, *, with_example: bool = Fal
         if path.exists():
             raise InputError(path, "", "a file of this name", "a place for a new one (init never overwrites)")
     for path, text in made.files.items():
-        write_whole(path, text)
+        write_atomically(path, text)
     return made
 
 
@@ -106,12 +107,12 @@ def _recordings(folder: Path) -> list[Path]:
     try:
         if (folder / RECORDING_NAME).exists():
             raise InputError(folder, "", "one there", f"a folder without {RECORDING_NAME}")
-        if holds_recording(folder):
+        if is_recording_folder(folder):
             return [folder]
         below = sorted(
             (entry for entry in folder.iterdir() if entry.is_dir()), key=lambda entry: natural_key(entry.name)
         )
-        held = [entry for entry in below if holds_recording(entry)]
+        held = [entry for entry in below if is_recording_folder(entry)]
     except OSError as error:
         raise InputError(folder, "", error.strerror or str(error), "a folder that can be read") from error
     kept = [entry for entry in held if not (entry / RECORDING_NAME).exists()]
@@ -120,13 +121,13 @@ def _recordings(folder: Path) -> list[Path]:
     return kept
 
 
-def _told(surveyed: Surveyed) -> str:
+def _told(surveyed: SurveyedRecording) -> str:
     """Say in a line what a recording holds."""
     inventory = surveyed.inventory
     channels = sum(len(daq.channels) for daq in inventory.daqs)
     files = f"{len(inventory.daqs)} recorder file{'s' if len(inventory.daqs) > 1 else ''}"
     told = [f"{files} with {channels} channels"] if inventory.daqs else []
-    for sight in inventory.sights:
+    for sight in inventory.camera_systems:
         told.append(f"{'camera' if sight.right is None else 'stereo pair'} {sight.name} of {sight.left.frames} frames")
     told += [f"{camera.pattern} left out ({camera.problem})" for camera in inventory.cameras]
     told += [f"points {table.path.name}" for table in inventory.points]
@@ -139,7 +140,7 @@ def _told(surveyed: Surveyed) -> str:
 # A recording like another one: its rig and channels, the lines and files of its own.
 
 
-def _taken_over(surveyed: Surveyed, like: Path) -> str:
+def _taken_over(surveyed: SurveyedRecording, like: Path) -> str:
     """Return recording.toml with everything of another recording that the files of this one bear out."""
     path = like if like.is_file() else like / RECORDING_NAME
     text = read_toml(path)
@@ -163,7 +164,7 @@ def _taken_over(surveyed: Surveyed, like: Path) -> str:
     kept = {key: value for key, value in text.items() if key not in ("name", "rig", "date", "excitation")}
     made = {"format": 1, "name": folder.resolve().name, "rig": moved(rig), **kept, "excitation": excitation}
     made["daq"] = [_same_recorder(block, inventory, moved) for block in _blocks(text, "daq")]
-    sights = {sight.name: [camera.pattern for camera in sight.cameras] for sight in inventory.sights}
+    sights = {sight.name: [camera.pattern for camera in sight.cameras] for sight in inventory.camera_systems}
     made["images"] = []
     for block in _blocks(text, "images"):
         sides = [side for side in ("left", "right") if side in block]

@@ -16,12 +16,12 @@ import numpy as np
 
 from fusion.base import natural_key
 from fusion.recording.manifest import SCAN
-from photogram.images.files import SUFFIXES as IMAGE_SUFFIXES
-from photogram.images.files import open_sequence
+from photogram.images.image_files import SUFFIXES as IMAGE_SUFFIXES
+from photogram.images.image_files import open_sequence
 from photogram.images.tiff import TIFF_SUFFIXES
 from photogram.images.video import VIDEO_READERS
 from shaker.io import SUFFIXES, read_channels
-from shaker.io.channel import opened_hdf5
+from shaker.io.channel import open_hdf5
 from shaker.io.text import table_units
 from shaker.timebase.edges import find_edges
 from shaker.timebase.trigger import fit_trigger
@@ -100,13 +100,13 @@ class FoundCamera:
     problem: str = ""
 
     @property
-    def told(self) -> str:
+    def summary(self) -> str:
         """Frames and their size, in words."""
         return f"{self.frames} frames of {self.size_px[0]} x {self.size_px[1]} px"
 
 
 @dataclass(frozen=True)
-class FoundSight:
+class FoundCameras:
     """Two cameras whose names differ in left and right alone, `name` being what they have in common, or one alone."""
 
     name: str
@@ -141,7 +141,7 @@ class Inventory:
 
     folder: Path
     daqs: tuple[FoundDaq, ...]
-    sights: tuple[FoundSight, ...]
+    camera_systems: tuple[FoundCameras, ...]
     cameras: tuple[FoundCamera, ...]
     points: tuple[FoundPoints, ...]
     responses: tuple[Path, ...]
@@ -150,10 +150,10 @@ class Inventory:
     @property
     def empty(self) -> bool:
         """Whether nothing was recorded."""
-        return not (self.daqs or self.sights or self.cameras or self.points)
+        return not (self.daqs or self.camera_systems or self.cameras or self.points)
 
 
-def look_into(folder: Path) -> Inventory:
+def survey_folder(folder: Path) -> Inventory:
     """Read what lies in a folder and in the folders of pictures directly below it."""
     files = sorted((path for path in folder.iterdir() if path.is_file()), key=lambda path: natural_key(path.name))
     tables = {path: _columns(path) for path in files if path.suffix.lower() == ".csv"}
@@ -176,7 +176,7 @@ def look_into(folder: Path) -> Inventory:
     )
 
 
-def holds_recording(folder: Path) -> bool:
+def is_recording_folder(folder: Path) -> bool:
     """Whether a recorder's file lies in a folder, or pictures do."""
     found = [path.suffix.lower() for path in folder.iterdir() if path.is_file()]
     return any(suffix in SUFFIXES or suffix in IMAGE_SUFFIXES for suffix in found)
@@ -227,7 +227,7 @@ def _column_labels(path: Path, names: Iterable[str]) -> dict[str, str]:
         if table and number.isdecimal():
             columns[table].append(name)
     labels: dict[str, str] = {}
-    with suppress(OSError, ValueError, KeyError, RuntimeError), opened_hdf5(path, links=True) as file:
+    with suppress(OSError, ValueError, KeyError, RuntimeError), open_hdf5(path, links=True) as file:
         for table, own in columns.items():
             node = file[table]
             if len(node.shape) != 2:
@@ -349,9 +349,9 @@ def _states_its_depth(group: Sequence[Path], images: ImageSequence) -> bool:
     return group[0].suffix.lower() in VIDEO_READERS or images.full_scale != 2**16 - 1
 
 
-def _paired(cameras: Sequence[FoundCamera]) -> tuple[tuple[FoundSight, ...], tuple[FoundCamera, ...]]:
+def _paired(cameras: Sequence[FoundCamera]) -> tuple[tuple[FoundCameras, ...], tuple[FoundCamera, ...]]:
     """Return cameras whose names differ as left and right do, as pairs, and those alone; and what is none of these."""
-    sights, rest, odd = list[FoundSight](), list(cameras), list[FoundCamera]()
+    sights, rest, odd = list[FoundCameras](), list(cameras), list[FoundCamera]()
     for left_word, right_word in SIDES:
         for camera in list(rest):
             place = _word(camera.pattern, left_word)
@@ -363,16 +363,18 @@ def _paired(cameras: Sequence[FoundCamera]) -> tuple[tuple[FoundSight, ...], tup
                 continue
             rest = [item for item in rest if item not in (camera, partner)]
             if partner.frames == camera.frames:
-                sights.append(FoundSight(_common_name(camera.pattern, place), camera, partner))
+                sights.append(FoundCameras(_common_name(camera.pattern, place), camera, partner))
                 continue
             for one, beside in ((camera, partner), (partner, camera)):
-                odd.append(replace(one, problem=one.problem or f"{one.told}, and {beside.pattern} has {beside.told}"))
+                odd.append(
+                    replace(one, problem=one.problem or f"{one.summary}, and {beside.pattern} has {beside.summary}")
+                )
     for camera in rest:
         if camera.problem or camera.frames < FEWEST_ALONE:
-            odd.append(replace(camera, problem=camera.problem or f"{camera.told}, and no camera beside it"))
+            odd.append(replace(camera, problem=camera.problem or f"{camera.summary}, and no camera beside it"))
         else:
             left = _word(camera.pattern, SIDES[0][0]) or (0, 0)
-            sights.append(FoundSight(_common_name(camera.pattern, left, "camera"), camera, None))
+            sights.append(FoundCameras(_common_name(camera.pattern, left, "camera"), camera, None))
     names = [sight.name for sight in sights]
     counts = [names[:i].count(name) for i, name in enumerate(names)]
     named = [replace(s, name=f"{s.name}{n + 1}" if n else s.name) for s, n in zip(sights, counts, strict=True)]
@@ -399,7 +401,7 @@ def _common_name(pattern: str, place: tuple[int, int], otherwise: str = "pair") 
 # Calibrations.
 
 
-def calibrations(folders: Iterable[Path]) -> dict[Path, tuple[int, int]]:
+def find_calibrations(folders: Iterable[Path]) -> dict[Path, tuple[int, int]]:
     """Return the calibration files of this program in some folders, with the size of their left pictures."""
     found: dict[Path, tuple[int, int]] = {}
     for folder in dict.fromkeys(folders):

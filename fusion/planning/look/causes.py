@@ -8,14 +8,14 @@ from itertools import permutations, product
 
 import numpy as np
 
-from fusion.estimation.consistency import Consistency, exchanged, likely_mistake, suspicions
 from fusion.estimation.fuse import Acceleration
-from fusion.estimation.least_squares import Solution, System, build_system, solve
+from fusion.estimation.instrument_consistency import Consistency, exchanged_channels, likely_mistake, suspicions
+from fusion.estimation.least_squares import FusionSolution, FusionSystem, build_system, solve
 from fusion.estimation.measurement_model import SCALE, Observation
 from fusion.instruments.channel import ChannelGeometry
 from fusion.instruments.stereo import StereoReading
-from fusion.instruments.transducer import main_direction, placed_at
-from fusion.phasors.setup import SetUp
+from fusion.instruments.transducer import main_direction, measuring_point
+from fusion.phasors.set_up import MeasuredSetUp
 from fusion.planning.look.finding import Finding
 from photogram.geometry import skew, vector_from_rotation
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
@@ -33,8 +33,8 @@ LATEST = 3
 """Edges of the trigger by which frames may be late."""
 
 
-def contradictions(
-    fused: Sequence[Acceleration], observations: Sequence[Observation], set_ups: Sequence[SetUp]
+def find_contradictions(
+    fused: Sequence[Acceleration], observations: Sequence[Observation], set_ups: Sequence[MeasuredSetUp]
 ) -> Iterator[Finding]:
     """Yield for each body the readings that contradict the others, with what would make them agree."""
     for acceleration in fused:
@@ -62,7 +62,7 @@ def _causes(
     acceleration: Acceleration,
     blamed: Sequence[Consistency],
     observations: Sequence[Observation],
-    set_ups: Sequence[SetUp],
+    set_ups: Sequence[MeasuredSetUp],
 ) -> Iterator[str]:
     """Yield the mistakes that would explain a contradiction: the plain ones, else other poses and edges of a pair."""
     system = build_system(observations, acceleration.unseen)
@@ -75,7 +75,9 @@ def _causes(
             yield from _of_pair(one.geometry, place, system, first, set_ups)
 
 
-def _plain(acceleration: Acceleration, blamed: Sequence[Consistency], system: System, first: Solution) -> Iterator[str]:
+def _plain(
+    acceleration: Acceleration, blamed: Sequence[Consistency], system: FusionSystem, first: FusionSolution
+) -> Iterator[str]:
     """Yield factors of a scale, exchanged channels, other quantities and directions of channels."""
     without = {one.suspect: one.value for one in acceleration.explanations}
     for test in blamed:
@@ -91,7 +93,7 @@ def _plain(acceleration: Acceleration, blamed: Sequence[Consistency], system: Sy
         value = np.nan_to_num(without.get(test.instrument, acceleration.phasors.value))
         for place in np.unique(system.observation[rows]).tolist():
             yield from _of_channels(system.observations[place], np.unique(system.channel[rows]), value, test.instrument)
-    for a, b in exchanged(system, first, suspicions(system, first)):
+    for a, b in exchanged_channels(system, first, suspicions(system, first)):
         yield f"{a} and {b} were exchanged"
 
 
@@ -111,20 +113,20 @@ def _of_channels(one: Observation, channels: IntArray, value: ComplexArray, name
             yield f"{name} measured another quantity than {geometry.transducer.quantity}"
     entry = geometry.entries[channels[0]]
     for direction in np.vstack([np.eye(3), -np.eye(3)]) if len(channels) == 1 else ():
-        along = geometry.transducer.geometry(placed_at(entry), direction)
+        along = geometry.transducer.geometry(measuring_point(entry), direction)
         row = geometry.transducer.rows(along, frequency_hz, geometry.gravity_mps2)[0]
         stated = abs(float(np.asarray(main_direction(entry)) @ direction)) > STATED
         if not stated and abs(row @ value[line] - reading[0]) < ALIKE * abs(reading[0]):
             yield f"the direction of {name} were ({', '.join(f'{x:g}' for x in direction)})"
 
 
-def _of_member(system: System, name: str) -> BoolArray:
+def _of_member(system: FusionSystem, name: str) -> BoolArray:
     """Which rows (N,) belong to a channel or stereo pair."""
     return np.asarray(system.member == (system.member_names.index(name) if name in system.member_names else -1))
 
 
 def _of_pair(
-    reading: StereoReading, place: int, system: System, first: Solution, set_ups: Sequence[SetUp]
+    reading: StereoReading, place: int, system: FusionSystem, first: FusionSolution, set_ups: Sequence[MeasuredSetUp]
 ) -> Iterator[str]:
     """Yield the pose, or the edge of the trigger, with which a pair agrees with the other instruments best."""
     rows, tried = np.flatnonzero(system.observation == place), list[tuple[float, str, StereoReading]]()
@@ -139,7 +141,9 @@ def _of_pair(
     others = system.observations
     best, told = EXPLAINS * first.chi2, ""
     for _, text, other in sorted(tried, key=lambda item: item[0])[:TRIED]:
-        chi2 = solve(build_system([*others[:place], other.observed(), *others[place + 1 :]], system.unseen)).chi2
+        chi2 = solve(
+            build_system([*others[:place], other.observation(), *others[place + 1 :]], system.unobserved_motion)
+        ).chi2
         if chi2 < best:
             best, told = chi2, text
     if told:
@@ -175,13 +179,13 @@ def _moved(reading: StereoReading, rotation: FloatArray, place: FloatArray) -> C
     return np.broadcast_to(matrix, (len(reading.phasors.value), 6, 6)).astype(np.complex128)
 
 
-def _edges(reading: StereoReading, set_ups: Sequence[SetUp]) -> Iterator[tuple[str, ComplexArray]]:
+def _edges(reading: StereoReading, set_ups: Sequence[MeasuredSetUp]) -> Iterator[tuple[str, ComplexArray]]:
     """Yield other edges of the trigger that the frames of a pair may belong to."""
     sights = [
-        (one, images.sight) for one in set_ups for images in one.opened.images if images.sight.name == reading.name
+        (one, images.sight) for one in set_ups for images in one.prepared.images if images.sight.name == reading.name
     ]
     for one, sight in sights[:1]:
-        period_s = one.opened.base.first_with(sight.exposure.trigger)[1].period_s
+        period_s = one.prepared.base.first_with(sight.exposure.trigger)[1].period_s
         for late in (n for n in range(-LATEST, LATEST + 1) if n):
             turn = np.exp(-2j * np.pi * reading.phasors.frequency_hz * late * period_s)
             side = f"{abs(late)} edge{'s' if abs(late) > 1 else ''} {'later' if late > 0 else 'earlier'}"

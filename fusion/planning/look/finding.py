@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from typing import Literal
 
-from fusion.base import InputError
+from fusion.errors import InputError
 
 Verdict = Literal["KEEP", "CHECK", "FIX MANIFEST", "REPEAT"]
 VERDICTS: tuple[Verdict, ...] = ("KEEP", "CHECK", "FIX MANIFEST", "REPEAT")
@@ -38,7 +38,7 @@ class Finding:
         return LEVEL_OF[self.verdict]
 
 
-def refusal(error: Exception, where: str = "") -> Finding:
+def refusal_finding(error: Exception, where: str = "") -> Finding:
     """Return the finding of a refusal by `run` or a reader.
 
     A statement of a manifest that data contradict is to be mended there. A file that cannot be read, and data that
@@ -48,27 +48,27 @@ def refusal(error: Exception, where: str = "") -> Finding:
     if ASKED.search(str(error)):
         verdict = "FIX MANIFEST"
     elif isinstance(error, InputError):
-        read = re.search(r"(^|\.)(images|points|daq)\.", error.key) and not error.expected
+        read = re.search(r"(^|\.)(images|points|daq)\.", error.key) and "expected" not in error.values
         verdict = "REPEAT" if read or error.file.suffix not in MENDED else "FIX MANIFEST"
     elif ".toml" in str(error):
         verdict = "FIX MANIFEST"
-    return Finding(verdict, where, short(str(error)))
+    return Finding(verdict, where, shorten(str(error)))
 
 
-def problem(text: str) -> Finding:
+def problem_finding(text: str) -> Finding:
     """Return the finding of a problem that `check` names: of a file, or of what a manifest says of it."""
     block, told = re.fullmatch(r"(?:(?:take\S+ )?(daq|images|points) ([^:]+): )?(.*)", text, re.DOTALL).groups()[1:]  # type: ignore[union-attr]
     mistaken = block is None or ("expected" in told and "truncated" not in told)
-    return Finding("FIX MANIFEST" if mistaken else "REPEAT", block or "", short(told))
+    return Finding("FIX MANIFEST" if mistaken else "REPEAT", block or "", shorten(told))
 
 
-def short(text: str) -> str:
+def shorten(text: str) -> str:
     """Return what a reader says in one line, its file without folders."""
     text = " ".join(text.split())
     path, colon, rest = text.partition(": ")
     return f"{path.rpartition('/')[2]}: {rest}" if colon and "/" in path else text
 
 
-def worst(findings: tuple[Finding, ...] | list[Finding]) -> Verdict:
+def worst_verdict(findings: tuple[Finding, ...] | list[Finding]) -> Verdict:
     """Return the worst verdict of some findings, KEEP of none."""
     return max((finding.verdict for finding in findings), key=VERDICTS.index, default="KEEP")

@@ -11,33 +11,43 @@ from typing import Any
 
 import numpy as np
 
-from fusion.base import ComputeError, Identity, InputError
+from fusion.base import FileIdentity
+from fusion.errors import ComputeError, InputError
 from fusion.instruments.transducer import TRANSDUCERS, main_direction
-from fusion.phasors.setup import OpenSetUp, open_set_ups
+from fusion.phasors.set_up import PreparedSetUp, prepare_set_ups
 from fusion.phasors.stereo_motion import read_rig
-from fusion.planning.check import inspect, refused
-from fusion.planning.look.finding import LEVEL_OF, VERDICTS, Finding, Level, Verdict, problem, refusal, worst
-from fusion.planning.look.pictures import PairLook, look_at_camera, look_at_pair
-from fusion.planning.look.rehearsal import doubted, rehearse
-from fusion.planning.look.signals import (
-    Strength,
-    look_at_beat,
-    look_at_channels,
-    look_at_trigger,
-    trigger_of,
+from fusion.planning.check import inspect_recording, read_for_command
+from fusion.planning.look.finding import (
+    LEVEL_OF,
+    VERDICTS,
+    Finding,
+    Level,
+    Verdict,
+    problem_finding,
+    refusal_finding,
+    worst_verdict,
 )
+from fusion.planning.look.image_checks import PairPrecision, examine_camera, examine_pair
+from fusion.planning.look.signal_checks import (
+    LineStrength,
+    examine_beat,
+    examine_channels,
+    examine_trigger,
+    fit_trigger_channel,
+)
+from fusion.planning.look.trial_evaluation import notice_findings, trial_findings
+from fusion.recording.daq_records import DaqRecord, FileCache
 from fusion.recording.excitation import KINDS
-from fusion.recording.files import AlreadyRead, DaqRecord
 from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.recording.manifest import Images
-from fusion.recording.plausible import doubts
-from fusion.report.files import write_whole
-from fusion.report.terminal import say, stdout_console
+from fusion.recording.plausibility import plausibility_notices
+from fusion.report.atomic_files import write_atomically
+from fusion.report.terminal import print_text, stdout_console
 from photogram.camera import StereoRig
 from shaker.timebase.trigger import TriggerFit
 
 COLOURS = {"good": "GREEN", "look": "YELLOW", "wrong": "RED"}
-SAID: dict[Verdict, str] = {
+VERDICT_TEXTS: dict[Verdict, str] = {
     "KEEP": "nothing speaks against this recording",
     "CHECK": "look at what is below before the load comes down",
     "FIX MANIFEST": "a statement of recording.toml or rig.toml contradicts the data",
@@ -49,7 +59,7 @@ THREADS = 2
 
 
 @dataclass(frozen=True)
-class Expected:
+class ExpectedUncertainty:
     """The expanded uncertainty (k = 2) to expect of a sensitivity's magnitude, relative, and what it comes from."""
 
     frequency_hz: float
@@ -71,12 +81,12 @@ class Look:
     name: str
     path: Path
     findings: tuple[Finding, ...]
-    expected: tuple[Expected, ...]
+    expected: tuple[ExpectedUncertainty, ...]
 
     @property
     def verdict(self) -> Verdict:
         """Return the worst of all findings: KEEP, CHECK, FIX MANIFEST or REPEAT."""
-        return worst(self.findings)
+        return worst_verdict(self.findings)
 
     @property
     def level(self) -> Level:
@@ -94,18 +104,18 @@ def look(recording: str | Path, aim: float | None = None, *, allow_outside: bool
     >>> [finding.text for finding in look("sample_images/demo/Fz-0080", aim=1e-4).findings]  # doctest: +ELLIPSIS
     ['U (k = 2) of Fz per Fz at 80 Hz will be about 0.07... %, more than the 0.01 % aimed at']
     """
-    manifest, already = load_manifest(recording, allow_outside=allow_outside), AlreadyRead()
+    manifest, already = load_manifest(recording, allow_outside=allow_outside), FileCache()
     problems, opened = _opened(manifest, already)
     records = {(one.where, record.entry.name): record for one in opened for record in one.base.records}
     findings: list[Finding] = []
-    expected: list[Expected] = []
+    expected: list[ExpectedUncertainty] = []
     for where, block in manifest.set_ups:
         found, strengths, pairs = _look_at(block, where, already, records)
         prefix = where.rstrip(".") + " " if len(manifest.set_ups) > 1 else ""
         findings += [replace(item, where=prefix + item.where) for item in found]
         expected += _expected(block, strengths, pairs)
-    if opened and worst(findings) != "REPEAT":
-        problems += rehearse(manifest, opened)
+    if opened and worst_verdict(findings) != "REPEAT":
+        problems += trial_findings(manifest, opened)
     known = " ".join(finding.text for finding in findings)
     findings += (finding for finding in problems if finding.text.rpartition(": ")[2] not in known)
     for item in expected:
@@ -116,34 +126,34 @@ def look(recording: str | Path, aim: float | None = None, *, allow_outside: bool
     return Look(manifest.name, manifest.path, tuple(findings), tuple(expected))
 
 
-def _opened(manifest: Manifest, already: AlreadyRead) -> tuple[list[Finding], tuple[OpenSetUp, ...]]:
+def _opened(manifest: Manifest, already: FileCache) -> tuple[list[Finding], tuple[PreparedSetUp, ...]]:
     """Open a recording as the command that evaluates it does: what that refuses, and what `run` has opened."""
-    report, kind = inspect(manifest, already), KINDS[manifest.excitation.kind]
+    report, kind = inspect_recording(manifest, already), KINDS[manifest.excitation.kind]
     if report.problems:
-        return [problem(text) for text in report.problems], ()
+        return [problem_finding(text) for text in report.problems], ()
     if kind.commands[0] != "run":
-        problems, notices = refused(manifest, already)
-        told = [problem(text) for text in problems]
+        problems, notices = read_for_command(manifest, already)
+        told = [problem_finding(text) for text in problems]
         if kind.remarks is None:  # else doubts are among the remarks
-            notices = [*manifest.certified, *doubts(manifest), *notices]
+            notices = [*manifest.certificate_notices, *plausibility_notices(manifest), *notices]
         else:
             told += [Finding("CHECK", "", text) for text in report.remarks if text not in kind.command_remark]
-        return [*told, *doubted(notices)], ()
+        return [*told, *notice_findings(notices)], ()
     try:
-        return [], open_set_ups(manifest, already)
+        return [], prepare_set_ups(manifest, already)
     except (InputError, ComputeError) as error:
-        return [refusal(error)], ()
+        return [refusal_finding(error)], ()
 
 
 def _look_at(
-    block: Manifest, where: str, already: AlreadyRead, records: Mapping[tuple[str, str], DaqRecord]
-) -> tuple[list[Finding], list[Strength], dict[str, tuple[PairLook, int]]]:
+    block: Manifest, where: str, already: FileCache, records: Mapping[tuple[str, str], DaqRecord]
+) -> tuple[list[Finding], list[LineStrength], dict[str, tuple[PairPrecision, int]]]:
     """Look at what was recorded at once: findings, driven lines by channel, pairs with their number of frames.
 
     Pictures are looked at beside the channels: the libraries that decode and filter them let other threads work.
     """
     found: list[Finding] = []
-    strengths: list[Strength] = []
+    strengths: list[LineStrength] = []
     triggers: dict[str, TriggerFit] = {}
     pairs = {}
     with ThreadPoolExecutor(THREADS) as threads:
@@ -154,13 +164,13 @@ def _look_at(
                 continue
             slowest_hz = block.excitation.slowest_hz
             record = records.get((where, daq.name)) or DaqRecord(daq, raw, 0.0, slowest_hz=slowest_hz)
-            own, strong = look_at_channels(block, record)
+            own, strong = examine_channels(block, record)
             found += own
             strengths += strong
             for entry in daq.channel:
                 if entry.quantity == "trigger" and np.ptp(raw[entry.name].samples) > 0.0:
-                    fit = trigger_of(record, entry)
-                    found += look_at_trigger(f"{daq.name}.{entry.name}", fit)
+                    fit = fit_trigger_channel(record, entry)
+                    found += examine_trigger(f"{daq.name}.{entry.name}", fit)
                     if isinstance(fit, TriggerFit):
                         triggers.setdefault(entry.name, fit)
         lines = block.excitation.frequencies or ()
@@ -177,19 +187,19 @@ def _look_at(
 
 
 def _look_at_images(
-    block: Manifest, images: Images, already: AlreadyRead
-) -> tuple[list[Finding], PairLook | None, int]:
+    block: Manifest, images: Images, already: FileCache
+) -> tuple[list[Finding], PairPrecision | None, int]:
     """Look at the pictures of a stereo pair, and count its frames; of a camera alone there is nothing to compare."""
     where, pair = images.stereo, block.rig.stereo[images.stereo]
     try:
         sequences = [already.images[paths, images.bit_depth] for _, paths in images.cameras]
         rig = read_rig(pair, sequences)
         named = zip(images.cameras, sequences, strict=True)
-        looks = [look_at_camera(f"{where} {side}", sequence) for (side, _), sequence in named]
+        looks = [examine_camera(f"{where} {side}", sequence) for (side, _), sequence in named]
     except KeyError:  # what is wrong with the files is among the problems of `inspect`
         return [], None, 0
     except (OSError, ValueError, InputError) as error:
-        return [refusal(error, where)], None, 0
+        return [refusal_finding(error, where)], None, 0
     found = [finding for own, _ in looks for finding in own]
     counts, seen_by = [len(sequence) for sequence in sequences], [seen for _, seen in looks if seen is not None]
     if counts[0] != counts[-1]:
@@ -197,7 +207,7 @@ def _look_at_images(
     if not isinstance(rig, StereoRig) or len(seen_by) < len(looks):
         return found, None, counts[0]
     left, right = seen_by
-    own, seen = look_at_pair(where, rig, left, right)
+    own, seen = examine_pair(where, rig, left, right)
     return found + own, seen, counts[0]
 
 
@@ -209,10 +219,12 @@ def _edges(lines: Sequence[float], images: Images, trigger: TriggerFit, frames: 
     elif trigger.edges > frames and images.first_edge is None:
         text = f"{frames} frames and {trigger.edges} trigger edges: first_edge must say which are the frames'"
         yield Finding("FIX MANIFEST", where, text)
-    yield from look_at_beat(where, lines, trigger, frames)
+    yield from examine_beat(where, lines, trigger, frames)
 
 
-def _expected(block: Manifest, strengths: list[Strength], pairs: dict[str, tuple[PairLook, int]]) -> Iterator[Expected]:
+def _expected(
+    block: Manifest, strengths: list[LineStrength], pairs: dict[str, tuple[PairPrecision, int]]
+) -> Iterator[ExpectedUncertainty]:
     """Yield the uncertainty to expect of the driven component's sensitivity, line by line.
 
     Relative variances: of the output (its noise and scale), of the load mass, and of the driven acceleration, for which
@@ -256,10 +268,10 @@ def _expected(block: Manifest, strengths: list[Strength], pairs: dict[str, tuple
         }
         U = K2 * float(np.sqrt(sum(shares.values())))
         told = tuple((name, K2 * float(np.sqrt(variance))) for name, variance in shares.items())
-        yield Expected(frequency, f"{component} per {component}", U, told)
+        yield ExpectedUncertainty(frequency, f"{component} per {component}", U, told)
 
 
-def _displacement_m(item: Strength, driven: np.ndarray) -> float:
+def _displacement_m(item: LineStrength, driven: np.ndarray) -> float:
     """Return the displacement along what is driven that a channel's amplitude means, m."""
     order = {"displacement": 0, "velocity": 1, "acceleration": 2}.get(item.entry.quantity, 0)
     along = abs(float(np.asarray(main_direction(item.entry)) @ driven))
@@ -277,7 +289,8 @@ def print_look(found: Look) -> None:
     console = stdout_console()
     colour = COLOURS[found.level]
     banner = Text(
-        f"{colour}   {found.name}\n{found.verdict}: {SAID[found.verdict]}", style=f"bold black on {colour.lower()}"
+        f"{colour}   {found.name}\n{found.verdict}: {VERDICT_TEXTS[found.verdict]}",
+        style=f"bold black on {colour.lower()}",
     )
     console.print(
         Padding(banner, (1, 4), style=f"black on {colour.lower()}", expand=False) if console.is_terminal else banner
@@ -285,26 +298,26 @@ def print_look(found: Look) -> None:
     for finding in found.findings:
         where = f"{finding.where}: " if finding.where else ""
         label = "note" if finding.verdict == "KEEP" else finding.verdict
-        say(f"  {label}: {where}{finding.text}")
+        print_text(f"  {label}: {where}{finding.text}")
     for item in found.expected:
         shares = ", ".join(f"{name} {100 * share:.2g} %" for name, share in item.shares)
         text = (
             f"U (k = 2) to expect of {item.channel} at {item.frequency_hz:g} Hz: about {100 * item.U:.2g} % ({shares})"
         )
-        say(f"  {text}")
+        print_text(f"  {text}")
 
 
 def look_page(found: list[Look], reload_s: float | None) -> str:
     """Return a page whose colour is read from two metres; `reload_s`: how often it loads itself again."""
     from fusion.report.folder import render_page
 
-    verdict = worst([finding for one in found for finding in one.findings])
+    verdict = worst_verdict([finding for one in found for finding in one.findings])
     values: dict[str, Any] = {
         "looks": found,
         "verdict": verdict,
         "level": LEVEL_OF[verdict],
         "colours": COLOURS,
-        "said": SAID,
+        "said": VERDICT_TEXTS,
     }
     values["reload_s"] = reload_s
     return render_page("look.html", values)
@@ -322,9 +335,9 @@ def run_look(path: Path, aim: float | None, page: Path | None, *, watch: bool, a
                 found.append(_one(recording, aim, watch=watch, allow_outside=allow_outside))
                 print_look(found[-1])
             if page is not None:
-                write_whole(page, look_page(found, WATCHED_S if watch else None))
+                write_atomically(page, look_page(found, WATCHED_S if watch else None))
         if not watch:
-            return LEVEL_OF[worst([finding for item in found for finding in item.findings])]
+            return LEVEL_OF[worst_verdict([finding for item in found for finding in item.findings])]
         before = state
         time.sleep(WATCHED_S)
 
@@ -342,4 +355,4 @@ def _one(recording: Path, aim: float | None, *, watch: bool, allow_outside: bool
 def _state(recordings: list[Path]) -> object:
     """Return what tells that a file of some recordings, or of a folder of theirs, has changed."""
     places = [place for recording in recordings for place in (recording.parent, *recording.parent.iterdir())]
-    return {place: Identity.of(place) for place in places if not place.name.startswith(".")}
+    return {place: FileIdentity.of(place) for place in places if not place.name.startswith(".")}

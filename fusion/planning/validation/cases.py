@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fusion.base import rounded
+from fusion.base import round_to_uncertainty
 from shaker.arrays import ComplexArray, FloatArray
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ Inputs = Mapping[str, Any]
 
 def sines(inputs: Inputs) -> dict[str, float]:
     """Sine approximation of irregular samples below the Nyquist rate, differentiated."""
-    from shaker.sine.fit import fit_sines
+    from shaker.sine.sine_fit import fit_sines
 
     samples = np.array(inputs["samples_m"])[:, None]
     fit = fit_sines(np.array(inputs["time_s"]), samples, np.array(inputs["frequency_hz"]), ["z"], ["m"])
@@ -50,14 +50,14 @@ def trigger(inputs: Inputs) -> dict[str, float]:
 def frames(inputs: Inputs) -> dict[str, float]:
     """Displacements of subsets between two frames."""
     from photogram.bspline import spline_of_image
-    from photogram.subsets.find import identity
+    from photogram.subsets.find import identity_registration
     from photogram.subsets.icgn import TrackSettings, register
     from photogram.subsets.reference import prepare_reference
 
     settings = TrackSettings(radius_px=inputs["radius_px"])
     first, second = (spline_of_image(_image(inputs, name), settings.degree) for name in ("first", "second"))
     reference = prepare_reference(first, np.array(inputs["centre_px"]), settings.radius_px, settings.shape_order)
-    warp = register(reference, second, identity(reference).warp, settings).warp
+    warp = register(reference, second, identity_registration(reference).warp, settings).warp
     columns = {"u": 0, "v": 3}
     return {f"{n} of subset {i + 1}": float(row[c]) for i, row in enumerate(warp) for n, c in columns.items()}
 
@@ -87,8 +87,8 @@ def step(inputs: Inputs) -> dict[str, float]:
     """A release fitted, and the figures of a system by its poles."""
     from shaker.lti.indices import indices
     from shaker.lti.system import LinearSystem
-    from shaker.release.fit import fit_step
     from shaker.release.record import StepRecord
+    from shaker.release.step_fit import fit_step
 
     samples, rate, size = np.array(inputs["samples"])[None], inputs["sample_rate_hz"], inputs["amplitude_n"]
     model = fit_step(StepRecord("line 1", ("Fz",), "V", samples, rate, "Fz", size), "Fz").model
@@ -115,11 +115,11 @@ def step(inputs: Inputs) -> dict[str, float]:
 
 def rotation(inputs: Inputs) -> dict[str, float]:
     """Weight and first moment of what is turned in gravity."""
-    from shaker.static_rotation.masses import SensorOutputs, Turned, fit_weights
+    from shaker.static_rotation.masses import RotationRecord, SensorOutputs, fit_weights
 
     amplitude = _complex(inputs, "amplitude")
     axis, down = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, -1.0])
-    record = Turned("weight", amplitude, inputs["variance"] * np.eye(12), 20.0, axis, down)
+    record = RotationRecord("weight", amplitude, inputs["variance"] * np.eye(12), 20.0, axis, down)
     value = fit_weights([record], SensorOutputs(np.array(inputs["sensitivity"]), np.zeros((6, 6)))).value
     names = ("weight", *(f"first moment {axis}" for axis in "xyz"))
     return dict(zip(names, value[:4].tolist(), strict=True))
@@ -131,7 +131,7 @@ def _complex(inputs: Inputs, name: str) -> ComplexArray:
 
 def matrix(inputs: Inputs) -> dict[str, float]:
     """The 6x6 matrix from eight recordings whose loads are known."""
-    from fusion.campaign.drive import Drive
+    from fusion.campaign.excited_line import ExcitedLine
     from fusion.campaign.matrix import fit_matrix
     from fusion.estimation.uncertainty import Contribution, Uncertainty
     from shaker.labels import LOAD_COMPONENTS
@@ -141,7 +141,7 @@ def matrix(inputs: Inputs) -> dict[str, float]:
     noise = Uncertainty((Contribution("noise", "A", inputs["u_output"] ** 2 * np.eye(12)[None]),), ())
     facts = 100.0, 100.0, (0.0, 0.0, 1.0)
     drives = [
-        Drive(f"run {n}", str(n), *facts, load, known, output, noise, LOAD_COMPONENTS)
+        ExcitedLine(f"run {n}", str(n), *facts, load, known, output, noise, LOAD_COMPONENTS)
         for n, (load, output) in enumerate(zip(loads, outputs, strict=True))
     ]
     value = fit_matrix(drives).value
@@ -164,7 +164,7 @@ def certificate(inputs: Inputs) -> dict[str, float]:
             f"region factor of {dof:g}": float(region_factor(dof)),
         }
     stated = polar(complex(*inputs["value"]), np.array(inputs["covariance"]))
-    texts = sum(rounded(value, expanded).text == text for value, expanded, text in inputs["rounding"])
+    texts = sum(round_to_uncertainty(value, expanded).text == text for value, expanded, text in inputs["rounding"])
     return found | {
         "magnitude": stated.magnitude,
         "phase": stated.phase_rad,
@@ -179,20 +179,22 @@ def _in_xml(stated: Polar, inputs: Inputs) -> dict[str, float]:
     """Numbers that a certificate's XML holds, of one sensitivity and of one mass, by their place in the document."""
     from lxml import etree
 
-    from fusion.campaign.recorded import SensorFacts
-    from fusion.sensor.certificate.dcc import DCC, SI, certificate_xml
-    from fusion.sensor.certificate.evaluate import Certificate, Element, Stated
-    from fusion.sensor.certificate.figures import Figure, FigureList
-    from fusion.sensor.certificate.form import Form
+    from fusion.campaign.recording_results import SensorFacts
+    from fusion.sensor.certificate.certificate_evaluation import Certificate, CertifiedElement, CertifiedValue
+    from fusion.sensor.certificate.certificate_form import Form
+    from fusion.sensor.certificate.certificate_xml import DCC, SI, certificate_xml
+    from fusion.sensor.certificate.certified_numbers import CertifiedNumber, NumberList
 
     k, mass = stated.k, inputs["mass"]
-    value = Stated(80.0, stated, k * stated.u_magnitude, stated.k_phase * stated.u_phase_rad, k, stated.k_phase, True)
+    value = CertifiedValue(
+        80.0, stated, k * stated.u_magnitude, stated.k_phase * stated.u_phase_rad, k, stated.k_phase, True
+    )
     named = ("", "", ("Fz",), "V/V", "on_load", None, None, 0.0)
     found = Certificate(
         form=Form(format=1), title="", rig_path=Path("rig.toml"), sensor=SensorFacts(*named), recordings=(),
         begin=date(2026, 1, 1), end=date(2026, 1, 1), procedure="", conditions=(), sources=(),
-        elements=(Element("Fz", "Fz", "V/V", "element", True, (value,)),),
-        figures=(FigureList("masses", (Figure("mass", "mass", mass[0], k * mass[1], k, "kg"),)),),
+        elements=(CertifiedElement("Fz", "Fz", "V/V", "element", True, (value,)),),
+        numbers=(NumberList("masses", (CertifiedNumber("mass", "mass", mass[0], k * mass[1], k, "kg"),)),),
         warnings=(), not_assessed=(), versions={},
     )  # fmt: skip
     result = etree.fromstring(certificate_xml(found)).iterfind(f".//{{{DCC}}}quantity")

@@ -15,7 +15,7 @@ PLAIN = 2  # samples per column up to which they are told themselves
 
 
 @dataclass(frozen=True)
-class Columns:
+class ExtremeColumns:
     """Extremes of consecutive samples: column i has those from `edge[i]` to `edge[i + 1]`, (I + 1,), the last one out.
 
     `low`, `high` (I,): the smallest and the largest sample of each.
@@ -46,7 +46,7 @@ class Extremes:
             self.levels.append((block, low, high))
             factor, block = COARSER, block * COARSER
 
-    def columns(self, first: int, last: int, most: int) -> Columns:
+    def columns(self, first: int, last: int, most: int) -> ExtremeColumns:
         """Return the extremes of samples `first` to `last` (that one left out) in at most `most` columns.
 
         Columns end where blocks do: the outermost ones may reach beyond, by less than a column.
@@ -56,7 +56,7 @@ class Extremes:
         width = (last - first) / most
         if width <= PLAIN:
             plain = self.samples[first:last]
-            return Columns(np.arange(first, last + 1), plain, plain)
+            return ExtremeColumns(np.arange(first, last + 1), plain, plain)
         block, low, high = 1, self.samples, self.samples
         for level in self.levels:
             if level[0] * PARTS <= width:
@@ -68,4 +68,4 @@ class Extremes:
         part = slice(begin, end)
         lowest = np.minimum.reduceat(low[part], starts - begin)
         highest = np.maximum.reduceat(high[part], starts - begin)
-        return Columns(np.minimum(edge, len(self.samples)), lowest, highest)
+        return ExtremeColumns(np.minimum(edge, len(self.samples)), lowest, highest)

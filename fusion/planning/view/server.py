@@ -13,7 +13,7 @@ from urllib.parse import parse_qs, unquote, urlsplit
 
 import numpy as np
 
-from fusion.base import ComputeError, InputError
+from fusion.errors import ComputeError, InputError
 
 LOOPBACK = "127.0.0.1"
 PAGE = Path(__file__).with_name("page")
@@ -25,8 +25,8 @@ POLICY = (
     "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 LONGEST = 8192  # characters of an address
-Answer = bytes | Mapping[str, Any]
-Answers = Mapping[str, Callable[[Mapping[str, str]], Answer]]
+ApiResponse = bytes | Mapping[str, Any]
+ApiHandlers = Mapping[str, Callable[[Mapping[str, str]], ApiResponse]]
 
 
 def page_files() -> dict[str, Path]:
@@ -52,7 +52,7 @@ class Server(ThreadingHTTPServer):
 
     daemon_threads = True
 
-    def __init__(self, answers: Answers, port: int = 0) -> None:
+    def __init__(self, answers: ApiHandlers, port: int = 0) -> None:
         self.answers, self.token, self.files = answers, secrets.token_urlsafe(24), page_files()
         try:
             super().__init__((LOOPBACK, port), Handler)

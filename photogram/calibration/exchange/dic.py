@@ -8,17 +8,18 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from photogram.arrays import FloatArray, Notice
+from photogram.arrays import FloatArray
 from photogram.calibration.exchange.lens import (
     EVEN,
     NO_ROTATION,
     Lens,
-    Stated,
-    numbers,
+    StatedCalibration,
+    parse_numbers,
     right_from_left,
     rotation_from_cardan,
     unit_of,
 )
+from shakercal._common.notices import Notice
 
 # DICe: camera systems in XML, and the text of 16 intrinsic and 6 or 12 extrinsic numbers before it.
 
@@ -38,7 +39,7 @@ _DICE_BEYOND = ("S1", "S2", "S3", "S4", "T1", "T2")
 _TEXT_ORDER = "cx cy fx fy fs k1 k2 k3 of either camera, alpha beta gamma or R11…R33, tx ty tz, [height width]"
 
 
-def read_dice_xml(root: ElementTree.Element, even_radial: bool = False) -> Stated:
+def read_dice_xml(root: ElementTree.Element, even_radial: bool = False) -> StatedCalibration:
     """Return what a DICe camera system file holds (`DICe_Camera.cpp`, `DICe_CameraSystem.cpp` of dicengine).
 
     Either camera has x_camera = R·x_world + t, or, with `extrinsics_relative_camera_to_camera`, the second one
@@ -59,7 +60,7 @@ def read_dice_xml(root: ElementTree.Element, even_radial: bool = False) -> State
         rotation, translation = right_from_left(first[2:4], second[2:4])
     lenses, notices = _by_order(first[0], second[0], even_radial)
     notices = (*first[4], *second[4], *notices)
-    return Stated("DICe", lenses, (first[1], second[1]), rotation, translation, None, notices, "mm")
+    return StatedCalibration("DICe", lenses, (first[1], second[1]), rotation, translation, None, notices, "mm")
 
 
 def _by_order(left: Lens, right: Lens, even_radial: bool) -> tuple[tuple[Lens, Lens], tuple[Notice, ...]]:
@@ -71,7 +72,7 @@ def _by_order(left: Lens, right: Lens, even_radial: bool) -> tuple[tuple[Lens, L
         return (left, right), ()
     if even_radial:
         told = "k1 k2 k3 are taken as the factor 1 + k1 r^2 + k2 r^4 + k3 r^6, as asked for; DICe takes them otherwise"
-        return (replace(left, exponents=EVEN), replace(right, exponents=EVEN)), (Notice("info", told, "distortion"),)
+        return (replace(left, exponents=EVEN), replace(right, exponents=EVEN)), (Notice("note", told, "distortion"),)
     text = (
         f"k1 k2 k3 are taken as {_LINEAR}, x (1 + k1 + k2 r + k3 r^2), as DICe itself takes this file, by which its "
         f"focal lengths are {100 * left.radial[0]:+.2g} % and {100 * right.radial[0]:+.2g} % off fx; numbers copied "
@@ -80,7 +81,7 @@ def _by_order(left: Lens, right: Lens, even_radial: bool) -> tuple[tuple[Lens, L
     return (left, right), (Notice("warning", text, "distortion"),)
 
 
-def read_dice_text(text: str, even_radial: bool = False) -> Stated:
+def read_dice_text(text: str, even_radial: bool = False) -> StatedCalibration:
     """Return what DICe's former text holds: one number a line, comments after #.
 
     Order: cx cy fx fy fs k1 k2 k3 of either camera, then α β γ (degrees) or R by rows, tx ty tz of x₁ = R·x₀ + t, then
@@ -91,7 +92,7 @@ def read_dice_text(text: str, even_radial: bool = False) -> Stated:
     extrinsic, has_size = {22: (6, False), 24: (6, True), 28: (12, False), 30: (12, True)}.get(len(words), (0, False))
     if not extrinsic:
         raise ValueError(f"expected 22, 24, 28 or 30 numbers, one a line ({_TEXT_ORDER}), found {len(words)}")
-    values = numbers("content", words, len(words))
+    values = parse_numbers("content", words, len(words))
     outer = values[16 : 16 + extrinsic]
     rotation = rotation_from_cardan(outer[:3]) if extrinsic == 6 else outer[:9].reshape(3, 3)
     size = (int(values[-1]), int(values[-2])) if has_size else None
@@ -100,7 +101,7 @@ def read_dice_text(text: str, even_radial: bool = False) -> Stated:
         for each in (values[:8], values[8:16])
     )
     lenses, notices = _by_order(left, right, even_radial)
-    return Stated("DICe", lenses, (size, size), rotation, outer[-3:], None, notices, "mm")
+    return StatedCalibration("DICe", lenses, (size, size), rotation, outer[-3:], None, notices, "mm")
 
 
 def _parameters(element: ElementTree.Element) -> dict[str, str]:
@@ -115,7 +116,7 @@ def _camera(
     values = _parameters(element)
 
     def number(key: str) -> float:
-        return float(numbers(f"{name}.{key}", values.get(key, "0"), 1)[0])
+        return float(parse_numbers(f"{name}.{key}", values.get(key, "0"), 1)[0])
 
     for key in ("CX", "CY", "FX", "FY", "IMAGE_HEIGHT_WIDTH"):
         if key not in values:
@@ -160,13 +161,13 @@ def _camera(
 
 def _list(where: str, text: str, count: int) -> FloatArray:
     """Return the numbers of a text like { 1, 2 }."""
-    return numbers(where, re.findall(r"[^\s,{}]+", text), count)
+    return parse_numbers(where, re.findall(r"[^\s,{}]+", text), count)
 
 
 # VIC-3D: the calibration in a project's XML, on its own or inside a .z3d file.
 
 
-def read_vic3d(root: ElementTree.Element) -> Stated:
+def read_vic3d(root: ElementTree.Element) -> StatedCalibration:
     """Return what a VIC-3D project or calibration holds.
 
     `camera`: cx cy fx fy s k1 k2 k3, as text or split into `intrinsics` and `distortion`, with u = fx·x_d + s·y_d + cx;
@@ -183,9 +184,9 @@ def read_vic3d(root: ElementTree.Element) -> Stated:
     size = None  # of the pictures: it stands at an area of interest where there is one
     for mask in root.iter("polygonmask"):
         if size is None and mask.get("width") and mask.get("height"):
-            width, height = numbers("polygonmask", [mask.get("width"), mask.get("height")], 2)
+            width, height = parse_numbers("polygonmask", [mask.get("width"), mask.get("height")], 2)
             size = int(width), int(height)
-    return Stated("VIC-3D", (left, right), (size, size), rotation, translation, None, habit="mm")
+    return StatedCalibration("VIC-3D", (left, right), (size, size), rotation, translation, None, habit="mm")
 
 
 def _vic3d_camera(name: str, camera: ElementTree.Element) -> tuple[Lens, FloatArray, FloatArray]:
@@ -196,8 +197,8 @@ def _vic3d_camera(name: str, camera: ElementTree.Element) -> tuple[Lens, FloatAr
     if intrinsics is not None:
         inner = (intrinsics.text or "").split()
         radial = [] if distortion is None else (distortion.text or "").split()
-    cx, cy, fx, fy, skew = numbers(f"{name}.intrinsics", inner, 5)
-    coefficients = numbers(f"{name}.distortion", radial, len(radial))
+    cx, cy, fx, fy, skew = parse_numbers(f"{name}.intrinsics", inner, 5)
+    coefficients = parse_numbers(f"{name}.distortion", radial, len(radial))
     if coefficients[3:].any():
         raise ValueError(
             f"{name}.distortion: expected k1 k2 k3, found {coefficients[3:].tolist()} beside them, "
@@ -205,7 +206,7 @@ def _vic3d_camera(name: str, camera: ElementTree.Element) -> tuple[Lens, FloatAr
         )
     if orientation is None:
         raise ValueError(f"{name}.orientation: missing")
-    pose = numbers(f"{name}.orientation", (orientation.text or "").split(), 6)
+    pose = parse_numbers(f"{name}.orientation", (orientation.text or "").split(), 6)
     padded = np.concatenate([coefficients, np.zeros(3)])[:3]
     lens = Lens(np.array([fx, fy]), np.array([cx, cy]), padded, np.zeros(2), skew_px=float(skew))
     return lens, rotation_from_cardan(pose[:3]), pose[3:]
@@ -225,7 +226,7 @@ def is_matchid(text: str) -> bool:
     return re.search(r"^[ \t]*cam\d_fx(_px)?\b", text, re.IGNORECASE | re.MULTILINE) is not None
 
 
-def read_matchid(text: str) -> Stated:
+def read_matchid(text: str) -> StatedCalibration:
     """Return what a `.caldat` holds, cameras numbered 0 and 1 or 1 and 2, or the same names with `_px`, `_mm`, `_deg`.
 
     Fx Fy Fs Cx Cy in px, Kappa 1 2 3 of r², r⁴, r⁶, P1 P2; x_second = R·x_first + T with R = R_z(ψ)·R_y(φ)·R_x(θ),
@@ -245,7 +246,7 @@ def read_matchid(text: str) -> Stated:
         if name not in values and default is None:
             raise ValueError(f"{name}: missing")
         value = values[name][1] if name in values else default
-        return float(numbers(name, [str(value).replace(",", ".")], 1)[0])
+        return float(parse_numbers(name, [str(value).replace(",", ".")], 1)[0])
 
     cameras = sorted({name[:4] for name in values if name.startswith("cam")})
     if cameras not in (["cam0", "cam1"], ["cam1", "cam2"]):
@@ -271,4 +272,4 @@ def read_matchid(text: str) -> Stated:
         raise ValueError(f"tx, ty, tz: expected one unit, found {', '.join(list(units.values())[3:])}")
     rotation = rotation_from_cardan(angles * [_MATCHID_ANGLES[units[name]] for name in ("theta", "phi", "psi")])
     size, stated = (None, None), unit_of(units["tx"])
-    return Stated("MatchID", (left, right), size, rotation, translation, stated, habit="mm")
+    return StatedCalibration("MatchID", (left, right), size, rotation, translation, stated, habit="mm")

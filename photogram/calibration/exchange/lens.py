@@ -8,10 +8,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from photogram.arrays import Arrays, FloatArray, IntArray, Notice
-from photogram.calibration.file import LARGEST, plausible
+from photogram.arrays import Arrays, FloatArray, IntArray
+from photogram.calibration.calibration_file import LARGEST, check_plausible
 from photogram.camera import CAMERA_PARAMETERS, Camera, StereoRig
 from photogram.geometry import RigidTransform, nearest_rotation, rotation_from_vector, skew
+from shakercal._common.notices import Notice
 
 EVEN = (2, 4, 6)
 """Exponents of the radial polynomial 1 + k1·r² + k2·r⁴ + k3·r⁶, which is this program's."""
@@ -85,7 +86,7 @@ def fisheye(focal_px: FloatArray, centre_px: FloatArray, coefficients: FloatArra
 
 
 @dataclass(frozen=True, eq=False)
-class Nearest:
+class NearestCamera:
     """The camera nearest to a lens: in a frame turned by `turn` (3,), a rotation vector in rad, it sees what that sees.
 
     `largest_px`: the largest difference left over the picture.
@@ -96,22 +97,22 @@ class Nearest:
     largest_px: float
 
 
-def nearest_camera(lens: Lens, size_px: IntArray) -> Nearest:
+def nearest_camera(lens: Lens, size_px: IntArray) -> NearestCamera:
     """Return the camera that sees, with least squares over the picture, what a lens sees.
 
     A lens of this program's form is taken over as it is. Another radial polynomial is fitted by this one's, with the
     matrix; a fisheye lens by the rational model.
     """
     if lens.is_exact:
-        return Nearest(Camera.from_parameters(lens.parameters, size_px), np.zeros(3), 0.0)
+        return NearestCamera(Camera.from_parameters(lens.parameters, size_px), np.zeros(3), 0.0)
     start = lens.parameters
     if lens.angular is not None:
         normalised = _seen_by_fisheye(lens, lens.angular, size_px)
-        return fitted_camera(lens.project(normalised), normalised, start, (*RADIAL, *DIVISOR), size_px)
+        return fit_camera(lens.project(normalised), normalised, start, (*RADIAL, *DIVISOR), size_px)
     normalised = _seen(lens, size_px)
     start[[4, 5, 8]] = 0.0
     start[:2] *= 1.0 + sum(k for k, power in zip(lens.radial, lens.exponents, strict=True) if power == 0)
-    return fitted_camera(lens.project(normalised), normalised, start, ("fx", "fy", "cx", "cy", *RADIAL), size_px)
+    return fit_camera(lens.project(normalised), normalised, start, ("fx", "fy", "cx", "cy", *RADIAL), size_px)
 
 
 RADIAL = ("k1", "k2", "k3")
@@ -119,9 +120,9 @@ DIVISOR = ("k4", "k5", "k6")
 TURN = ("x", "y", "z")
 
 
-def fitted_camera(
+def fit_camera(
     pixel: FloatArray, normalised: FloatArray, start: FloatArray, free: Sequence[str], size_px: IntArray
-) -> Nearest:
+) -> NearestCamera:
     """Return the camera, by least squares, that sees points (N, 2) with X/Z, Y/Z (N, 2) at pixels (N, 2).
 
     Parameters (13,) begin at `start`; `free` names those that are fitted and components of the turn about x, y, z.
@@ -153,10 +154,10 @@ def fitted_camera(
 
     tight = {"xtol": 1e-14, "ftol": 1e-14, "gtol": 1e-14}
     fit = least_squares(lambda x: difference(x).ravel(), np.zeros(len(free)), method="lm", **tight).x
-    return Nearest(*moved(fit), float(np.linalg.norm(difference(fit), axis=1).max()))
+    return NearestCamera(*moved(fit), float(np.linalg.norm(difference(fit), axis=1).max()))
 
 
-def picture_grid(size_px: IntArray) -> FloatArray:
+def pixel_grid(size_px: IntArray) -> FloatArray:
     """Return a grid (N, 2) of pixels over the picture, its corners included."""
     width, height = (float(length) - 1.0 for length in size_px)
     columns, rows = np.meshgrid(np.linspace(0.0, width, _GRID), np.linspace(0.0, height, _GRID))
@@ -165,7 +166,7 @@ def picture_grid(size_px: IntArray) -> FloatArray:
 
 def _seen(lens: Lens, size_px: IntArray) -> FloatArray:
     """Return the normalised coordinates (N, 2) of a grid of pixels over the picture, by fixed-point steps."""
-    pixel = picture_grid(size_px)
+    pixel = pixel_grid(size_px)
     normalised = (pixel - lens.centre_px) / lens.focal_px
     for _ in range(_STEPS):
         difference = pixel - lens.project(normalised)
@@ -180,7 +181,7 @@ def _seen(lens: Lens, size_px: IntArray) -> FloatArray:
 def _seen_by_fisheye(lens: Lens, coefficients: FloatArray, size_px: IntArray) -> FloatArray:
     """Return the normalised coordinates (N, 2) of a grid of pixels over the picture of a fisheye lens, from a table."""
     matrix = np.array([[lens.focal_px[0], lens.skew_px], [0.0, lens.focal_px[1]]])
-    distorted = np.linalg.solve(matrix, (picture_grid(size_px) - lens.centre_px).T).T
+    distorted = np.linalg.solve(matrix, (pixel_grid(size_px) - lens.centre_px).T).T
     angle = np.linspace(0.0, WIDEST_RAD, 20_001)
     table, radius = fisheye_radius(angle, coefficients), np.linalg.norm(distorted, axis=1)
     growing = int(np.argmin(np.append(np.diff(table) > 0, False)))  # how far it grows, and has an inverse
@@ -225,7 +226,7 @@ class ImportedCalibration:
 
 
 @dataclass(frozen=True, eq=False)
-class Stated:
+class StatedCalibration:
     """What a file states: lenses, sizes (None where it has none), x_right = rotation·x_left + translation (file units).
 
     `unit` is the unit that the file or its format fixes, None where neither does; `habit` the one that its program
@@ -249,7 +250,9 @@ def unit_of(word: str | None) -> LengthUnit | None:
     return None if word is None else _UNIT_WORDS.get(word.strip().lower())
 
 
-def build(stated: Stated, image_size: tuple[int, int] | None, length_unit: LengthUnit | None) -> ImportedCalibration:
+def build_rig(
+    stated: StatedCalibration, image_size: tuple[int, int] | None, length_unit: LengthUnit | None
+) -> ImportedCalibration:
     """Return the stereo rig of what a file states."""
     sizes, unit = _sizes(stated.sizes_px, image_size), length_unit or stated.unit or stated.habit
     if unit is None:
@@ -276,12 +279,12 @@ def build(stated: Stated, image_size: tuple[int, int] | None, length_unit: Lengt
         f"{np.rad2deg(np.arccos(cosine)):.2f} degrees against each other (lengths in the file taken as {unit})"
     )
     missing = "no uncertainties came with it: state scale_uncertainty under [stereo.NAME] in rig.toml"
-    rig, by_habit = plausible(StereoRig(left, right, between)), length_unit is None and stated.unit is None
-    notices += [Notice("info", told, "extrinsics"), *_distance(between, unit, by_habit)]
+    rig, by_habit = check_plausible(StereoRig(left, right, between)), length_unit is None and stated.unit is None
+    notices += [Notice("note", told, "extrinsics"), *_distance(between, unit, by_habit)]
     if not _see_the_same(rig):
         told = "the right camera does not see what the middle of the left picture shows: is x_right = R x_left + T?"
         notices.append(Notice("warning", told, "extrinsics"))
-    return ImportedCalibration(rig, stated.format, (*notices, Notice("info", missing, "covariance")))
+    return ImportedCalibration(rig, stated.format, (*notices, Notice("note", missing, "covariance")))
 
 
 def _distance(between: RigidTransform, unit: str, by_habit: bool) -> list[Notice]:
@@ -304,7 +307,7 @@ def _see_the_same(rig: StereoRig) -> bool:
     By their matrices alone: what a lens bends does not matter at this scale.
     """
     middle, baseline = (rig.left.size_px - 1) / 2, float(np.linalg.norm(rig.right_from_left.translation_m))
-    pixel = middle + (picture_grid(rig.left.size_px) - middle) / 2
+    pixel = middle + (pixel_grid(rig.left.size_px) - middle) / 2
     rays = np.column_stack([pixel, np.ones(len(pixel))]) @ np.linalg.inv(rig.left.matrix).T
     points = rig.right_from_left.apply((_DEPTHS[:, None, None] * baseline * rays).reshape(-1, 3))
     seen = points[points[:, 2] > 0] @ rig.right.matrix.T
@@ -312,7 +315,7 @@ def _see_the_same(rig: StereoRig) -> bool:
     return bool(((place > -0.5) & (place < rig.right.size_px - 0.5)).all(axis=1).any())
 
 
-def _check_essential(name: str, given: FloatArray, stated: Stated) -> None:
+def _check_essential(name: str, given: FloatArray, stated: StatedCalibration) -> None:
     """Refuse a file whose essential matrix is not that of its rotation and translation."""
     expected = skew(stated.translation) @ stated.rotation
     share = abs(float((given * expected).sum())) / (np.linalg.norm(given) * np.linalg.norm(expected))
@@ -320,7 +323,7 @@ def _check_essential(name: str, given: FloatArray, stated: Stated) -> None:
         raise ValueError(f"{name}: expected the one of the file's rotation and translation, found another")
 
 
-def numbers(where: str, values: Any, count: int | tuple[int, ...]) -> FloatArray:
+def parse_numbers(where: str, values: Any, count: int | tuple[int, ...]) -> FloatArray:
     """Return texts or numbers as an array of `count` elements or of that shape; `ValueError` names what is wrong."""
     shape = (count,) if isinstance(count, int) else count
     expected = " x ".join(str(length) for length in shape) + " numbers"
@@ -370,13 +373,13 @@ def _times(size: tuple[int, int]) -> str:
     return f"{size[0]}x{size[1]}"
 
 
-def approximated(where: str, beyond: str, nearest: Nearest) -> Notice:
+def approximation_notice(where: str, beyond: str, nearest: NearestCamera) -> Notice:
     """Return what is said of a camera that lacks what is `beyond` it; `ValueError` where it is not near enough."""
     remain = f"up to {nearest.largest_px:.3f} px remain over the picture"
     if not nearest.largest_px <= UNUSABLE_PX:
         raise ValueError(f"{where}: {beyond} has no camera near enough: {remain}, {UNUSABLE_PX} px are allowed")
     text = f"{beyond} is described by the nearest camera without it; {remain}"
-    return Notice("warning" if nearest.largest_px > REMARKABLE_PX else "info", text, where)
+    return Notice("warning" if nearest.largest_px > REMARKABLE_PX else "note", text, where)
 
 
 def _camera(side: str, lens: Lens, size: IntArray, notices: list[Notice]) -> Camera:
@@ -390,7 +393,7 @@ def _camera(side: str, lens: Lens, size: IntArray, notices: list[Notice]) -> Cam
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from error
     if not lens.is_exact:
-        notices.append(approximated(where, lens.model, nearest))
+        notices.append(approximation_notice(where, lens.model, nearest))
     centre, (width, height) = nearest.camera.matrix[:2, 2], size
     if not ((centre >= 0).all() and (centre < size).all()):
         text = f"its principal point ({centre[0]:.0f}, {centre[1]:.0f}) lies outside a picture of {width}x{height}: "

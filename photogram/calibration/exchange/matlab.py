@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from photogram.arrays import FloatArray
-from photogram.calibration.exchange.lens import NO_ROTATION, SIDES, Lens, Stated, numbers, unit_of
+from photogram.calibration.exchange.lens import NO_ROTATION, SIDES, Lens, StatedCalibration, parse_numbers, unit_of
 from photogram.geometry import rotation_from_vector
 from photogram.mat5 import check_mat5
 
@@ -20,7 +20,7 @@ _LARGEST_UNPACKED, _MOST_ARRAYS = 2**26, 3000
 _ASSIGNMENT = re.compile(r"\b([A-Za-z]\w*)\s*=\s*(?:\[([^\[\]]*)\]|([-+]?[\d.][\w.+-]*))")
 
 
-def read_matlab(content: dict[str, Any]) -> Stated:
+def read_matlab(content: dict[str, Any]) -> StatedCalibration:
     """Return what jsonencode(toStruct(stereoParams)), or jsonencode(stereoParams), wrote.
 
     Pixels count from 1 there, so that 1 is taken off the principal point (MathWorks, `stereoParametersToOpenCV`).
@@ -32,14 +32,16 @@ def read_matlab(content: dict[str, Any]) -> Stated:
     )
     rotation, translation = _extrinsics(content)
     name, essential = "EssentialMatrix", content.get("EssentialMatrix")
-    given = None if essential is None else (name, numbers(name, essential, (3, 3)))
+    given = None if essential is None else (name, parse_numbers(name, essential, (3, 3)))
     word = str(content.get("WorldUnits", unit))
     known, sizes = unit_of(word), (left_size, right_size)
     stated = None if known == "mm" else known  # millimetres stand there as well where nobody chose a unit
-    return Stated("MATLAB", (left, right), sizes, rotation, translation, stated, habit=known, essential=given)
+    return StatedCalibration(
+        "MATLAB", (left, right), sizes, rotation, translation, stated, habit=known, essential=given
+    )
 
 
-def read_mat(path: Path) -> Stated:
+def read_mat(path: Path) -> StatedCalibration:
     """Return what a `.mat` file holds: stereoParameters as an object or its toStruct, or the toolbox's assignments."""
     variables = _variables(path)
     for value in variables.values():
@@ -117,7 +119,7 @@ def _plain(value: Any, depth: int = 0) -> Any:
     return {**fields, **inner} if isinstance(inner, dict) else fields
 
 
-def read_bouguet(text: str) -> Stated:
+def read_bouguet(text: str) -> StatedCalibration:
     """Return what Bouguet's stereo calibration prints or saves as assignments: fc_left = [ … ], …, om, T.
 
     x_right = R(om)·x_left + T in mm; kc: k1 k2 p1 p2 k3; skew alpha_c·fc(1); the toolbox counts pixels from 0, as it
@@ -130,13 +132,13 @@ def read_bouguet(text: str) -> Stated:
     return _bouguet(values)
 
 
-def _bouguet(values: dict[str, Any]) -> Stated:
+def _bouguet(values: dict[str, Any]) -> StatedCalibration:
     """Return what the toolbox's variables state."""
 
     def array(name: str, count: int) -> FloatArray:
         if name not in values:
             raise ValueError(f"{name}: missing")
-        return numbers(name, values[name], count)
+        return parse_numbers(name, values[name], count)
 
     lenses = []
     for side in SIDES:
@@ -147,7 +149,9 @@ def _bouguet(values: dict[str, Any]) -> Stated:
     if "om" in values and "R" in values and not np.abs(array("R", 9).reshape(3, 3) - rotation).max() <= NO_ROTATION:
         raise ValueError("om: expected the rotation vector of R, found another")
     size = (int(array("nx", 1)[0]), int(array("ny", 1)[0])) if {"nx", "ny"} <= set(values) else None
-    return Stated("Bouguet's toolbox", (lenses[0], lenses[1]), (size, size), rotation, array("T", 3), None, habit="mm")
+    return StatedCalibration(
+        "Bouguet's toolbox", (lenses[0], lenses[1]), (size, size), rotation, array("T", 3), None, habit="mm"
+    )
 
 
 def _matlab_camera(name: str, camera: Any) -> tuple[Lens, tuple[int, int] | None, str]:
@@ -160,9 +164,9 @@ def _matlab_camera(name: str, camera: Any) -> tuple[Lens, tuple[int, int] | None
         told = "a pinhole camera (cameraParameters), found a fisheye lens by mapping coefficients (Scaramuzza's model)"
         raise ValueError(f"{name}: expected {told}")
     if parameters.get("K") is not None:
-        k = numbers(f"{name}.K", parameters["K"], (3, 3))
+        k = parse_numbers(f"{name}.K", parameters["K"], (3, 3))
     elif parameters.get("IntrinsicMatrix") is not None:
-        k = numbers(f"{name}.IntrinsicMatrix", parameters["IntrinsicMatrix"], (3, 3)).T
+        k = parse_numbers(f"{name}.IntrinsicMatrix", parameters["IntrinsicMatrix"], (3, 3)).T
     else:
         raise ValueError(f"{name}: expected K or IntrinsicMatrix, found neither")
     if k[1, 0] != 0 or not np.array_equal(k[2], [0, 0, 1]):
@@ -171,12 +175,12 @@ def _matlab_camera(name: str, camera: Any) -> tuple[Lens, tuple[int, int] | None
     coefficients = np.ravel(parameters.get("RadialDistortion", [0, 0]))
     if coefficients.size not in (2, 3):
         raise ValueError(f"{name}.RadialDistortion: expected 2 or 3 numbers, found {coefficients.size}")
-    radial[: coefficients.size] = numbers(f"{name}.RadialDistortion", coefficients, coefficients.size)
-    tangential = numbers(f"{name}.TangentialDistortion", parameters.get("TangentialDistortion", [0, 0]), 2)
+    radial[: coefficients.size] = parse_numbers(f"{name}.RadialDistortion", coefficients, coefficients.size)
+    tangential = parse_numbers(f"{name}.TangentialDistortion", parameters.get("TangentialDistortion", [0, 0]), 2)
     lens = Lens(np.array([k[0, 0], k[1, 1]]), k[:2, 2] - 1.0, radial, tangential, skew_px=float(k[0, 1]))
     stated = parameters.get("ImageSize")
     size = np.ravel([] if stated is None else stated)
-    rows, columns = numbers(f"{name}.ImageSize", size, 2) if size.size else (0, 0)
+    rows, columns = parse_numbers(f"{name}.ImageSize", size, 2) if size.size else (0, 0)
     unit = "".join(np.ravel(camera.get("WorldUnits", "")).astype(str))
     return lens, (int(columns), int(rows)) if size.size else None, unit
 
@@ -186,11 +190,11 @@ def _extrinsics(content: dict[str, Any]) -> tuple[FloatArray, FloatArray]:
     pose = content.get("PoseCamera2")
     if isinstance(pose, dict):
         if pose.get("A") is not None:
-            matrix = numbers("PoseCamera2.A", pose["A"], (4, 4))
+            matrix = parse_numbers("PoseCamera2.A", pose["A"], (4, 4))
             return matrix[:3, :3], matrix[:3, 3]
-        rotation = numbers("PoseCamera2.R", pose.get("R"), (3, 3))
-        return rotation, numbers("PoseCamera2.Translation", pose.get("Translation"), 3)
+        rotation = parse_numbers("PoseCamera2.R", pose.get("R"), (3, 3))
+        return rotation, parse_numbers("PoseCamera2.Translation", pose.get("Translation"), 3)
     if content.get("RotationOfCamera2") is None:
         raise ValueError("expected PoseCamera2, or RotationOfCamera2 and TranslationOfCamera2, found neither")
-    rotation = numbers("RotationOfCamera2", content["RotationOfCamera2"], (3, 3)).T
-    return rotation, numbers("TranslationOfCamera2", content.get("TranslationOfCamera2"), 3)
+    rotation = parse_numbers("RotationOfCamera2", content["RotationOfCamera2"], (3, 3)).T
+    return rotation, parse_numbers("TranslationOfCamera2", content.get("TranslationOfCamera2"), 3)

@@ -12,7 +12,14 @@ from typing import Any
 import numpy as np
 
 from photogram.arrays import FloatArray
-from photogram.calibration.exchange.lens import DistortionModel, Lens, Stated, fisheye, numbers, unit_of
+from photogram.calibration.exchange.lens import (
+    DistortionModel,
+    Lens,
+    StatedCalibration,
+    fisheye,
+    parse_numbers,
+    unit_of,
+)
 from photogram.geometry import rotation_from_vector
 
 # OpenCV: FileStorage in YAML, XML or JSON, and plain JSON with the same content in lists.
@@ -51,7 +58,7 @@ Values = dict[str, tuple[str, Any]]
 
 def read_opencv(
     content: str | dict[str, Any], extrinsics: str | None = None, model: DistortionModel | None = None
-) -> Stated:
+) -> StatedCalibration:
     """Return what an OpenCV file holds: matrices and distortions of two cameras, R and T with x₂ = R·x₁ + T.
 
     Names in any of the usual spellings (M1 D1 M2 D2 R T, cameraMatrix1 distCoeffs1, K_left, mtxL, left: {…}); a
@@ -69,13 +76,13 @@ def read_opencv(
     sizes = _sizes(values)
     name, value = _one(values, _ROTATIONS, "rotation R")
     is_vector = np.size(np.asarray(value, dtype=object)) == 3
-    rotation = rotation_from_vector(numbers(name, value, 3)) if is_vector else numbers(name, value, (3, 3))
-    translation = numbers(*_one(values, _TRANSLATIONS, "translation T"), 3)
+    rotation = rotation_from_vector(parse_numbers(name, value, 3)) if is_vector else parse_numbers(name, value, (3, 3))
+    translation = parse_numbers(*_one(values, _TRANSLATIONS, "translation T"), 3)
     stated = next((str(values[name][1]) for name in _UNITS if name in values), None)
     essentials = [values[name] for name in ("e", "essential", "essentialmatrix") if name in values]
-    essential = next(((name, numbers(name, value, (3, 3))) for name, value in essentials), None)
+    essential = next(((name, parse_numbers(name, value, (3, 3))) for name, value in essentials), None)
     unit = unit_of(stated)
-    return Stated("OpenCV", (left, right), sizes, rotation, translation, unit, essential=essential)
+    return StatedCalibration("OpenCV", (left, right), sizes, rotation, translation, unit, essential=essential)
 
 
 def _model(values: Values, asked: DistortionModel | None) -> DistortionModel | None:
@@ -197,14 +204,14 @@ def _one(values: Values, names: tuple[str, ...], what: str) -> tuple[str, Any]:
 def _lens(matrix: tuple[str, Any], distortion: tuple[str, Any], model: DistortionModel | None) -> Lens:
     """Return one camera's lens; four coefficients need a model."""
     name, value = matrix
-    k = numbers(name, value, (3, 3))
+    k = parse_numbers(name, value, (3, 3))
     if k[1, 0] != 0 or not np.array_equal(k[2], [0, 0, 1]):
         raise ValueError(f"{name}: expected [[fx, s, cx], [0, fy, cy], [0, 0, 1]], found {k.tolist()}")
     name, value = distortion
     length = np.size(np.asarray(value, dtype=object))
     if length not in _LENGTHS:
         raise ValueError(f"{name}: expected {', '.join(map(str, _LENGTHS))} coefficients, found {length}")
-    coefficients = numbers(name, value, length)
+    coefficients = parse_numbers(name, value, length)
     focal, centre = np.array([k[0, 0], k[1, 1]]), k[:2, 2].copy()
     if model == "fisheye":
         if length != _FEW:
@@ -239,11 +246,11 @@ def _size(values: Values, spelled: Callable[..., str]) -> tuple[int, int] | None
     """Return width and height under names that are spelled so."""
     for name in _SIZES:
         if (key := spelled(name=name)) in values:
-            width, height = numbers(*values[key], 2)
+            width, height = parse_numbers(*values[key], 2)
             return int(width), int(height)
     spellings = ([spelled(name=name) for name in names] for names in (_WIDTHS, _HEIGHTS))
     sides = [next((values[name] for name in names if name in values), None) for names in spellings]
-    whole = [int(numbers(*side, 1)[0]) for side in sides if side is not None]
+    whole = [int(parse_numbers(*side, 1)[0]) for side in sides if side is not None]
     return (whole[0], whole[1]) if len(whole) == 2 else None
 
 
@@ -282,7 +289,7 @@ def parse_yaml(text: str) -> dict[str, Any]:
     return content
 
 
-def read_ros(text: str, second: str | None) -> Stated:
+def read_ros(text: str, second: str | None) -> StatedCalibration:
     """Return what the `camera_info` files of a left and a right camera hold (sensor_msgs/CameraInfo, REP 104). m.
 
     The rectifying rotations turn both cameras into one frame, x_rect = R·x, in which P of the right one has the
@@ -304,19 +311,21 @@ def read_ros(text: str, second: str | None) -> Stated:
         for key, value in _reduced(content):
             told = "those of the whole sensor at full resolution, to which camera_matrix belongs"
             raise ValueError(f"{side} {key}: expected {told}, found {value:g}")
-        rotations.append(numbers(*rectification, (3, 3)))
-        p = numbers(*projection, (3, 4))
+        rotations.append(parse_numbers(*rectification, (3, 3)))
+        p = parse_numbers(*projection, (3, 4))
         if not p[0, 0] > 0:
             raise ValueError(f"{projection[0]}: expected a focal length above 0, found {p[0, 0]:g}")
         shifts.append(p[0, 3] / p[0, 0])
-        size = numbers(f"{side} image_width, image_height", [content.get(f"image_{n}") for n in ("width", "height")], 2)
+        size = parse_numbers(
+            f"{side} image_width, image_height", [content.get(f"image_{n}") for n in ("width", "height")], 2
+        )
         sizes.append((int(size[0]), int(size[1])))
     if shifts[0] == shifts[1]:
         raise ValueError("projection_matrix: expected a baseline of a stereo pair, found two single cameras")
     back = np.linalg.inv(rotations[1])
     translation = back @ np.array([shifts[1] - shifts[0], 0.0, 0.0])
     pair, both = (lenses[0], lenses[1]), (sizes[0], sizes[1])
-    return Stated("ROS", pair, both, back @ rotations[0], translation, None, habit="m")
+    return StatedCalibration("ROS", pair, both, back @ rotations[0], translation, None, habit="m")
 
 
 def _reduced(content: dict[str, Any]) -> Iterator[tuple[str, float]]:
@@ -327,7 +336,7 @@ def _reduced(content: dict[str, Any]) -> Iterator[tuple[str, float]]:
         *((key, content.get(key), (0, 1)) for key in ("binning_x", "binning_y")),
         *((f"roi.{key}", parts.get(key), (0,)) for key in ("x_offset", "y_offset")),
     ):
-        if value is not None and float(numbers(key, value, 1)[0]) not in whole:
+        if value is not None and float(parse_numbers(key, value, 1)[0]) not in whole:
             yield key, float(value)
 
 
@@ -339,7 +348,7 @@ def _ros_data(side: str, content: dict[str, Any], name: str) -> tuple[str, Any]:
     return f"{side} {name}", value["data"]
 
 
-def read_kalibr(text: str) -> Stated:
+def read_kalibr(text: str) -> StatedCalibration:
     """Return what a Kalibr camchain holds of two pinhole cameras, `radtan`, `equidistant` or `none`. Lengths in m.
 
     `T_cn_cnm1` (4, 4): x_cam1 = T·x_cam0; else both cameras have `T_cam_imu`, x_cam = T·x_imu, or `T_imu_cam`, its
@@ -358,14 +367,14 @@ def read_kalibr(text: str) -> Stated:
         if models[0] != "pinhole" or models[1] not in ("radtan", "equidistant", "none"):
             told = "a camera pinhole-radtan, pinhole-equidistant or pinhole-none"
             raise ValueError(f"{name}: expected {told}, found {models[0]}-{models[1]}")
-        fx, fy, cx, cy = numbers(f"{name}.intrinsics", camera.get("intrinsics"), 4)
+        fx, fy, cx, cy = parse_numbers(f"{name}.intrinsics", camera.get("intrinsics"), 4)
         k = np.zeros(4)
         if models[1] != "none":
-            k = numbers(f"{name}.distortion_coeffs", camera.get("distortion_coeffs"), 4)
+            k = parse_numbers(f"{name}.distortion_coeffs", camera.get("distortion_coeffs"), 4)
         focal, centre = np.array([fx, fy]), np.array([cx, cy])
         plain = Lens(focal, centre, np.array([*k[:2], 0.0]), k[2:])
         lenses.append(fisheye(focal, centre, k) if models[1] == "equidistant" else plain)
-        width, height = numbers(f"{name}.resolution", camera.get("resolution"), 2)
+        width, height = parse_numbers(f"{name}.resolution", camera.get("resolution"), 2)
         sizes.append((int(width), int(height)))
         poses.append({key: _place(f"{name}.{key}", camera[key]) for key in _PLACES if camera.get(key) is not None})
     if "T_cn_cnm1" in poses[1]:
@@ -377,12 +386,12 @@ def read_kalibr(text: str) -> Stated:
     else:
         raise ValueError(f"cam1: expected its place against cam0, one of {', '.join(_PLACES)}, found none")
     pair, both = (lenses[0], lenses[1]), (sizes[0], sizes[1])
-    return Stated("Kalibr", pair, both, between[:3, :3], between[:3, 3], None, habit="m")
+    return StatedCalibration("Kalibr", pair, both, between[:3, :3], between[:3, 3], None, habit="m")
 
 
 def _place(where: str, value: Any) -> FloatArray:
     """Return a transform (4, 4), its last row checked, so that it can be inverted."""
-    matrix = numbers(where, value, (4, 4))
+    matrix = parse_numbers(where, value, (4, 4))
     if not np.array_equal(matrix[3], [0, 0, 0, 1]) or abs(np.linalg.det(matrix)) < 0.5:
         raise ValueError(f"{where}: expected a rigid transform with a last row 0 0 0 1, found {matrix.tolist()}")
     return matrix

@@ -1,0 +1,296 @@
+"""Quantities derived from a calibrated stereo pair, with their standard uncertainties."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from photogram.arrays import derivatives
+from photogram.calibration.calibration_result import COVERAGE_CELLS, CalibratedImage, CalibratedView, Calibration
+from photogram.camera import LEFT, RIGHT, ROTATION, TRANSLATION, Camera, StereoRig, triangulate
+from photogram.geometry import fit_rigid, skew
+from photogram.targets.target_view import Target
+from shaker.arrays import FloatArray, IntArray
+
+Side = Literal["left", "right"]
+
+SIDES: tuple[Side, Side] = ("left", "right")
+"""Places of the pair's rotation and translation among its parameters."""
+STEP = 1e-3  # of a parameter's uncertainty, by which it is moved for a derivative
+CELLS_ACROSS = 16  # of a picture, in which residuals are averaged
+NEIGHBOURS = 3  # points along a row and rows whose residuals are compared in one picture
+LENGTH_SHARE = 0.1  # length whose uncertainty is stated, as a share of the working distance
+
+
+class DerivedQuantity(NamedTuple):
+    """A value and its standard uncertainty (k = 1)."""
+
+    value: float
+    u: float
+
+
+@dataclass(frozen=True, eq=False)
+class DistortionField:
+    """What a lens does to a picture: at pixel (R, C, 2) the displacement (R, C, 2) from where a lens without distortion
+    would put the same ray, and its standard uncertainty per coordinate `u_px` (R, C); NaN where there is no such ray.
+    """
+
+    pixel: FloatArray
+    displacement_px: FloatArray
+    u_px: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualMap:
+    """Residuals of one camera in square cells: centre (K, 2), mean (K, 2), points (K,), in the cells that have points.
+
+    `within_px`: rms length about the means; `systematic_px`: rms length of the means themselves, their scatter by
+    chance taken off (one-way analysis of variance, random effects).
+    """
+
+    side_px: float
+    centre_px: FloatArray
+    mean_px: FloatArray
+    count: IntArray
+    within_px: float
+    systematic_px: float
+
+
+@dataclass(frozen=True, eq=False)
+class TargetShape:
+    """Departure of the target's points from its flat lattice: lattice (P, 2), across it (P, 2) and out of it (P,)."""
+
+    lattice_m: FloatArray
+    inside_m: FloatArray
+    height_m: FloatArray
+
+
+@dataclass(frozen=True)
+class ResidualParts:
+    """Rms lengths of what residuals of one camera have in common, chance taken off; the parts overlap.
+
+    `place_px`: at the same place in the picture; `point_px`, `point_m`: at the same point of the target, seen in its
+    plane; `smooth_px`: among neighbours in one picture; `alone_px`: what neighbours do not share.
+    """
+
+    whole_px: float
+    position_px: float
+    point_px: float
+    point_m: float
+    smooth_px: float
+    alone_px: float
+
+
+def covariance_of(rig: StereoRig) -> FloatArray:
+    """Covariance (32, 32) of a calibrated rig."""
+    if rig.covariance is None:
+        raise ValueError("rig: expected a calibrated pair with the covariance of its parameters, found none")
+    return rig.covariance
+
+
+def camera_of(rig: StereoRig, side: Side) -> tuple[Camera, FloatArray]:
+    """One camera and the covariance (13, 13) of its parameters."""
+    own = LEFT if side == "left" else RIGHT
+    return (rig.left if side == "left" else rig.right), covariance_of(rig)[np.ix_(own, own)]
+
+
+def points_of_board(target: Target) -> int | None:
+    """How many points a target has; None for dots with ring markers, whose number nobody states."""
+    if target.size is None:
+        return None
+    columns, rows = target.size
+    return (columns - 1) * (rows - 1) if target.kind == "charuco" else columns * rows
+
+
+def baseline_m(rig: StereoRig) -> DerivedQuantity:
+    """Distance of the two cameras: |t|, u² = eᵀ·C·e with e = t/|t|."""
+    translation = rig.right_from_left.translation_m
+    length = float(np.linalg.norm(translation))
+    direction = translation / length
+    return DerivedQuantity(length, _root(direction @ covariance_of(rig)[TRANSLATION, TRANSLATION] @ direction))
+
+
+def axes_angle_rad(rig: StereoRig) -> DerivedQuantity:
+    """Angle between the optical axes: a·b = cos α for a = e_z, b = R·e_z in the right camera's frame.
+
+    A small turn δ changes α by δ·(a × b)/|a × b|; parallel axes have no such direction, the largest u is taken then.
+    """
+    axis = rig.right_from_left.rotation[:, 2]
+    across = np.cross([0.0, 0.0, 1.0], axis)
+    sine = float(np.linalg.norm(across))
+    covariance = covariance_of(rig)[ROTATION, ROTATION]
+    if sine < 1e-12:
+        return DerivedQuantity(0.0, _root(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
+    return DerivedQuantity(float(np.arctan2(sine, axis[2])), _root(across @ covariance @ across) / sine)
+
+
+def distance_m(calibration: Calibration, view: CalibratedView) -> DerivedQuantity:
+    """Distance of the target's middle from the left camera."""
+    turned = view.left_from_target.rotation @ calibration.shape_m.mean(axis=0)
+    place = turned + view.left_from_target.translation_m
+    length = float(np.linalg.norm(place))
+    gradient = np.concatenate([place, -place @ skew(turned)]) / length
+    return DerivedQuantity(length, _root(gradient @ view.covariance @ gradient))
+
+
+def target_middles_m(calibration: Calibration) -> FloatArray:
+    """Middle (V, 3) of the target in every view, in the left camera's frame."""
+    middle = calibration.shape_m.mean(axis=0)
+    return np.array([view.left_from_target.apply(middle) for view in calibration.views])
+
+
+def working_point_m(calibration: Calibration) -> FloatArray:
+    """Where the target was in the middle of the session (3,): medians over the views."""
+    return np.asarray(np.median(target_middles_m(calibration), axis=0))
+
+
+def tilts_rad(calibration: Calibration) -> FloatArray:
+    """Tilt (V, 2) of the target to the right and down: the angle of its normal to the axis, towards the camera."""
+    normal = np.array([view.left_from_target.rotation[:, 2] for view in calibration.views])
+    normal *= -np.sign(np.sum(normal * target_middles_m(calibration), axis=1, keepdims=True))
+    across = np.linalg.norm(normal[:, :2], axis=1, keepdims=True)
+    angle = np.arctan2(across, -normal[:, 2:])
+    return np.asarray(angle * normal[:, :2] / np.where(across > 0, across, 1.0))
+
+
+def turns_rad(calibration: Calibration) -> FloatArray:
+    """Turn (V,) of the target in the left picture: direction of its first axis, clockwise from the right."""
+    axis = np.array([view.left_from_target.rotation[:2, 0] for view in calibration.views])
+    return np.asarray(np.arctan2(axis[:, 1], axis[:, 0]))
+
+
+def length_u(calibration: Calibration) -> FloatArray:
+    """Relative standard uncertainties (3,) of lengths along x, y, z of the left camera that the calibration leaves.
+
+    Lengths of `LENGTH_SHARE` of the working distance about the working point; by moving the rig's parameters and
+    triangulating the same pixels again.
+    """
+    rig, middle = calibration.rig, working_point_m(calibration)
+    half = 0.5 * LENGTH_SHARE * float(np.linalg.norm(middle)) * np.eye(3)
+    left, right = rig.project(np.concatenate([middle + half, middle - half]))
+
+    def lengths(delta: FloatArray) -> FloatArray:
+        ends = triangulate(rig.perturbed(delta), left[None], right[None]).position_m[0]
+        return np.asarray(np.log(np.linalg.norm(ends[:3] - ends[3:], axis=1)))
+
+    return _propagated(lengths, covariance_of(rig))
+
+
+def distortion(calibration: Calibration, side: Side, columns: int = 33) -> DistortionField:
+    """Distortion of one camera on a grid over its whole picture, with the uncertainty of all parameters."""
+    camera, covariance = camera_of(calibration.rig, side)
+    width, height = camera.size_px
+    rows = max(3, round(columns * height / width))
+    across, down = np.linspace(0, width - 1, columns), np.linspace(0, height - 1, rows)
+    pixel = np.stack(np.meshgrid(across, down), axis=-1)
+
+    def displaced(delta: FloatArray) -> FloatArray:
+        moved = Camera.from_parameters(camera.parameters + delta, camera.size_px)
+        k = moved.matrix
+        return np.asarray(pixel - (moved.undistort(pixel) @ k[:2, :2].T + k[:2, 2]))
+
+    u = _propagated(displaced, covariance)
+    return DistortionField(pixel, displaced(np.zeros(len(covariance))), np.sqrt((u**2).mean(axis=-1)))
+
+
+def images_of_camera(calibration: Calibration, side: Side) -> list[CalibratedImage | None]:
+    """The picture of one camera in every view."""
+    return [view.left if side == "left" else view.right for view in calibration.views]
+
+
+def used_points(calibration: Calibration, side: Side) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Positions (M, 2) and residuals (M, 2) in px of all points of one camera in the fit, and their views (M,)."""
+    taken = [(view, picture) for view, picture in enumerate(images_of_camera(calibration, side)) if picture is not None]
+    empty = [np.empty((0, 2)), np.empty((0, 2)), np.empty(0, int)]
+    each = ((p.position_px[p.used], p.residual_px[p.used], np.full(p.used.sum(), view)) for view, p in taken)
+    position, residual, view = (np.concatenate(parts) for parts in zip(empty, *each, strict=True))
+    return position, residual, view
+
+
+def residual_map(position_px: FloatArray, residual_px: FloatArray, side_px: float) -> ResidualMap:
+    """Means of residuals (M, 2) at positions (M, 2) in square cells of a side."""
+    cells, mean, count, within, between = _one_way(residual_px, np.floor((position_px + 0.5) / side_px))
+    return ResidualMap(side_px, (cells + 0.5) * side_px - 0.5, mean, count, within, between)
+
+
+def cell_px(calibration: Calibration, side: Side) -> float:
+    """Side of the square cells of one camera's picture in which residuals are averaged."""
+    return float(camera_of(calibration.rig, side)[0].size_px[0]) / CELLS_ACROSS
+
+
+def residual_parts(calibration: Calibration, side: Side) -> ResidualParts:
+    """What the residuals of one camera have in common."""
+    (position, residual, view), spacing = used_points(calibration, side), calibration.target.spacing_m
+    index = np.concatenate([p.index[p.used] for p in images_of_camera(calibration, side) if p is not None])
+    lattice = spacing * np.column_stack([index, np.zeros(len(index))])
+    step = 1e-3 * spacing * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    on_target = np.empty_like(residual)  # in the target's plane, in m
+    for number in np.unique(view):
+        mine = view == number
+        places = calibration.views[number].left_from_target.apply(lattice[mine, None] + step)
+        pixel = calibration.rig.project(places)[SIDES.index(side)]
+        jacobian = np.swapaxes(pixel[:, 1:] - pixel[:, :1], 1, 2) / (1e-3 * spacing)
+        on_target[mine] = np.linalg.solve(jacobian, residual[mine, :, None])[..., 0]
+    *_, place = _one_way(residual, np.floor((position + 0.5) / cell_px(calibration, side)))
+    *_, print_m = _one_way(on_target, index)
+    *_, alone, smooth = _one_way(residual, np.column_stack([view, index // NEIGHBOURS]))
+    whole = _root((residual**2).sum(axis=1).mean())
+    scale = whole / _root((on_target**2).sum(axis=1).mean())
+    return ResidualParts(whole, place, print_m * scale, print_m, smooth, alone)
+
+
+def target_shape(calibration: Calibration) -> TargetShape | None:
+    """How the target departs from its flat lattice, laid onto it as a rigid body; None where it was held flat."""
+    index = calibration.shape_index
+    lattice = calibration.target.spacing_m * np.column_stack([index, np.zeros(len(index))])
+    if np.abs(calibration.shape_m - lattice).max() < 1e-12:
+        return None
+    departure = fit_rigid(calibration.shape_m, lattice).apply(calibration.shape_m) - lattice
+    return TargetShape(lattice[:, :2], departure[:, :2], departure[:, 2])
+
+
+def empty_cells(position_px: FloatArray, size_px: Sequence[int] | IntArray) -> FloatArray:
+    """Corners (K, 4) x0 y0 x1 y1 of the cells of a picture in which there is no point."""
+    width, height = (float(size) for size in size_px)
+    columns, rows = COVERAGE_CELLS
+    across, down = np.linspace(-0.5, width - 0.5, columns + 1), np.linspace(-0.5, height - 0.5, rows + 1)
+    counts, _, _ = np.histogram2d(position_px[:, 0], position_px[:, 1], bins=[across, down])
+    i, j = np.nonzero(counts == 0)
+    return np.stack([across[i], down[j], across[i + 1], down[j + 1]], axis=1)
+
+
+def correlation(covariance: FloatArray) -> FloatArray:
+    """Correlation coefficients of a covariance; NaN for parameters without uncertainty."""
+    u = np.sqrt(np.diagonal(covariance))
+    u = np.where(u > 0, u, np.nan)
+    return np.asarray(covariance / np.outer(u, u))
+
+
+def _one_way(vector: FloatArray, key: FloatArray | IntArray) -> tuple[FloatArray, FloatArray, IntArray, float, float]:
+    """Keys (K, C), means (K, 2) and sizes (K,) of groups of vectors (M, 2) of equal key (M, C), and two rms lengths.
+
+    Those within and between the groups. Analysis of variance with random effects: the mean square between groups minus
+    that which chance gives it.
+    """
+    keys, member = np.unique(np.asarray(key, dtype=np.float64), axis=0, return_inverse=True)
+    member = member.reshape(-1)
+    count = np.bincount(member)
+    mean = np.stack([np.bincount(member, weights=vector[:, axis]) for axis in (0, 1)], axis=1) / count[:, None]
+    within = float(np.sum((vector - mean[member]) ** 2)) / max(len(vector) - len(count), 1)
+    between = float(count @ (mean**2).sum(axis=1)) / len(vector)
+    return keys, mean, count, _root(within), _root(between - within * len(count) / len(vector))
+
+
+def _propagated(function: Callable[[FloatArray], FloatArray], covariance: FloatArray) -> FloatArray:
+    """Standard uncertainties (...) of a function (P,) → (...) of parameters about zero."""
+    jacobian = derivatives(function, STEP * np.sqrt(np.diagonal(covariance)))
+    variance = np.einsum("...i,ij,...j->...", jacobian, covariance, jacobian)
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+
+def _root(variance: FloatArray | float) -> float:
+    """Square root; rounding may leave a variance of zero slightly negative."""
+    return float(np.sqrt(np.maximum(variance, 0.0)))

@@ -1,0 +1,385 @@
+"""The page of a calibration: what it tells in words, and its tables, every number rounded to its U (k = 2)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from markupsafe import Markup
+
+from fusion.base import DASH, round_to_uncertainty
+from fusion.cameras.camera_figures import (
+    draw_correlation,
+    draw_coverage,
+    draw_distortion,
+    draw_distribution,
+    draw_image_residuals,
+    draw_residuals,
+    draw_shape,
+    draw_views,
+)
+from fusion.cameras.camera_quantities import (
+    LENGTH_SHARE,
+    SIDES,
+    ResidualParts,
+    Side,
+    axes_angle_rad,
+    baseline_m,
+    camera_of,
+    correlation,
+    covariance_of,
+    distance_m,
+    images_of_camera,
+    length_u,
+    points_of_board,
+    residual_parts,
+    target_middles_m,
+    tilts_rad,
+    turns_rad,
+    working_point_m,
+)
+from fusion.report.folder import Provenance, origin_frame, render_page
+from fusion.report.table import (
+    Headline,
+    Table,
+    TableColumn,
+    page_column,
+    quantity_html,
+    signed_text,
+    small,
+    table,
+    times_ten,
+)
+from photogram.calibration.calibration_result import CalibratedImage, Calibration, CalibrationParameter, Rejection
+from photogram.camera import RIG_PARAMETERS, ROTATION, StereoRig
+from photogram.geometry import vector_from_rotation
+from shaker.arrays import IntArray
+
+STATES = {
+    "determined": "determined",
+    "indistinct": "not distinguishable from zero",
+    "open": "not determined by these views",
+}
+MEANINGS = {
+    "fx": "focal length across",
+    "fy": "focal length down",
+    "cx": "principal point, x",
+    "cy": "principal point, y",
+    "k1": "radial distortion, r²",
+    "k2": "radial distortion, r⁴",
+    "k3": "radial distortion, r⁶",
+    "k4": "radial distortion, r² below the fraction bar",
+    "k5": "radial distortion, r⁴ below the fraction bar",
+    "k6": "radial distortion, r⁶ below the fraction bar",
+    "skew": "skew of the pixel axes",
+    "p1": "tangential distortion, down",
+    "p2": "tangential distortion, across",
+    "rotation": "rotation vector, right from left",
+    "translation": "translation, right from left",
+}
+KINDS = {
+    "chessboard": "chessboard",
+    "charuco": "ChArUco board",
+    "dots": "dots",
+    "asymmetric-dots": "dots in staggered rows",
+}
+STRONGEST = 8  # correlations listed
+DISPLAY = {"m": (1e3, "mm"), "1": (1.0, "")}
+"""Factor and name of the units that are printed otherwise."""
+
+
+def verdict(calibration: Calibration) -> str:
+    """One or two plain sentences: whether something speaks against this calibration, and what first."""
+    warnings = [notice for notice in calibration.notices if notice.severity == "warning"]
+    missing = [item.name for item in calibration.parameters if item.state == "open"]
+    text = "Nothing in number, place and angle of the views or in the residuals speaks against this calibration."
+    if warnings:
+        where = f" ({warnings[0].where})" if warnings[0].where else ""
+        count = "One warning" if len(warnings) == 1 else f"{len(warnings)} warnings, the first"
+        text = f"{count}{where}: {warnings[0].text}."
+    if missing:
+        text += f" Not determined by these views: {', '.join(missing)}."
+    return text
+
+
+def subject(calibration: Calibration) -> list[tuple[str, str]]:
+    """What was calibrated with what."""
+    target = calibration.target
+    size = f", {target.size[0]} × {target.size[1]}" if target.size is not None else ""
+    sizes = [
+        " × ".join(str(int(n)) for n in camera.size_px) for camera in (calibration.rig.left, calibration.rig.right)
+    ]
+    spacing = quantity_html(1e3 * target.spacing_m, 2e3 * target.spacing_m * calibration.scale_u, "mm").striptags()
+    stated = f"{spacing}, k = 2" if calibration.scale_u > 0 else f"{spacing}, its uncertainty not stated"
+    return [
+        ("Target", f"{KINDS[target.kind]}{size}"),
+        ("Spacing", stated),
+        ("Pictures", f"{sizes[0]} px" if sizes[0] == sizes[1] else f"left {sizes[0]} px, right {sizes[1]} px"),
+    ]
+
+
+def camera_headlines(calibration: Calibration) -> list[Headline]:
+    """The results to remember."""
+    rig = calibration.rig
+    baseline, angle = baseline_m(rig), axes_angle_rad(rig)
+    left, right = calibration.rms_sides_px
+    noise = ", ".join(f"{value:.3f}" for value in calibration.added_px)
+    share = 200.0 * baseline.u / baseline.value
+    distances = 1e3 * np.linalg.norm(target_middles_m(calibration), axis=1)
+    middle = float(np.median(distances))
+    pixel = 1e3 * middle / float(rig.left.matrix[0, 0])
+    spacing, scale, common = "missing", "not stated", "the uncertainty of the spacing is missing in all lengths"
+    if calibration.scale_u > 0:
+        spacing, scale = "included", f"U (k = 2) = {small(200.0 * calibration.scale_u)} %"
+        common = "common to all points and all frames"
+    return [
+        Headline(
+            "Residuals of the pair, rms length",
+            f"{calibration.rms_px:.3f} px",
+            f"left {left:.3f} px, right {right:.3f} px; noise added to the points' own: {noise} px per coordinate",
+        ),
+        _views_headline(calibration),
+        Headline(
+            "Baseline",
+            quantity_html(1e3 * baseline.value, 2e3 * baseline.u, "mm"),
+            f"U (k = 2) = {share:.2g} %, the spacing's uncertainty {spacing}",
+        ),
+        Headline(
+            "Angle between the optical axes",
+            quantity_html(float(np.degrees(angle.value)), float(np.degrees(2.0 * angle.u)), "°").replace(" °", "°"),
+            quantity_html(1e3 * angle.value, 2e3 * angle.u, "mrad").striptags(),
+        ),
+        *(_focal_headline(calibration, side) for side in SIDES),
+        Headline(
+            "Working distance, median of the views",
+            f"{middle:.0f} mm",
+            f"{distances.min():.0f} mm to {distances.max():.0f} mm; 1 px is {pixel:.0f} µm in the middle",
+        ),
+        Headline("Scale: share of every length from the target's spacing", scale, common),
+    ]
+
+
+def parameters_table(calibration: Calibration) -> Table | None:
+    """All parameters of the pair with their uncertainty and what the views say about them."""
+    turn = vector_from_rotation(calibration.rig.right_from_left.rotation)
+    turns = dict(zip(RIG_PARAMETERS[ROTATION], turn, strict=True))
+
+    def printed(item: CalibrationParameter) -> tuple[str, str, str, Markup]:
+        """Value, u and U with one power of ten, and their unit."""
+        factor, unit = DISPLAY.get(item.unit, (1.0, item.unit))
+        value, u = factor * float(turns.get(item.name, item.value)), factor * item.u
+        text = round_to_uncertainty(value, 2.0 * u)
+        shown = times_ten(text.exponent, unit) if text.exponent else Markup(unit or "1")
+        return text.value, round_to_uncertainty(value, u, text.exponent).expanded, text.expanded, shown
+
+    def meaning(item: CalibrationParameter) -> str:
+        part, _, name = item.name.partition(".")
+        return f"{MEANINGS[part]}, {name}" if part in MEANINGS else MEANINGS.get(name, "")
+
+    columns: list[TableColumn[CalibrationParameter]] = [
+        page_column("parameter", lambda item: item.name, "l"),
+        page_column("meaning", meaning, "l"),
+        page_column("value", lambda item: printed(item)[0]),
+        page_column("u (k = 1)", lambda item: printed(item)[1]),
+        page_column("U (k = 2)", lambda item: printed(item)[2]),
+        page_column("unit", lambda item: printed(item)[3], "l"),
+        page_column("state", lambda item: STATES[item.state] if item.u > 0 else "held", "l"),
+    ]
+    return table("Parameters of the pair", columns, calibration.parameters)
+
+
+def judgement_table(calibration: Calibration) -> Table | None:
+    """What halves of the views, and other models, make of the same pictures."""
+    judged = calibration.cross_validation
+    if judged is None:
+        return None
+    taken = f"{judged.shape}, {judged.lens}"
+    rows = [(f"all views ({taken})", calibration.rig, f"{judged.predicted_px:.4f}")]
+    rows += [
+        (f"{name} half of the views", rig, DASH)
+        for name, rig in zip(("odd", "even"), judged.halves or (), strict=False)
+    ]
+    rows += [(f"all views ({o.shape}, {o.lens})", o.rig, f"{o.predicted_px:.4f}") for o in judged.alternatives]
+    whole = calibration.rig
+    focal_u = [np.sqrt(camera_of(whole, side)[1][0, 0]) for side in SIDES]
+    baseline, angle = baseline_m(whole), axes_angle_rad(whole)
+
+    def length(rig: StereoRig) -> str:
+        return round_to_uncertainty(
+            1e3 * float(np.linalg.norm(rig.right_from_left.translation_m)), 2e3 * baseline.u
+        ).value
+
+    def turn(rig: StereoRig) -> str:
+        return round_to_uncertainty(
+            np.degrees(np.arccos(rig.right_from_left.rotation[2, 2])), np.degrees(2 * angle.u)
+        ).value
+
+    columns: list[TableColumn[tuple[str, StereoRig, str]]] = [
+        page_column("from", lambda row: row[0], "l"),
+        page_column("fx, left / px", lambda row: round_to_uncertainty(row[1].left.matrix[0, 0], 2 * focal_u[0]).value),
+        page_column(
+            "fx, right / px", lambda row: round_to_uncertainty(row[1].right.matrix[0, 0], 2 * focal_u[1]).value
+        ),
+        page_column("baseline / mm", lambda row: length(row[1])),
+        page_column("angle / °", lambda row: turn(row[1])),
+        page_column("views left out, rms length / px", lambda row: row[2]),
+    ]
+    return table("What halves of the views and other models make of the same pictures", columns, rows)
+
+
+def views_share(calibration: Calibration) -> str:
+    """How much more than the residuals alone the views make of the uncertainties."""
+    if calibration.cross_validation is None or calibration.rig.covariance is None:
+        return ""
+    u, alone = np.sqrt(np.diagonal(calibration.rig.covariance)), calibration.cross_validation.u_fit
+    more = (u / np.where(alone > 0, alone, np.inf))[[item.u > 0 and item.unit != "m" for item in _every(calibration)]]
+    return f"{float(np.median(more)):.2g} (median of the parameters), at most {float(more.max()):.2g}"
+
+
+def _every(calibration: Calibration) -> list[CalibrationParameter]:
+    """Return the rig's parameters, those that are held included."""
+    named = {item.name: item for item in calibration.parameters}
+    return [named.get(name, CalibrationParameter(name, 0.0, 0.0, "1", "determined")) for name in RIG_PARAMETERS]
+
+
+def correlations_table(calibration: Calibration) -> Table | None:
+    """The strongest correlations of different parameters."""
+    coefficients = np.nan_to_num(correlation(covariance_of(calibration.rig)))
+    pairs = np.column_stack(np.triu_indices(len(coefficients), 1))
+    order = np.argsort(-np.abs(coefficients[tuple(pairs.T)]))[:STRONGEST]
+    columns: list[TableColumn[IntArray]] = [
+        page_column("parameter", lambda pair: RIG_PARAMETERS[pair[0]], "l"),
+        page_column("with", lambda pair: RIG_PARAMETERS[pair[1]], "l"),
+        page_column("coefficient", lambda pair: signed_text(float(coefficients[tuple(pair)]), "+.4f")),
+    ]
+    return table("Strongest correlations", columns, pairs[order])
+
+
+def residuals_table(calibration: Calibration) -> Table | None:
+    """What the residuals have in common."""
+    columns: list[TableColumn[tuple[str, ResidualParts]]] = [
+        page_column("camera", lambda row: row[0], "l"),
+        page_column("all", lambda row: f"{row[1].whole_px:.3f}"),
+        page_column("same place in the picture", lambda row: f"{row[1].position_px:.3f}"),
+        page_column("same point of the target", lambda row: f"{row[1].point_px:.3f}"),
+        page_column("neighbours in one picture", lambda row: f"{row[1].smooth_px:.3f}"),
+        page_column("each point alone", lambda row: f"{row[1].alone_px:.3f}"),
+        page_column("same point of the target / µm", lambda row: f"{1e6 * row[1].point_m:.1f}"),
+    ]
+    parts = [(side, residual_parts(calibration, side)) for side in SIDES]
+    return table("What the residuals have in common, rms length / px", columns, parts)
+
+
+def lengths_table(calibration: Calibration) -> Table | None:
+    """What the calibration leaves uncertain of a length at the working point."""
+    length = LENGTH_SHARE * float(np.linalg.norm(working_point_m(calibration)))
+    columns: list[TableColumn[tuple[str, float]]] = [
+        page_column("along, left camera", lambda row: row[0], "l"),
+        page_column("U (k = 2) / %", lambda row: small(200.0 * row[1])),
+        page_column(f"U (k = 2) of {1e3 * length:.0f} mm / µm", lambda row: small(1e6 * 2.0 * row[1] * length)),
+    ]
+    ways = zip(("x, to the right", "y, down", "z, away from the camera"), length_u(calibration), strict=True)
+    return table("Lengths at the middle of the target's positions: what the calibration leaves", columns, ways)
+
+
+def views_table(calibration: Calibration) -> Table | None:
+    """Every view: pictures, points in the fit, residuals, and how the target was held."""
+    tilt = np.degrees(np.linalg.norm(tilts_rad(calibration), axis=1))
+    turn = np.degrees(turns_rad(calibration))
+    lengths = (distance_m(calibration, view) for view in calibration.views)
+    distances = [quantity_html(1e3 * length.value, 2e3 * length.u) for length in lengths]
+
+    every = points_of_board(calibration.target)
+
+    def both(place: int, shown: Callable[[CalibratedImage], str]) -> Markup:
+        """A cell with the entry of the left picture above that of the right."""
+        view = calibration.views[place]
+        cells = (DASH if picture is None else shown(picture) for picture in (view.left, view.right))
+        return Markup("{}<br>{}").format(*cells)
+
+    columns: list[TableColumn[int]] = [
+        page_column("view", lambda place: str(place + 1)),
+        page_column("picture, left and right", lambda place: both(place, lambda p: p.name), "l"),
+        page_column("points", lambda place: both(place, lambda p: f"{int(p.used.sum())} of {every or len(p.used)}")),
+        page_column(
+            "rms length / px", lambda place: both(place, lambda p: f"{p.rms_px:.3f}" if p.used.any() else DASH)
+        ),
+        page_column("tilt / °", lambda place: f"{tilt[place]:.1f}"),
+        page_column("turn / °", lambda place: signed_text(float(turn[place]), ".1f")),
+        page_column("distance / mm", lambda place: distances[place]),
+    ]
+    caption = (
+        f"Views: points in the fit of {'those found' if every is None else 'the target'}; "
+        "distance of the target's middle from the left camera with U (k = 2)"
+    )
+    return table(caption, columns, range(len(calibration.views)))
+
+
+def dropped_table(calibration: Calibration) -> Table | None:
+    """What did not go into the fit, and why; pictures first."""
+    columns: list[TableColumn[Rejection]] = [
+        page_column("picture", lambda item: item.name, "l"),
+        page_column("points", lambda item: str(item.points) if item.points else "all"),
+        page_column("reason", lambda item: item.reason, "l"),
+    ]
+    return table("Left out of the fit", columns, sorted(calibration.rejections, key=lambda item: item.points > 0))
+
+
+def _views_headline(calibration: Calibration) -> Headline:
+    """Numbers of pairs, points and what was dropped."""
+    seen = [picture for side in SIDES for picture in images_of_camera(calibration, side) if picture is not None]
+    used, every = sum(int(picture.used.sum()) for picture in seen), sum(len(picture.used) for picture in seen)
+    pairs = sum(view.left is not None and view.right is not None for view in calibration.views)
+    whole = sum(item.points == 0 for item in calibration.rejections)
+    value = f"{pairs} pairs" if pairs == len(calibration.views) else f"{pairs} pairs in {len(calibration.views)} views"
+    remark = f"{used} points in the fit, {every - used} left out; pictures dropped: {whole}"
+    return Headline("Views", value, remark)
+
+
+def _focal_headline(calibration: Calibration, side: Side) -> Headline:
+    """Focal length of one camera, and what it sees."""
+    fx, fy = (item for item in calibration.parameters if item.name in (f"{side}.fx", f"{side}.fy"))
+    size = camera_of(calibration.rig, side)[0].size_px
+    field = [2.0 * np.degrees(np.arctan(0.5 * n / item.value)) for n, item in zip(size, (fx, fy), strict=True)]
+    down = quantity_html(fy.value, 2.0 * fy.u, "px").striptags()
+    remark = f"fy = {down}; field of view {field[0]:.1f}° × {field[1]:.1f}°"
+    return Headline(f"Focal length fx of the {side} camera", quantity_html(fx.value, 2.0 * fx.u, "px"), remark)
+
+
+def render_camera_report(calibration: Calibration, name: str, provenance: Provenance, duration_s: float) -> str:
+    """HTML text of one self-contained page about the calibrated stereo pair `name`.
+
+    `provenance`: hashes of the pictures, settings, versions and the names of the files written beside the page.
+    """
+    shape = draw_shape(calibration)
+    drawn = {
+        "coverage": [draw_coverage(calibration), draw_views(calibration)],
+        "residuals": [
+            *(draw_residuals(calibration, side) for side in SIDES),
+            draw_distribution(calibration),
+            draw_image_residuals(calibration),
+        ],
+        "lens": [draw_distortion(calibration, side) for side in SIDES],
+        "correlation": [draw_correlation(calibration)],
+        "shape": [] if shape is None else [shape],
+    }
+    context = {
+        "name": name,
+        "subject": subject(calibration),
+        "verdict": verdict(calibration),
+        "headlines": camera_headlines(calibration),
+        "pictures": drawn,
+        "views": views_table(calibration),
+        "dropped": dropped_table(calibration),
+        "residuals": residuals_table(calibration),
+        "parameters": parameters_table(calibration),
+        "judged": judgement_table(calibration),
+        "views_share": views_share(calibration),
+        "correlations": correlations_table(calibration),
+        "lengths": lengths_table(calibration),
+        "scale_u": calibration.scale_u,
+        **origin_frame(provenance, calibration.notices),
+        "duration_s": duration_s,
+        "files": provenance.files,
+    }
+    return render_page("cameras.html", context)

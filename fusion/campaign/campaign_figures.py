@@ -1,0 +1,291 @@
+"""Figures of a campaign: curves over frequency with the scatter of recordings, all outputs, and the 6 x 6 matrix."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from fusion.campaign.curve import MIN_POINTS, CurvePoint, SensitivityCurve, curve_elements, interpolate, single_points
+from fusion.campaign.excited_line import ExcitedLine
+from fusion.campaign.matrix import CrossTalk, MatrixFit
+from fusion.campaign.matrix_solve import MIN_SINGULAR
+from fusion.report.figure import (
+    BLACK,
+    BLUE,
+    COLOURS,
+    DARK,
+    GREY,
+    ORANGE,
+    RED,
+    SKY,
+    WHITE,
+    Figure,
+    Panel,
+    Scale,
+    empty_figure,
+    frame_bars,
+    padded_limits,
+    polar_bars,
+    power_of_ten,
+)
+from fusion.sensitivity.ratio import StatedMatrix
+from shaker.arrays import FloatArray
+from shaker.labels import LOAD_COMPONENTS, typeset
+
+OUTPUT_MARKERS = ("circle", "square", "diamond", "triangle", "inverted_triangle", "cross")
+MOUNTING_MARKERS = ("circle", "square", "triangle", "inverted_triangle", "diamond")
+BESIDE_SHARE = 0.012
+"""How far ratios stand to the left of elements of matrices, as a share of the axis."""
+SPREAD_SHARE = 0.008
+"""Distance of the mountings from each other beside their frequency, as a share of the axis."""
+SPREAD_OVER = 0.06
+"""What all of them take of it, at most."""
+IN_LEGEND = 12
+"""Mountings that the legend names each; more of them are one entry."""
+BETWEEN_POINTS = 121
+"""Number of places at which the interpolated curve is drawn."""
+LARGEST_MAPS = 6
+"""Number of frequencies whose cross-talk is drawn: those spread evenly over all."""
+MAPS_BESIDE = 2
+CELL_IN = 0.42
+DARK_ABOVE = 0.55
+"""Share of the colour scale above which text is white."""
+
+
+def draw_curve(
+    points: Sequence[CurvePoint],
+    curves: Iterable[SensitivityCurve],
+    drives: Iterable[ExcitedLine],
+    stated: StatedMatrix | None = None,
+) -> Figure:
+    """Draw magnitude (relative to static where that is stated) and phase of one element over frequency.
+
+    `points`: those of the element, of single recordings and of matrices; `curves` and `drives`: all of the campaign,
+    from which the curve between the points is taken, and, below each, the single recordings if several are behind a
+    point; `stated`: of the sensor's matrix, where elements of single recordings rest on it.
+    """
+    first, frequency = points[0], np.array([point.frequency_hz for point in points])
+    title = f"output {first.channel} per load {first.component}"
+    factor, power = power_of_ten(np.array([point.element.magnitude for point in points]))
+    value, expanded = polar_bars([point.element for point in points], factor)
+    static = [p.element.magnitude / p.relative.magnitude / factor for p in points if p.relative is not None]
+    behind = [
+        (curve, e)
+        for curve in curves
+        for e, (c, j) in enumerate(curve.elements)
+        if (curve.channels[c], LOAD_COMPONENTS[j]) == (first.channel, first.component)
+        and curve.kind in {point.kind for point in points}
+    ]
+    alone = [(curve, e) for curve, e in behind if curve.kind != "matrix"]
+    singles = [one for curve, e in alone for one in single_points(curve, e, drives, stated)]
+    repeated = len(singles) > len(points)
+    heights = [1.5, 0.9, 1.2, 0.9] if repeated else [1.5, 1.2]
+    kinds = [point.kind for point in points]
+    what = "Ratio" if set(kinds) == {"ratio"} else "Sensitivity"
+    text = f"{what}, {title}: magnitude and phase over frequency; bars and band: U."
+    name = f"curve-{first.channel}-{first.component}"
+    drawn = empty_figure(name, 6.9 if repeated else 4.6, heights)
+    upper, lower = drawn.panels[0], drawn.panels[len(heights) // 2]
+    _draw_between((upper, lower), behind, factor)
+    for panel, level, half in zip((upper, lower), value, expanded, strict=True):
+        _draw_bars(panel, frequency, kinds, level, half)
+    unit = f"{power}{typeset(first.unit)}"
+    frame_bars(upper, lower, (value, expanded), unit, (static[0], "static") if static else None)
+    lower.y.second = ("phase / °", 0.0, float(np.degrees(1.0)))
+    if repeated:
+        single, _ = polar_bars([element for _, _, element in singles], factor)
+        own = np.argmin(np.abs(np.array([f for f, _, _ in singles])[:, None] - frequency), axis=1)
+        turn = np.mod(single[1] - value[1, own] + np.pi, 2.0 * np.pi) - np.pi
+        for panel, off, half, unit in (
+            (drawn.panels[1], 100.0 * (single[0] / value[0, own] - 1.0), 100.0 * expanded[0] / value[0], "%"),
+            (drawn.panels[3], 1e3 * turn, 1e3 * expanded[1], "mrad"),
+        ):
+            _draw_bars(panel, frequency, kinds, np.zeros_like(half), half)
+            _draw_mountings(panel, [(f, mounting) for f, mounting, _ in singles], off, _right_end(frequency))
+            ends = np.concatenate([off, half, -half])
+            panel.y.limits = padded_limits(float(np.nanmin(ends)), float(np.nanmax(ends)))
+            panel.y.label = f"from the curve / {unit}"
+    for panel in drawn.panels:
+        panel.x.limits, panel.x.link = (0.0, _right_end(frequency)), "frequency"
+    drawn.panels[-1].x.label = "frequency / Hz"
+    if len(set(kinds)) > 1:
+        text += " Ratios and elements of single recordings stand to the left of their frequency."
+    if "ratio" in kinds:
+        text += " Ratios contain what the other loads do."
+    if repeated:
+        text += " Below each: single recordings (open, by mounting, beside their frequency) about the curve with its U."
+    return drawn.with_title(f"{what}, {title}", text, main=True)
+
+
+def draw_outputs(curve: SensitivityCurve, main: int) -> Figure:
+    """Draw the magnitude of every output over frequency, relative to the `main` one, which belongs to the load.
+
+    The axis is logarithmic; arrows where a value is below its U.
+    """
+    load = LOAD_COMPONENTS[curve.elements[0][1]]
+    rows = [
+        [(np.nan, np.nan) if p is None else (p.magnitude, p.expanded_magnitude) for p in row]
+        for row in curve_elements(curve)
+    ]
+    size, u = np.moveaxis(np.asarray(rows, dtype=np.float64), 2, 0)
+    share, expanded = 100.0 * size / size[:, [main]], 100.0 * u / size[:, [main]]
+    reference = f"ratio to output {curve.channels[main]}"
+    drawn = empty_figure(f"outputs-{load}", 3.3)
+    (panel,) = drawn.panels
+    panel.y.log = True
+    for c, channel in enumerate(curve.channels):
+        weak = share[:, c] <= expanded[:, c]
+        colour = BLACK if c == main else COLOURS[c % len(COLOURS)]
+        level, half = (np.where(np.isfinite(share[:, c]) & ~weak, values[:, c], np.nan) for values in (share, expanded))
+        panel.line(curve.frequency_hz, level, channel, colour=colour, width=0.6)
+        marker = OUTPUT_MARKERS[c % len(OUTPUT_MARKERS)]
+        panel.points(curve.frequency_hz, level, channel, half_y=half, colour=colour, marker=marker)
+        if weak.any():
+            panel.bounds(curve.frequency_hz[weak], (share + expanded)[weak, c], channel, colour=colour)
+    ends = share + expanded
+    if np.isfinite(ends).any():
+        floor = np.maximum(share - expanded, 0.3 * ends)
+        panel.y.limits = (0.5 * float(np.nanmin(floor)), 2.0 * float(np.nanmax(ends)))
+    panel.x.limits, panel.x.link = (0.0, 1.08 * float(curve.frequency_hz.max(initial=1.0))), "frequency"
+    panel.x.label, panel.y.label = "frequency / Hz", f"{reference} / %"
+    caption = (
+        f"Magnitude of the responses of all outputs to the driven load {load}, {reference}; bars: U. An arrow is "
+        f"an upper bound where the signal is below its U."
+    )
+    return drawn.with_title(f"All outputs under {load}", caption)
+
+
+def draw_crosstalk(cross_talks: Sequence[CrossTalk]) -> Figure | None:
+    """Draw maps of cross-talk, numbers in the cells, one colour scale for all; None where none is known."""
+    if not cross_talks:
+        return None
+    chosen = np.linspace(0, len(cross_talks) - 1, min(len(cross_talks), LARGEST_MAPS)).round().astype(int)
+    maps = [cross_talks[place] for place in np.unique(chosen)]
+    rows, cells = -(-len(maps) // MAPS_BESIDE), max(len(found.channels) for found in maps)
+    every = np.concatenate([_map(found).ravel() for found in maps])
+    sizes = every[np.isfinite(every) & (every > 0.0)]
+    high = float(sizes.max()) if sizes.size else 1.0
+    low = max(float(sizes.min()), 1e-3 * high) if sizes.size else 0.1
+    label = "share of the rated output / %, or upper bound"
+    scale = Scale("Blues", low, high if high > low else 10.0 * low, label, log=True)
+    drawn = empty_figure("crosstalk", 0.5 + rows * (cells * CELL_IN + 1.3), rows, MAPS_BESIDE, shared_x=False)
+    for panel, found in zip(drawn.panels, maps, strict=False):
+        _draw_map(panel, found, scale)
+    for panel in drawn.panels[len(maps) :]:
+        panel.blank = True
+    caption = (
+        "Cross-talk S_ij·capacity_j / (S_ii·capacity_i) in per cent: output i under the rated load j, as a share "
+        "of its rated output. “<”: 95 % upper bound of an element that cannot be told from zero. 1: main elements."
+    )
+    return drawn.with_title("Cross-talk", caption, main=True)
+
+
+def draw_excitation(fits: Sequence[MatrixFit]) -> Figure | None:
+    """Draw the singular values of the loads at every frequency and the level below which a matrix is refused."""
+    if not fits:
+        return None
+    drawn = empty_figure("excitation", 2.9)
+    (panel,) = drawn.panels
+    panel.y.log = True
+    shift = np.linspace(-0.28, 0.28, len(fits)) if len(fits) > 1 else np.zeros(1)
+    frequency = [fit.frequency_hz for fit in fits]
+    scale = Scale(
+        "cividis", min(frequency), max(frequency) if len(fits) > 1 else min(frequency) + 1.0, "frequency / Hz"
+    )
+    singular = [fit.excitation.singular for fit in fits]
+    number = np.concatenate([np.arange(1, len(own) + 1) + beside for own, beside in zip(singular, shift, strict=True)])
+    values = np.repeat(frequency, [len(own) for own in singular])
+    panel.points(number, np.concatenate(singular), values=values, scale=scale)
+    panel.rule(MIN_SINGULAR, "least that determines", colour=RED, width=1.0, dashed=True)
+    panel.x.ticks = tuple(range(1, 7))
+    panel.x.label, panel.y.label = "independent excitation", "amplitude / standard uncertainty"
+    caption = (
+        "Singular values of the loads of all recordings: amplitude of each independent load in its standard "
+        "uncertainties. Six above the line determine the whole matrix."
+    )
+    return drawn.with_title("Independent excitations", caption)
+
+
+def _right_end(frequency_hz: FloatArray) -> float:
+    """Right end of the frequency axis."""
+    return 1.06 * float(frequency_hz.max(initial=1.0))
+
+
+def _draw_between(panels: Sequence[Panel], behind: Iterable[tuple[SensitivityCurve, int]], factor: float) -> None:
+    """Draw the interpolated element with its U, of the first curve that has enough points."""
+    for curve, element in behind:
+        usable = np.isfinite(curve.value[:, element])
+        if np.count_nonzero(usable) < MIN_POINTS:
+            continue
+        known, one = curve.frequency_hz[usable], curve.uncertainty.at([element])
+        alone = replace(curve, elements=(curve.elements[element],), value=curve.value[:, [element]], uncertainty=one)
+        fine = interpolate(alone, np.linspace(float(known.min()), float(known.max()), BETWEEN_POINTS))
+        found = [(f, row[0]) for f, row in zip(fine.frequency_hz, curve_elements(fine), strict=True)]
+        frequency = [f for f, element in found if element is not None]
+        bars = polar_bars([element for _, element in found if element is not None], factor)
+        for panel, value, expanded in zip(panels, *bars, strict=True):
+            panel.line(frequency, value, "interpolated, U", colour=SKY, width=0.9)
+            panel.band(frequency, value - expanded, value + expanded, "interpolated, U", colour=SKY)
+        return
+
+
+def _draw_bars(
+    panel: Panel, frequency: FloatArray, kinds: Sequence[str], value: FloatArray, expanded: FloatArray
+) -> None:
+    """Points of the curve with error bars: dots for single recordings, diamonds for elements of the matrix."""
+    looks = {
+        "ratio": ("circle", BLUE, "ratio, U"),
+        "element": ("circle", BLUE, "element, U"),
+        "matrix": ("diamond", ORANGE, "matrix element, U"),
+    }
+    for kind, (marker, colour, label) in looks.items():
+        own = np.array([other == kind for other in kinds])
+        if own.any():
+            place = frequency[own] - (0.0 if kind == "matrix" or own.all() else BESIDE_SHARE * _right_end(frequency))
+            panel.points(place, value[own], label, half_y=expanded[own], colour=colour, marker=marker)
+
+
+def _draw_mountings(panel: Panel, recorded: Sequence[tuple[float, str]], off: FloatArray, right: float) -> None:
+    """Single recordings of given frequency and mounting, off the curve (R,), each mounting beside its frequency."""
+    mountings, all_hz = (np.array(column) for column in ([m for _, m in recorded], [f for f, _ in recorded]))
+    names = np.unique(mountings)
+    step = right * min(SPREAD_SHARE, SPREAD_OVER / len(names))
+    for place, mounting in enumerate(names):
+        own = mountings == mounting
+        label = f"mounting {mounting}" if place < IN_LEGEND else f"{len(names) - IN_LEGEND} more mountings"
+        marker = MOUNTING_MARKERS[place % len(MOUNTING_MARKERS)]
+        told = (f"mounting {mounting}",) * int(own.sum())
+        frequency = all_hz[own] + step * (place + 1)
+        panel.points(frequency, off[own], label, colour=BLACK, marker=marker, open=True, size=3.8, names=told)
+    panel.rule(0.0, colour=GREY)
+
+
+def _map(found: CrossTalk) -> FloatArray:
+    """Return size or upper bound (C, 6) of every element in per cent, NaN at the main ones."""
+    size = 100.0 * np.abs(found.value)
+    bound = np.where(found.holds_zero, size + 100.0 * found.half_axis, size)
+    bound[np.arange(len(found.main)), list(found.main)] = np.nan
+    return bound
+
+
+def _draw_map(panel: Panel, found: CrossTalk, scale: Scale) -> None:
+    """One map with its numbers: an upper bound where the region holds zero."""
+    shown = _map(found)
+    i, j = (place.ravel() for place in np.indices(shown.shape))
+    names = [f"output {found.channels[a]} under {found.components[b]}" for a, b in zip(i, j, strict=True)]
+    ends = (j - 0.48, j + 0.48), (i - 0.48, i + 0.48)
+    panel.boxes(*ends, values=shown.ravel(), scale=scale, names=tuple(names))
+    span = np.log(scale.high / scale.low)
+    for place in np.ndindex(shown.shape):
+        size, dark = float(shown[place]), False
+        text = "1" if found.main[place[0]] == place[1] else "–"
+        if np.isfinite(size):
+            digits = f"{size:#.2g}".removesuffix(".") if size >= 1e-4 else f"{size:.0e}"
+            text = f"< {digits}" if found.holds_zero[place] else digits
+            dark = bool(np.log(max(size, scale.low) / scale.low) > DARK_ABOVE * span)
+        panel.text(place[1], place[0], text, colour=WHITE if dark else DARK if np.isfinite(size) else BLACK)
+    panel.x.names, panel.y.names = tuple(found.components), tuple(found.channels)
+    panel.x.grid = panel.y.grid = False
+    panel.title = f"{found.frequency_hz:.6g} Hz: outputs down, loads across, per cent"

@@ -1,0 +1,288 @@
+"""One driven line of one recording as several recordings are compared: load, outputs, and which unknowns they share."""
+
+from __future__ import annotations
+
+import os
+import pickle
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from typing import IO, TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+
+from fusion.estimation.uncertainty import Contribution, Distribution, Influence, Kind, Scope, Uncertainty
+from fusion.phasors.timing import Grid
+from shaker.arrays import ComplexArray, FloatArray, IntArray, check_shape
+
+if TYPE_CHECKING:
+    from fusion.instruments.channel import Outputs
+    from fusion.sensitivity.analyse import Evaluation
+    from fusion.sensitivity.load_phasors import LoadResult
+
+
+Kept = TypeVar("Kept")
+Numbers = tuple[tuple[Contribution, ...], FloatArray]
+UnknownDescription = tuple[str, str, float, str, Scope, Kind, float, Distribution]
+"""An unknown without its effect: name, label, standard uncertainty, unit, scope, type, degrees of freedom, kind."""
+
+
+class LazyUncertainty(Uncertainty):
+    """An uncertainty whose influences are made when they are asked for.
+
+    Between two uses there are the random contributions and one table `effects` (E, K, 2C), in memory or on a shelf;
+    what else is known of an unknown, `about` (E), is there once wherever it acts. Objects take five times the memory.
+    """
+
+    descriptions: tuple[UnknownDescription, ...]
+    numbers: Callable[[], Numbers]
+
+    def __init__(self, about: tuple[UnknownDescription, ...], numbers: Callable[[], Numbers]) -> None:
+        object.__setattr__(self, "about", about)
+        object.__setattr__(self, "numbers", numbers)
+
+    @classmethod
+    def of(cls, known: Uncertainty) -> LazyUncertainty:
+        """Return a known uncertainty, stored in memory."""
+        influences = known.influences
+        own = ((i.name, i.label, i.u, i.unit, i.scope, i.type, i.dof, i.distribution) for i in influences)
+        effects = np.array([influence.effect for influence in influences])
+        return cls(tuple(intern_unknown(*about) for about in own), partial(identity, (known.random, effects)))
+
+    @property
+    def random(self) -> tuple[Contribution, ...]:
+        """Return the random contributions."""
+        return self.numbers()[0]
+
+    @property
+    def influences(self) -> tuple[Influence, ...]:
+        """Return the influences."""
+        pairs = zip(self.descriptions, self.numbers()[1], strict=True)
+        return tuple(Influence(*about[:4], effect, *about[4:]) for about, effect in pairs)
+
+    def _mapped(
+        self, of_covariance: Callable[[FloatArray], FloatArray], of_effect: Callable[[FloatArray], FloatArray]
+    ) -> LazyUncertainty:
+        random, effects = self.numbers()
+        mapped = tuple(replace(part, covariance=of_covariance(part.covariance)) for part in random)
+        effects = np.ascontiguousarray(of_effect(effects)) if self.descriptions else effects
+        return LazyUncertainty(self.descriptions, partial(identity, (mapped, effects)))
+
+
+def identity(kept: Kept) -> Kept:
+    """Return what is kept, for those that ask for it by a call."""
+    return kept
+
+
+@lru_cache(maxsize=4096)
+def intern_unknown(*about: *UnknownDescription) -> UnknownDescription:
+    """Return the same object for the same unknown."""
+    return about
+
+
+class DiskStore:
+    """Uncertainties of thousands of drives in a file, which is gone when it is closed."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
+
+    def put(self, drive: ExcitedLine) -> ExcitedLine:
+        """Return a drive whose uncertainties are on the shelf."""
+        load, outputs = (self._put(u) for u in (drive.load_uncertainty, drive.outputs_uncertainty))
+        return replace(drive, load_uncertainty=load, outputs_uncertainty=outputs)
+
+    def store(self, kept: Kept) -> Callable[[], Kept]:
+        """Put anything on the shelf and return what takes it from there."""
+        place = self._file.seek(0, os.SEEK_END)
+        pickle.dump(kept, self._file, protocol=pickle.HIGHEST_PROTOCOL)
+        return partial(self._get, place)
+
+    def _put(self, known: Uncertainty) -> LazyUncertainty:
+        stored = known if isinstance(known, LazyUncertainty) else LazyUncertainty.of(known)
+        return LazyUncertainty(stored.descriptions, self.store(stored.numbers()))  # which may come from this file
+
+    def _get(self, place: int) -> Any:
+        self._file.seek(place)
+        return pickle.load(self._file)
+
+
+LOADS = 6
+FREQUENCY_TOLERANCE = 0.01
+"""Relative width of a group of lines taken as one frequency: a multi-axis shaker drives several lines side by side."""
+
+
+@dataclass(frozen=True)
+class ExcitedLine:
+    """One driven line (its fundamental) of one recording.
+
+    `mounting`: recordings with another text were mounted anew. `direction`: 3 or 6 numbers of the excitation. `load`
+    (6,) in N and N·m, whole, with the uncertainty of what nobody observed, `observed` (6,): which of its components are
+    results; `outputs` (C,) in the sensor's unit, NaN
+    where a channel has no usable reading; their uncertainties have one line (K = 1) and the names of the recording.
+    `grids`: where trigger edges fall between the samples of every block, none where that is not known or does not
+    stay; `start`: the first recording of which they are the same (`with_starts`), this one where empty.
+    """
+
+    recording: str
+    mounting: str
+    frequency_hz: float
+    nominal_hz: float
+    direction: tuple[float, ...]
+    load: ComplexArray
+    load_uncertainty: Uncertainty
+    outputs: ComplexArray
+    outputs_uncertainty: Uncertainty
+    channels: tuple[str, ...]
+    grids: tuple[Grid, ...] = ()
+    start: str = ""
+    observed: tuple[bool, ...] = (True,) * LOADS
+
+    def __post_init__(self) -> None:
+        channels = len(self.channels)
+        check_shape("load", self.load, (LOADS,))
+        check_shape("outputs", self.outputs, (channels,))
+        check_shape("load_uncertainty", self.load_uncertainty.random[0].covariance, (1, 2 * LOADS, 2 * LOADS))
+        check_shape(
+            "outputs_uncertainty", self.outputs_uncertainty.random[0].covariance, (1, 2 * channels, 2 * channels)
+        )
+
+    def output(self, channel: str) -> complex:
+        """Return the reading of a channel, NaN where there is none."""
+        known = channel in self.channels
+        return complex(self.outputs[self.channels.index(channel)]) if known else complex(np.nan, np.nan)
+
+    def campaign_uncertainties(self) -> tuple[Uncertainty, Uncertainty]:
+        """Return the uncertainties of load and outputs with the names that hold between recordings."""
+        names = self.recording, self.mounting, self.start
+        return with_campaign_names(self.load_uncertainty, *names), with_campaign_names(self.outputs_uncertainty, *names)
+
+
+def excited_lines_of(evaluation: Evaluation) -> tuple[ExcitedLine, ...]:
+    """Return the driven lines of a recording, none without a load, an output or a stated direction."""
+    manifest, load, outputs = evaluation.manifest, evaluation.load, evaluation.outputs
+    if load is None or outputs is None or manifest.excitation.direction is None:
+        return ()
+    lines, direction = evaluation.lines, manifest.excitation.direction
+    names, clocks = (manifest.name, manifest.mounting), [c for c in evaluation.clocks if c.trigger is not None]
+    grids = tuple(clock.grid for clock in clocks if clock.grid is not None)
+    driven = excited_lines(*names, direction, lines.nominal_hz, lines.multiple, load, outputs)
+    return tuple(replace(drive, grids=grids if len(grids) == len(clocks) else ()) for drive in driven)
+
+
+def excited_lines(
+    recording: str,
+    mounting: str,
+    direction: Sequence[float],
+    nominal_hz: FloatArray,
+    multiple: IntArray,
+    load: LoadResult,
+    outputs: Outputs,
+) -> tuple[ExcitedLine, ...]:
+    """Return the drives of one recording: its lines of multiple 1 at which the load is known.
+
+    `nominal_hz`, `multiple` (K,): of the lines of `load` and `outputs`.
+    """
+    driven = np.flatnonzero((multiple == 1) & np.isfinite(load.value).all(axis=1))
+    return tuple(
+        ExcitedLine(
+            recording=recording,
+            mounting=mounting,
+            frequency_hz=float(load.frequency_hz[line]),
+            nominal_hz=float(nominal_hz[line]),
+            direction=tuple(float(number) for number in direction),
+            load=load.value[line],
+            load_uncertainty=LazyUncertainty.of(load.uncertainty.at_lines([line])),
+            outputs=outputs.phasors.value[line],
+            outputs_uncertainty=LazyUncertainty.of(outputs.uncertainty.at_lines([line])),
+            channels=outputs.phasors.channels,
+            observed=tuple(load.observed[line].tolist()),
+        )
+        for line in driven.tolist()
+    )
+
+
+def with_starts(drives: Iterable[ExcitedLine]) -> tuple[ExcitedLine, ...]:
+    """Return all drives of a campaign with the names of their `start` (`start_names`)."""
+    named = tuple(drives)
+    starts = start_names({drive.recording: drive.grids for drive in named})
+    return tuple(replace(drive, start=starts[drive.recording]) for drive in named)
+
+
+def start_names(grids: Mapping[str, tuple[Grid, ...]]) -> dict[str, str]:
+    """Return for every recording of a campaign the first one whose `grids` are all alike, itself where they differ.
+
+    What sampled edges leave open of instants is one error of all these recordings, which no mean takes off.
+    """
+    # Firsts by where their edges begin, in steps that no two grids alike are further apart than.
+    step_s = max((grid.sample_s for own in grids.values() for grid in own), default=1.0) / 2.0
+    places: dict[int, list[tuple[int, str]]] = {}
+    named: dict[str, str] = {}
+    for number, (recording, own) in enumerate(grids.items()):
+        step = int(own[0].start_s // step_s) if own else 0
+        near = sorted(first for k in (-1, 0, 1) for first in places.get(step + k, ())) if own else []
+        named[recording] = next((first for _, first in near if _start_alike(grids[first], own)), recording)
+        if own and named[recording] == recording:
+            places.setdefault(step, []).append((number, recording))
+    return named
+
+
+def _start_alike(first: tuple[Grid, ...], other: tuple[Grid, ...]) -> bool:
+    """Whether two recordings have the same grids."""
+    return len(first) == len(other) > 0 and all(map(Grid.like, first, other))
+
+
+def with_campaign_names(uncertainty: Uncertainty, recording: str, mounting: str, start: str = "") -> Uncertainty:
+    """Return the uncertainty with every unknown under the name that identifies it among all recordings of a campaign.
+
+    An unknown of the rig keeps its name; one of the mounting is the same in recordings of equal `mounting` only, one of
+    the start in those of equal `start` only (empty: in this one), one of the recording in this recording only. The
+    names are final: all scopes become "rig".
+    """
+    suffix = {
+        "rig": "",
+        "mounting": f" [{mounting}]",
+        "recording": f" [{recording}]",
+        "start": f" [{start or recording}]",
+    }
+    if isinstance(uncertainty, LazyUncertainty):
+        about: list[UnknownDescription] = [
+            (f"{a[0]}{suffix[a[4]]}", a[1], a[2], a[3], "rig", *a[5:]) for a in uncertainty.descriptions
+        ]
+        return LazyUncertainty(tuple(about), uncertainty.numbers)
+    influences = [replace(i, name=f"{i.name}{suffix[i.scope]}", scope="rig") for i in uncertainty.influences]
+    return replace(uncertainty, influences=tuple(influences))
+
+
+def join_lines(parts: Sequence[Uncertainty]) -> Uncertainty:
+    """Return uncertainties of the same C values at single lines, joined to one of K lines, unknowns of one name as one.
+
+    Names must hold between the recordings that the parts come from (`between_recordings`).
+    """
+    lines, size = len(parts), parts[0].random[0].covariance.shape[1]
+    random: dict[str, Contribution] = {}
+    influences: dict[str, Influence] = {}
+    for line, part in enumerate(parts):
+        for own in Uncertainty(part.random).grouped():
+            known = random.get(own.label)
+            if known is None:
+                empty = np.zeros((lines, size, size))
+                known = random[own.label] = Contribution(own.label, own.type, empty, np.full(lines, np.inf))
+            known.covariance[line] = own.covariance[0]
+            if own.dof is not None and known.dof is not None:
+                known.dof[line] = own.dof[0]
+        for influence in part.influences:
+            if influence.name not in influences:
+                influences[influence.name] = replace(influence, effect=np.zeros((lines, size)))
+            influences[influence.name].effect[line] = influence.effect[0]
+    return Uncertainty(tuple(random.values()), tuple(influences.values()))
+
+
+def group_by_frequency(drives: Sequence[ExcitedLine]) -> tuple[tuple[ExcitedLine, ...], ...]:
+    """Return the drives in groups of one frequency, ascending, each 1 % wide at most."""
+    groups: list[list[ExcitedLine]] = []
+    for drive in sorted(drives, key=lambda drive: drive.frequency_hz):
+        if groups and drive.frequency_hz <= groups[-1][0].frequency_hz * (1.0 + FREQUENCY_TOLERANCE):
+            groups[-1].append(drive)
+        else:
+            groups.append([drive])
+    return tuple(tuple(group) for group in groups)

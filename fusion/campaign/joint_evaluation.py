@@ -1,0 +1,387 @@
+"""What the recordings of a campaign say together."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+from typing import TypeVar
+
+import numpy as np
+from markupsafe import Markup
+
+from fusion.base import DASH
+from fusion.campaign.curve import (
+    CurvePoint,
+    Linearity,
+    SensitivityCurve,
+    curve_elements,
+    find_linearity,
+    matrix_curve,
+    ratio_curves,
+    relative_curve,
+)
+from fusion.campaign.excited_line import ExcitedLine, group_by_frequency, with_starts
+from fusion.campaign.matrix import CrossTalk, MatrixFit, cross_talk, fit_matrix
+from fusion.campaign.matrix_solve import MissingExcitationError
+from fusion.campaign.recording_results import RecordingResults, SensorFacts
+from fusion.campaign.repeats import RepeatMean, cached_mean_ratio, find_repeats, frequencies_text, repeat_notices
+from fusion.campaign.unknowns import JointUnknown, apply_joint_estimate
+from fusion.report.table import (
+    Headline,
+    Table,
+    TableColumn,
+    capitalise,
+    common_exponent,
+    page_column,
+    polar_cells,
+    quantity_html,
+    scaled_html,
+    sensitivity_unit,
+    small,
+    table,
+    times_ten,
+)
+from fusion.report.tables import deviation, result_name
+from shaker.labels import LOAD_COMPONENTS
+from shakercal._common.notices import Notice, Severity
+
+# What the recordings of a campaign say together: matrices, cross-talk, repeats, linearity, one curve per element.
+
+
+Joint = TypeVar("Joint")
+P = TypeVar("P")
+
+
+@dataclass(frozen=True)
+class CampaignEvaluation:
+    """All that several recordings of one sensor yield together.
+
+    `name` of the campaign; `recorded`: what could be evaluated, in order; `failed`: why others could not, by folder;
+    `curves`: ratios by driven component, the sensor's elements likewise where its matrix is stated, elements of
+    matrices; `relative`: each over its static sensitivity, None where none is stated; `repeats`: every excitation that
+    was recorded more than once; `matrices` and `cross_talks` (none where rated loads are not stated): one per frequency
+    that determines a matrix; `refused`: why the other frequencies do not; `unknowns`: what all say together of those
+    of the rig, none where nothing of it is in the loads.
+    """
+
+    name: str
+    recorded: tuple[RecordingResults, ...]
+    failed: Mapping[str, str]
+    sensor: SensorFacts | None
+    curves: tuple[SensitivityCurve, ...]
+    relative: tuple[SensitivityCurve | None, ...]
+    repeats: tuple[RepeatMean, ...]
+    linearity: tuple[Linearity, ...]
+    matrices: tuple[MatrixFit, ...]
+    cross_talks: tuple[CrossTalk, ...]
+    refused: tuple[Notice, ...]
+    notices: tuple[Notice, ...]
+    unknowns: tuple[JointUnknown, ...] = ()
+
+    @property
+    def excited_lines(self) -> tuple[ExcitedLine, ...]:
+        """Return the driven lines of all recordings."""
+        return tuple(drive for entry in self.recorded for drive in entry.excited_lines)
+
+
+def evaluate_campaign(
+    name: str,
+    recorded: Sequence[RecordingResults],
+    failed: Mapping[str, str],
+    keep: Callable[[ExcitedLine], ExcitedLine] = lambda d: d,
+) -> CampaignEvaluation:
+    """Evaluate the recordings of a campaign together, in the order given.
+
+    A name that occurs twice gets the folder's beside it, since unknowns of single recordings are known by the
+    recording's name. Recordings of several sensors have nothing to say together. `keep`: where drives are put whose
+    load the campaign knows better than their recording.
+    """
+    known, sensor, unknowns, notices = _joined(name, recorded, failed, keep)
+    driven = [drive for entry in known for drive in entry.excited_lines] if sensor is not None else []
+    capacity = None if sensor is None or sensor.capacity is None else sensor.capacity.tolist()
+    matrices, refused = _fit_matrices(driven, () if sensor is None else sensor.channels)
+    notices += [notice for notice in refused if notice.severity == "warning"]
+    mean = cached_mean_ratio()
+    ratios = _attempt("curves of ratios", lambda: ratio_curves(driven, capacity, None, mean), notices)
+    stated = None if sensor is None else sensor.stated_matrix
+    elements: tuple[SensitivityCurve, ...] = ()
+    if stated is not None:
+        elements = _attempt("curves of elements", lambda: ratio_curves(driven, capacity, stated, mean), notices)
+    alike = _attempt("means of repeats", lambda: find_repeats(driven, capacity, stated, mean), notices)
+    series = _attempt("linearity", lambda: find_linearity(driven, capacity, stated), notices)
+    # The matrices of all frequencies are one curve for each set of outputs that they have.
+    sets = dict.fromkeys(fit.channels for fit in matrices)
+    joint = (matrix_curve([fit for fit in matrices if fit.channels == channels]) for channels in sets)
+    curves = (*ratios, *elements, *joint)
+    repeats = tuple(mean for mean in alike if len(mean.recordings) > 1)
+    notices += [notice for fit in matrices for notice in fit.notices]
+    notices += repeat_notices(repeats)
+    once = len(alike) - len(repeats)
+    if once:
+        what, whose = ("was", "its") if once == 1 else ("were", "their")
+        text = f"{once} of {len(alike)} excitations {what} recorded once: repeatability and what mounting anew changes "
+        text += f"are not assessed and not in {whose} U"
+        notices.append(Notice("note", text, "repeats"))
+    return CampaignEvaluation(
+        name=name,
+        recorded=known,
+        failed=dict(failed),
+        sensor=sensor,
+        curves=curves,
+        relative=tuple(_over_static(curve, sensor) for curve in curves),
+        repeats=repeats,
+        linearity=series,
+        matrices=matrices,
+        cross_talks=() if capacity is None else tuple(cross_talk(fit, capacity) for fit in matrices),
+        refused=refused,
+        notices=tuple(notices),
+        unknowns=unknowns,
+    )
+
+
+def _joined(
+    name: str,
+    recorded: Sequence[RecordingResults],
+    failed: Mapping[str, str],
+    keep: Callable[[ExcitedLine], ExcitedLine],
+) -> tuple[tuple[RecordingResults, ...], SensorFacts | None, tuple[JointUnknown, ...], list[Notice]]:
+    """Return recordings under names and with loads that hold in the campaign, its sensor, its unknowns, and notices."""
+    count = Counter(entry.name for entry in recorded)
+    known = []
+    for entry in recorded:
+        name_known = entry.name if count[entry.name] == 1 else f"{entry.name} [{entry.folder}]"
+        drives = tuple(replace(drive, recording=name_known) for drive in entry.excited_lines)
+        known.append(replace(entry, name=name_known, excited_lines=drives))
+    started = iter(with_starts(drive for entry in known for drive in entry.excited_lines))
+    known = [replace(entry, excited_lines=tuple(islice(started, len(entry.excited_lines)))) for entry in known]
+    sensors = {(entry.sensor.name, entry.sensor.serial): entry.sensor for entry in known if entry.sensor is not None}
+    sensor = next(iter(sensors.values())) if len(sensors) == 1 else None
+    notices = []
+    if len(sensors) > 1:
+        tested = ", ".join(f"{name} {serial}".strip() for name, serial in sensors)
+        text = f"the recordings tested several sensors ({tested}): no joint sensitivity; a campaign has one sensor"
+        notices.append(Notice("warning", text, "campaign"))
+    if failed:
+        text = f"{len(failed)} of the recordings could not be evaluated and are in no result: {', '.join(failed)}"
+        notices.append(Notice("warning", text, "campaign"))
+    carried, unknowns, told = apply_joint_estimate(name, known, keep)
+    return carried, sensor, unknowns, [*notices, *told]
+
+
+def _attempt(what: str, make: Callable[[], tuple[Joint, ...]], notices: list[Notice]) -> tuple[Joint, ...]:
+    """Return joint results, or say why there are none: recordings that do not fit together keep their own results."""
+    try:
+        return make()
+    except ValueError as error:
+        notices.append(Notice("warning", f"no {what}: {error}", "campaign"))
+        return ()
+
+
+def _over_static(curve: SensitivityCurve, sensor: SensorFacts | None) -> SensitivityCurve | None:
+    static = None if sensor is None else sensor.static_of(curve.channels)
+    return (
+        None
+        if sensor is None or static is None
+        else relative_curve(curve, static, sensor.stated_matrix.u_elements(static))
+    )
+
+
+def main_channel(evaluation: CampaignEvaluation, channels: Sequence[str], component: int) -> int:
+    """Return which of the outputs belongs to a load component.
+
+    The one of the same name, else the largest by static sensitivity, else the largest found.
+    """
+    if LOAD_COMPONENTS[component] in channels:
+        return list(channels).index(LOAD_COMPONENTS[component])
+    static = None if evaluation.sensor is None else evaluation.sensor.static_of(channels)
+    if static is not None:
+        return int(np.argmax(np.abs(static[:, component])))
+    size = np.zeros(len(channels))
+    for curve in evaluation.curves:
+        for e, (channel, j) in enumerate(curve.elements):
+            if j == component and curve.channels[channel] in channels:
+                place = list(channels).index(curve.channels[channel])
+                size[place] = max(size[place], float(np.nanmax(np.abs(curve.value[:, e]), initial=0.0)))
+    return int(np.argmax(size))
+
+
+def _fit_matrices(
+    drives: Sequence[ExcitedLine], channels: Sequence[str]
+) -> tuple[tuple[MatrixFit, ...], tuple[Notice, ...]]:
+    """Return the matrix of every frequency that determines one, and why the others do not.
+
+    Ratios need no matrix, so that missing excitations are worth a remark; a fit that fails is a surprise.
+    """
+    fits: list[MatrixFit] = []
+    refused: dict[tuple[Severity, str], list[float]] = {}
+    recorded = [name for name in channels if any(name in drive.channels for drive in drives)]
+    for group in group_by_frequency(drives):
+        try:
+            fits.append(fit_matrix(group, recorded))
+        except MissingExcitationError as error:
+            reason = "the recordings excite too few independent loads; " + str(error).partition("; ")[2]
+            refused.setdefault(("note", reason), []).append(group[0].frequency_hz)
+        except ValueError as error:
+            refused.setdefault(("warning", str(error)), []).append(group[0].frequency_hz)
+    notices = []
+    for (severity, reason), places in refused.items():
+        notices.append(Notice(severity, f"no matrix at {frequencies_text(places)}: {reason}", "matrix"))
+    return tuple(fits), tuple(notices)
+
+
+# The curves of a campaign as points: magnitude and phase of every element at every frequency, and of recordings.
+
+
+def curve_points(evaluation: CampaignEvaluation) -> tuple[CurvePoint, ...]:
+    """Return all points of all curves: curve by curve, frequencies ascending."""
+    mounting = {entry.name: entry.mounting for entry in evaluation.recorded}
+    unit = "" if evaluation.sensor is None else evaluation.sensor.unit
+    points = []
+    for curve, relative in zip(evaluation.curves, evaluation.relative, strict=True):
+        ratios = [] if relative is None else zip(*curve_elements(relative), strict=True)
+        over_static = {} if relative is None else dict(zip(relative.elements, ratios, strict=True))
+        for k, row in enumerate(curve_elements(curve)):
+            mountings = len({mounting[name] for name in curve.recordings[k]})
+            for (c, j), element in zip(curve.elements, row, strict=True):
+                if element is None:
+                    continue
+                points.append(
+                    CurvePoint(
+                        frequency_hz=float(curve.frequency_hz[k]),
+                        channel=curve.channels[c],
+                        component=LOAD_COMPONENTS[j],
+                        unit=sensitivity_unit(unit, LOAD_COMPONENTS[j]),
+                        element=element,
+                        relative=over_static[c, j][k] if (c, j) in over_static else None,
+                        recordings=len(curve.recordings[k]),
+                        mountings=mountings,
+                        kind=curve.kind,
+                    )
+                )
+    return tuple(points)
+
+
+# The curves of a campaign on its page: headlines and tables.
+
+
+FULL_HEADLINES = 2
+"""Number of driven components up to which the end of the curve has a headline, too."""
+
+
+def main_points(evaluation: CampaignEvaluation, points: Sequence[CurvePoint]) -> dict[str, list[CurvePoint]]:
+    """Return the points of the outputs that belong to their load, by component: ratios before elements of matrices."""
+    found: dict[str, list[CurvePoint]] = {}
+    for place, component in enumerate(LOAD_COMPONENTS):
+        own = [point for point in points if point.component == component]
+        channels = list(dict.fromkeys(point.channel for point in own))
+        if own:
+            main = channels[main_channel(evaluation, channels, place)]
+            found[component] = [point for point in own if point.channel == main]
+    return found
+
+
+def headlines(evaluation: CampaignEvaluation, mains: dict[str, list[CurvePoint]]) -> list[Headline]:
+    """The results to remember: every main sensitivity at its lowest frequency, its course, the largest cross-talk."""
+    found = []
+    for points in mains.values():
+        best = best_points(points)
+        first, last = best[0], best[-1]
+        expanded = [100.0 * point.element.expanded_magnitude / point.element.magnitude for point in best]
+        remark = f"U = {small(expanded[0])} % (k = {first.element.k:.2f}), {first.kind}"
+        if first.relative is not None:
+            remark += f"; from static: {deviation(first.relative)}"
+        name = result_name(first.kind, first.channel, first.component, main=True)
+        name = capitalise(name) if first.kind == "ratio" else f"Sensitivity {name}"
+        label = f"{name}, {first.frequency_hz:.4f} Hz"
+        size = quantity_html(first.element.magnitude, first.element.expanded_magnitude, first.unit)
+        found.append(Headline(label, size, remark))
+        if len(mains) > FULL_HEADLINES or len(best) < 2:
+            continue
+        if last.relative is not None:
+            label = f"Deviation from static at {last.frequency_hz:.4f} Hz"
+            remark = f"U of the curve's magnitudes: {small(min(expanded))} % to {small(max(expanded))} %"
+            found.append(Headline(label, deviation(last.relative), remark))
+        turn = quantity_html(last.element.phase_rad, last.element.expanded_phase_rad, "rad")
+        remark = f"{last.channel} to {last.component}, {last.kind}"
+        found.append(Headline(f"Phase at {last.frequency_hz:.4f} Hz", turn, remark))
+    return [*found, *_scatter_headline(evaluation), *_crosstalk_headline(evaluation)]
+
+
+def best_points(points: Sequence[CurvePoint]) -> list[CurvePoint]:
+    """Return the points of the `best_kind`, ascending in frequency."""
+    return sorted(best_kind(points, lambda point: point.kind), key=lambda point: point.frequency_hz)
+
+
+def best_kind(points: Sequence[P], kind_of: Callable[[P], str]) -> list[P]:
+    """Return those of the points of one element over frequency whose kind comes nearest to the sensor's sensitivity.
+
+    Elements of matrices, unless single recordings give elements, or else ratios, at more frequencies.
+    """
+    kinds = {kind: [point for point in points if kind_of(point) == kind] for kind in ("matrix", "element", "ratio")}
+    single = kinds["element"] or kinds["ratio"]
+    return single if len(single) > len(kinds["matrix"]) else kinds["matrix"]
+
+
+def curve_tables(mains: dict[str, list[CurvePoint]]) -> list[Table]:
+    """One table per main element over frequency, ratios first, its unit in the head."""
+    tables = []
+    for points in mains.values():
+        first = points[0]
+        exponent = common_exponent(np.array([complex(point.element.re, point.element.im) for point in points]))
+        columns = _curve_columns(exponent, Markup("magnitude / {}").format(times_ten(exponent, first.unit)))
+        kinds = ("ratio", "element", "matrix")
+        ordered = sorted(points, key=lambda point: (kinds.index(point.kind), point.frequency_hz))
+        caption = f"Output {first.channel} per load {first.component} with U = k·u (95 %)"
+        tables.append(table(caption, columns, ordered))
+    return [one for one in tables if one is not None]
+
+
+def _curve_columns(exponent: int, magnitude: str) -> list[TableColumn[CurvePoint]]:
+    """Columns of a table of points, magnitudes in units of a power of ten."""
+
+    def from_static(point: CurvePoint) -> str:
+        over = point.relative
+        return DASH if over is None else scaled_html(100.0 * (over.magnitude - 1.0), 100.0 * over.expanded_magnitude, 0)
+
+    return [
+        page_column("frequency / Hz", lambda point: f"{point.frequency_hz:.4f}"),
+        page_column(magnitude, lambda point: polar_cells(point.element, exponent)[0]),
+        page_column("phase / rad", lambda point: polar_cells(point.element, exponent)[1]),
+        page_column("from static / %", from_static),
+        page_column("k", lambda point: polar_cells(point.element, exponent)[2]),
+        page_column("kind", lambda point: point.kind, "l"),
+        page_column("recordings (mountings)", lambda point: f"{point.recordings} ({point.mountings})"),
+    ]
+
+
+def _scatter_headline(evaluation: CampaignEvaluation) -> list[Headline]:
+    """What mounting anew changes, over all excitations that were mounted more than once."""
+    known = [found for found in evaluation.repeats if found.between_dof and found.within_dof]
+    if not known:
+        return []
+    places = [main_channel(evaluation, found.channels, found.component) for found in known]
+    sizes = [
+        float(np.sqrt(np.mean([value[place] ** 2 for value, place in zip(values, places, strict=True)])))
+        for values in ([found.between for found in known], [found.within for found in known])
+    ]
+    remark = f"a recording: {small(100.0 * sizes[1])} %; rms of {len(known)} excitations, beyond what is stated"
+    return [Headline("Mounting anew, standard deviation", f"{small(100.0 * sizes[0])} %", remark)]
+
+
+def _crosstalk_headline(evaluation: CampaignEvaluation) -> list[Headline]:
+    """The largest cross-talk that has been shown."""
+    best: tuple[float, CrossTalk, int, int] | None = None
+    for found in evaluation.cross_talks:
+        least = np.where(found.holds_zero, -np.inf, np.abs(found.value) - found.half_axis)
+        least[np.arange(len(found.main)), list(found.main)] = -np.inf
+        place = divmod(int(np.argmax(least)), least.shape[1])
+        if np.isfinite(least[place]) and (best is None or least[place] > best[0]):
+            best = float(least[place]), found, *place
+    if best is None:
+        return []
+    _, found, c, j = best
+    size = quantity_html(100.0 * abs(found.value[c, j]), 100.0 * float(found.half_axis[c, j]), "%")
+    where = f"output {found.channels[c]} under {found.components[j]}, {found.frequency_hz:.4f} Hz"
+    return [Headline("Largest cross-talk that is certain", size, where)]

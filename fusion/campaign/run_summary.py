@@ -1,0 +1,259 @@
+"""What `shakercal run` tells when it is done: the answer first, what is to be known of it once, where the files lie."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fusion.base import DASH, count_text, round_to_uncertainty
+from fusion.estimation.coverage import Polar
+from fusion.report.folder import CURVE_FILE, RESULT_FILE, SENSITIVITY_FILE, command_json
+from fusion.report.h5 import open_results, read_notices
+from fusion.report.labelled_results import CAMPAIGN_FILE
+from fusion.report.recording_report import ACCELERATION_FILE, REPORT_FILE, row_element
+from fusion.report.table import factor_text, has_phase, magnitude_phase_text, read_rows
+from fusion.report.tables import result_name
+from fusion.report.terminal import log_notices, notice_fields, print_text, stdout_console
+from shakercal._common.notices import GatheredNotice, Notice, gather
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from fusion.campaign.run import Outcome
+
+MOST_ROWS = 300  # of the sensitivity that the terminal shows
+COUNTS = "recordings (mountings)"
+NO_OUTPUT = "no sensitivity, since no output of a sensor was recorded"
+CAMPAIGN = "campaign"
+"""Whose notices those are that no single recording has."""
+Row = dict[str, str]
+
+
+def notices_of(done: Sequence[Outcome], *, campaign: bool) -> list[GatheredNotice]:
+    """Return the notices of what is done, each once, warnings first, then those of most recordings."""
+    found = gather(
+        [(one.name, _notices_in(one.folder / RESULT_FILE) if one.notices is None else one.notices) for one in done]
+    )
+    if campaign and done:
+        found = [*gather([(CAMPAIGN, _notices_in(done[0].folder.parent / CAMPAIGN_FILE))]), *found]
+    return sorted(found, key=lambda notice: notice.severity != "warning")
+
+
+def _notices_in(path: Path) -> tuple[Notice, ...]:
+    """Return the notices of a file of results; none where it is missing."""
+    if not path.is_file():
+        return ()
+    with open_results(path, "notices") as file:
+        return read_notices(file)
+
+
+def main_rows(rows: Sequence[Row]) -> list[Row]:
+    """Return of the rows of a recording's sensitivity.csv those of the main outputs at driven frequencies.
+
+    A ratio is left out where the recording gives the sensor's element. Harmonics stand in where there is nothing else.
+    """
+
+    def of(row: Row, *keys: str) -> tuple[str, ...]:
+        return tuple(row[key] for key in ("frequency_hz", "component", *keys))
+
+    own = {of(row, "channel") for row in rows if row["kind"] == "element"}
+    shown = [row for row in rows if row["kind"] != "ratio" or of(row, "channel") not in own]
+    mains = _main_channels(shown, of)
+    shown = [row for row in shown if mains[of(row)] == row["channel"]]
+    driven = [row for row in shown if row["kind"] != "harmonic"]
+    return sorted(driven or shown, key=lambda row: float(row["frequency_hz"]))
+
+
+def main_curve(rows: Sequence[Row]) -> list[Row]:
+    """Return of the rows of a curve.csv the best statement (`best_kind`) of every main element over frequency."""
+    from fusion.campaign.joint_evaluation import best_kind
+
+    mains = _main_channels(rows, lambda row: (row["component"],))
+    found: dict[str, list[Row]] = {}
+    for row in rows:
+        if mains[(row["component"],)] == row["channel"]:
+            found.setdefault(row["component"], []).append(row)
+    best = [row for of_one in found.values() for row in best_kind(of_one, lambda row: row["kind"])]
+    return sorted(best, key=lambda row: (row["component"], float(row["frequency_hz"])))
+
+
+def sensitivity_table(rows: Sequence[Row], width: int | None = None) -> Table:
+    """Return `main_rows` or `main_curve` as a table with U = k·u for 95 %, two significant digits of it.
+
+    Of a value that is not distinguishable from 0 the half-axes of its region stand in place of magnitude and phase.
+    Where the table is wider than `width` characters, columns that explain the values are left to the file.
+    """
+    from rich.table import Table
+
+    curve = "recordings" in rows[0]
+    kinds, units = {row["kind"] for row in rows}, {row["unit"] for row in rows}
+    head = "Sensitivity" if kinds & {"element", "matrix"} else "Output over load"
+    head += f" ({', '.join(kinds)})" if len(kinds) == 1 else ""
+    whose = "means of all recordings" if curve else rows[0]["recording"]
+    whose += f", the first {MOST_ROWS} of {len(rows)}" if len(rows) > MOST_ROWS else ""
+    told = [_cells_of(row) for row in rows[:MOST_ROWS]]
+    shown = [column for column in told[0] if column != "kind" or len(kinds) > 1]  # one that all share is in the title
+    for name in ("k", COUNTS, "kind", *(("unit",) if len(units) == 1 else ())):
+        if width is None or _width(told, shown) <= width:
+            break
+        shown = [column for column in shown if column != name]
+    unit = "" if "unit" in shown else f" in {units.pop()}"
+    table = Table(title=f"{head}{unit}, {whose} (U = k·u, 95 %)", title_justify="left")
+    for column in shown:
+        left = column in ("quantity", "unit", "kind")
+        table.add_column(column, justify="left" if left else "right", overflow="fold")
+    for cells in told:
+        table.add_row(*(cells[column] for column in shown))
+    return table
+
+
+def _main_channels(rows: Sequence[Row], of: Callable[[Row], tuple[str, ...]]) -> dict[tuple[str, ...], str]:
+    """Return for rows that are alike by `of` the output of the load's name, else the largest one."""
+    mains: dict[tuple[str, ...], str] = {}
+    for row in sorted(rows, key=lambda row: (row["channel"] != row["component"], -float(row["magnitude"]))):
+        mains.setdefault(of(row), row["channel"])
+    return mains
+
+
+def _width(rows: Sequence[Row], columns: Sequence[str]) -> int:
+    """Return how many characters a table of these columns takes with its lines."""
+    return 1 + sum(max(len(column), *(len(cells[column]) for cells in rows)) + 3 for column in columns)
+
+
+def _cells_of(row: Row) -> dict[str, str]:
+    """Return the cells of a sensitivity by the heads of their columns."""
+    magnitude, phase, k_factor = _values(row_element(row))
+    cells = {
+        "f / Hz": f"{float(row['frequency_hz']):.4f}",
+        "quantity": result_name(row["kind"], row["channel"], row["component"], main=True),
+        "magnitude ± U": magnitude,
+        "unit": row["unit"],
+        "phase ± U / rad": phase,
+        "k": k_factor,
+        "kind": row["kind"],
+    }
+    return {**cells, COUNTS: f"{row['recordings']} ({row['mountings']})"} if "recordings" in row else cells
+
+
+def _values(element: Polar) -> tuple[str, str, str]:
+    """Magnitude and phase with U, and k; both with the power of ten that value and U share."""
+
+    def with_u(value: float, expanded: float) -> str:
+        text = round_to_uncertainty(value, expanded)
+        pair = f"{text.value} ± {text.expanded}"
+        return f"({pair})e{text.exponent:d}" if text.exponent else pair
+
+    if not element.region.holds_zero:
+        magnitude = with_u(element.magnitude, element.expanded_magnitude)
+        k_factors = magnitude_phase_text(factor_text(element.k), factor_text(element.k_phase))
+        turned = with_u(element.phase_rad, element.expanded_phase_rad) if has_phase(element) else DASH
+        return magnitude, turned, k_factors
+    large, small = element.region.half_axes
+    first = round_to_uncertainty(large, large)
+    second = round_to_uncertainty(small, large, first.exponent)
+    pair = f"(region ± {first.value}, ± {second.value})" + (f"e{first.exponent:d}" if first.exponent else "")
+    return pair, "not distinguishable from 0", f"{element.region_factor:.2f}"
+
+
+def print_outcomes(outcomes: Sequence[Outcome], *, campaign: bool) -> None:
+    """Print what lacks a result, the main sensitivities, where the rest is, and failures; notices go to stderr."""
+    console, told = stdout_console(), list[tuple[Notice | GatheredNotice, str]]()
+    done, failed = _parted(outcomes)
+    for outcome in (one for one in done if one.missing):
+        print_text(f"{outcome.name}: {outcome.missing}" if campaign else outcome.missing)
+    if done:
+        file = _table_file(done, campaign=campaign)
+        if rows := _answer(done, campaign=campaign):
+            console.print(sensitivity_table(rows, console.width))
+            console.print(f"other outputs, harmonics, numbers in full: {file}", soft_wrap=True)
+        elif not any(one.missing for one in done):
+            console.print(f"{NO_OUTPUT}; accelerations: {file.with_name(ACCELERATION_FILE)}", soft_wrap=True)
+    if not campaign:
+        console.print(outcomes[0].summary, soft_wrap=True)
+    else:
+        console.print(tally(outcomes))
+        for outcome in failed:
+            print_text(f"{outcome.name}: {outcome.summary}")
+        if done:
+            console.print(f"report of all: {done[0].folder.parent / REPORT_FILE}", soft_wrap=True)
+    for gathered in notices_of(done, campaign=campaign):
+        single = not campaign or gathered.recordings == (CAMPAIGN,)
+        told.append((gathered, "" if single else f" ({gathered.concerned})"))
+    log_notices(told)
+
+
+def as_json(outcomes: Sequence[Outcome], *, campaign: bool) -> str:
+    """Return what `print_outcomes` tells for programs: numbers in full, every notice as it is, paths of the files."""
+    done, _ = _parted(outcomes)
+    notices = notices_of(done, campaign=campaign)
+    top = outcomes[0].folder.parent if campaign else outcomes[0].folder
+    files = [REPORT_FILE, SENSITIVITY_FILE, *([CURVE_FILE, CAMPAIGN_FILE] if campaign else [RESULT_FILE])]
+    return command_json(
+        "run",
+        sensitivity=[_entry(row) for row in (_answer(done, campaign=campaign) if done else [])],
+        notices=[
+            {**notice_fields(notice), "recordings": names} for gathered in notices for notice, names in gathered.each
+        ],
+        recordings=[
+            {
+                "name": outcome.name,
+                "state": "failed" if outcome.error else "unchanged" if outcome.resumed else "evaluated",
+                "error": None if outcome.error is None else str(outcome.error),
+                "missing": outcome.missing or None,
+                "results": None if outcome.error else str(outcome.folder),
+            }
+            for outcome in outcomes
+        ],
+        files=[str(top / name) for name in files if (top / name).is_file()],
+    )
+
+
+def _parted(outcomes: Sequence[Outcome]) -> tuple[list[Outcome], list[Outcome]]:
+    """Return what is done, and what failed."""
+    return [one for one in outcomes if one.error is None], [one for one in outcomes if one.error is not None]
+
+
+def _table_file(done: Sequence[Outcome], *, campaign: bool) -> Path:
+    """Return the table of a recording, or of a campaign's curve; of a campaign of one recording that of it."""
+    top = done[0].folder.parent if campaign else done[0].folder
+    return top / (CURVE_FILE if campaign and len(done) > 1 else SENSITIVITY_FILE)
+
+
+def _answer(done: Sequence[Outcome], *, campaign: bool) -> list[Row]:
+    """Return the main rows of that table."""
+    file = _table_file(done, campaign=campaign)
+    rows = read_rows(file)
+    return main_curve(rows) if file.name == CURVE_FILE else main_rows(rows)
+
+
+def _entry(row: Row) -> dict[str, Any]:
+    """Return one sensitivity as numbers; None where a magnitude or phase would mislead."""
+    element, zero = row_element(row), row_element(row).region.holds_zero
+    numbers = {
+        "frequency_hz": float(row["frequency_hz"]),
+        "magnitude": None if zero else element.magnitude,
+        "U_magnitude": None if zero else element.expanded_magnitude,
+        "k_magnitude": None if zero else element.k,
+        "phase_rad": element.phase_rad if has_phase(element) and not zero else None,
+        "U_phase_rad": element.expanded_phase_rad if has_phase(element) and not zero else None,
+        "k_phase": None if zero else element.k_phase,
+        "re": element.re,
+        "im": element.im,
+        "u_re": element.u_re,
+        "u_im": element.u_im,
+        "r": element.r,
+    }
+    finite = {name: value if value is not None and isfinite(value) else None for name, value in numbers.items()}
+    words = {name: row[name] for name in ("channel", "component", "kind", "unit")}
+    return {**words, **finite, "distinguishable_from_0": not zero}
+
+
+def tally(outcomes: Sequence[Outcome]) -> str:
+    """Return how many recordings were finished, were done before, and failed."""
+    failed = sum(outcome.error is not None for outcome in outcomes)
+    resumed = sum(outcome.resumed for outcome in outcomes)
+    parts = [(len(outcomes) - failed - resumed, "evaluated"), (resumed, "unchanged since the last run")]
+    told = ", ".join(f"{count} {what}" for count, what in (*parts, (failed, "failed")) if count)
+    return f"{count_text(len(outcomes), 'recording')}: {told}"

@@ -1,0 +1,231 @@
+"""Errors that end a command: wrong input of the user, and results that could not be computed."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from shakercal._common.notices import DeclaredNotice, Value, plain_value
+
+ARGUMENT = re.compile(r"^[a-z_]+(, [a-z_]+)*: (?=expected )")
+"""The name of a function's argument before its sentence, which means nothing to a user."""
+
+
+class InputError(Exception):
+    """A mistake in the user's input: its declaration, the file and key at which it is to be corrected, the values.
+
+    Attributes
+    ----------
+    declared : the declaration, with `code`, `effect` and `remedy`.
+    file : the file in which the mistake is to be corrected.
+    key : TOML key path, column or channel; empty where the file as a whole is meant.
+    values : the values of the case by name.
+    others : further mistakes of the same file or of files read with it; the sentence only counts them.
+
+    Examples
+    --------
+    >>> from fusion import InputError
+    >>> from shakercal._common.notices import DeclaredNotice
+    >>> WRONG_MASS = DeclaredNotice("SC-999", "error", "expected a number above 0, found {found}")
+    >>> print(InputError(WRONG_MASS, "rig.toml", "load.mass", found="0"))
+    SC-999 rig.toml: load.mass: expected a number above 0, found 0
+    """
+
+    def __init__(
+        self,
+        declared: DeclaredNotice | Path | str,
+        file: Path | str = "",
+        key: str = "",
+        /,
+        *legacy: str,
+        others: Iterable[InputError] = (),
+        **values: Value,
+    ) -> None:
+        if not isinstance(declared, DeclaredNotice):  # until every error is declared
+            legacy = (key, *legacy) if key else legacy
+            file, key, declared = declared, str(file), WRONG_INPUT_LEGACY
+            values |= dict(zip(("found", "expected"), legacy, strict=False))
+            if not values["expected"]:
+                declared, values = READER_REFUSED_LEGACY, {"reason": values["found"]}
+        super().__init__(declared, file, key, values, tuple(others))
+        self.declared = declared
+        self.file = Path(file)
+        self.key = key
+        self.values = {name: plain_value(value) for name, value in values.items()}
+        self.others: tuple[InputError, ...] = self.args[4]
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return _input_error, self.args
+
+    @property
+    def code(self) -> str:
+        """The code of the declaration."""
+        return self.declared.code
+
+    @property
+    def sentence(self) -> str:
+        """What is wrong, without code, file and key."""
+        return self.declared.template.format(**self.values)
+
+    def at(self, key: str) -> InputError:
+        """Return the same mistake at another key of the file."""
+        return _input_error(self.declared, self.file, key, self.values, self.others)
+
+    @classmethod
+    def together(cls, errors: Iterable[InputError]) -> InputError:
+        """Return the first of some mistakes, which carries the others."""
+        first, *others = [single for error in errors for single in error.each]
+        return _input_error(first.declared, first.file, first.key, first.values, tuple(others))
+
+    @property
+    def each(self) -> tuple[InputError, ...]:
+        """Return every mistake by itself, this one first."""
+        return _input_error(self.declared, self.file, self.key, self.values), *self.others
+
+    @classmethod
+    def from_exception(
+        cls, error: Exception, file: Path, key: str = "", declared: DeclaredNotice | None = None
+    ) -> InputError:
+        """Return the refusal of a reader or an algorithm as a mistake at file and key, each file named once."""
+        text = str(error)
+        if isinstance(error, OSError) and error.filename is not None and error.strerror is not None:
+            text = f"{error.filename}: {error.strerror}"
+        prefix = f"{file}: "
+        text = text.removeprefix(prefix) if text.startswith(prefix) else ARGUMENT.sub("", text, count=1)
+        reason = text.replace(f"{file.parent.resolve()}{os.sep}", "")
+        return cls(declared or REFUSED_BY_READER, file, key, reason=reason)
+
+    def __str__(self) -> str:
+        where = f"{self.file}: {self.key}: " if self.key else f"{self.file}: "
+        more = len(self.others)
+        files = {other.file.name for other in self.others if other.file != self.file}
+        around = f", also in {' and '.join(sorted(files))}" if files else " in this file"
+        rest = f" ({more} more problem{'s' if more > 1 else ''}{around})" if more else ""
+        return " ".join(f"{self.code} {where}{self.sentence}{rest}".split())
+
+
+def _input_error(
+    declared: DeclaredNotice, file: Path, key: str, values: dict[str, Value], others: tuple[InputError, ...] = ()
+) -> InputError:
+    """Return an `InputError` of its arguments, as `pickle` needs it."""
+    return InputError(declared, file, key, others=others, **values)
+
+
+@contextmanager
+def as_input_error(file: Path, key: str = "", declared: DeclaredNotice | None = None) -> Iterator[None]:
+    """Raise the refusal of a reader or an algorithm as a mistake of a file, at a key of it."""
+    try:
+        yield
+    except (OSError, ValueError) as error:
+        raise InputError.from_exception(error, file, key, declared) from error
+
+
+class ComputeError(Exception):
+    """A result that could not be computed although the input could be read; the sentence says what to do.
+
+    Attributes
+    ----------
+    declared : the declaration, with `code`, `effect` and `remedy`.
+    values : the values of the case by name.
+
+    Examples
+    --------
+    >>> from fusion import ComputeError
+    >>> from shakercal._common.notices import DeclaredNotice
+    >>> FEW = DeclaredNotice("SC-998", "error", "only {count} subsets are followed through all frames")
+    >>> raise ComputeError(FEW, count=3)
+    Traceback (most recent call last):
+        ...
+    fusion.errors.ComputeError: SC-998 only 3 subsets are followed through all frames
+    """
+
+    def __init__(self, declared: DeclaredNotice | str, where: str = "", /, **values: Value) -> None:
+        if not isinstance(declared, DeclaredNotice):  # until every error is declared
+            values["reason"], declared = declared, READER_REFUSED_LEGACY
+        super().__init__(declared, where, values)
+        self.declared = declared
+        self.where = where
+        self.values = {name: plain_value(value) for name, value in values.items()}
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return _compute_error, (type(self), *self.args)
+
+    @property
+    def code(self) -> str:
+        """The code of the declaration."""
+        return self.declared.code
+
+    @property
+    def sentence(self) -> str:
+        """What could not be computed, without code and place."""
+        return self.declared.template.format(**self.values)
+
+    def at(self, where: str) -> ComputeError:
+        """Return the same failure, of a named place."""
+        return type(self)(self.declared, f"{where}: {self.where}" if self.where else where, **self.values)
+
+    def __str__(self) -> str:
+        where = f"{self.where}: " if self.where else ""
+        return f"{self.code} {where}{self.sentence}".strip()
+
+
+def _compute_error(
+    kind: type[ComputeError], declared: DeclaredNotice, where: str, values: dict[str, Value]
+) -> ComputeError:
+    """Return a `ComputeError` of its arguments, as `pickle` needs it."""
+    return kind(declared, where, **values)
+
+
+WRONG_INPUT_LEGACY = DeclaredNotice("", "error", "expected {expected}, found {found}")
+READER_REFUSED_LEGACY = DeclaredNotice("", "error", "{reason}")
+REFUSED_BY_READER = DeclaredNotice(
+    "SC-950", "error", "{reason}", effect="The file is not used.", remedy="Correct the file at this place."
+)
+TOO_LITTLE_MEMORY = DeclaredNotice(
+    "SC-951",
+    "error",
+    "the memory does not suffice ({reason})",
+    effect="The command ended before it wrote results.",
+    remedy="Run with fewer `--workers`, or on a machine with more memory.",
+)
+SYSTEM_REFUSED = DeclaredNotice(
+    "SC-952",
+    "error",
+    "the system refused to read or write ({reason})",
+    effect="The command ended before it wrote results.",
+    remedy="Check permissions, free space and the connection of the drive.",
+)
+INTERNAL_ERROR = DeclaredNotice(
+    "SC-953",
+    "error",
+    "internal error ({reason})",
+    effect="The command ended before it wrote results.",
+    remedy="Please report it with the output of `-v`.",
+)
+
+
+def is_interruption(error: BaseException) -> bool:
+    """Whether the user interrupted; compiled code wraps an interruption into an error of its own."""
+    cause = error.__cause__ or error.__context__
+    return isinstance(error, KeyboardInterrupt) or isinstance(cause, KeyboardInterrupt)
+
+
+SHORT_OF_MEMORY = re.compile(
+    "can't start new thread|failed to map segment|[Ii]nsufficient memory|annot allocate memory"
+)
+"""What threads, shared libraries, OpenCV and the system say where they get no memory."""
+
+
+def as_user_error(error: Exception) -> InputError | ComputeError:
+    """Return a failure as one that the user can be told; what the program does not expect becomes a `ComputeError`."""
+    if isinstance(error, InputError | ComputeError):
+        return error
+    text = " ".join(str(error).split())
+    if isinstance(error, MemoryError) or SHORT_OF_MEMORY.search(str(error)):
+        return ComputeError(TOO_LITTLE_MEMORY, reason=text or type(error).__name__)
+    if isinstance(error, OSError):
+        return ComputeError(SYSTEM_REFUSED, reason=text)
+    return ComputeError(INTERNAL_ERROR, reason=f"{type(error).__name__}: {text}")

@@ -1,0 +1,170 @@
+"""What channels of recorders' files seem to read, by their names, units and signals; lines of a drafted manifest."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from fusion.base import PROGRAM, __version__, natural_key
+from fusion.instruments.transducer import TRANSDUCERS
+from fusion.planning.draft.inventory import FoundCameras, FoundChannel, FoundDaq, FoundPoints, TriggerPulses
+from fusion.recording.dsi import NONE
+from fusion.recording.toml import UNFILLED
+from fusion.recording.units import QUANTITY_OF, recorded_unit
+
+SAME_RATE = 1e-3  # relative difference of the rates of one trigger
+LONG_NAME = 40  # characters
+HEAD = f"""\
+# Drafted by {PROGRAM} {__version__} from the files of this folder.
+# "?" marks what only you know: `shakercal check` lists these values first, and `shakercal run` refuses them.
+# "guessed" says why a value is what it is. Lines that begin with "# " are optional keys, with a usual value.
+"""
+"""How a drafted file begins."""
+
+
+# Lines of a manifest: stated, asked for, optional.
+
+
+def key_line(key: str, value: Any, why: str = "") -> str:
+    """Return the line of a key whose value is known or guessed."""
+    shown = json.dumps(value, ensure_ascii=False)
+    return f"{key} = {shown}" + (f"  # {why}" if why else "")
+
+
+def question_line(key: str, why: str) -> str:
+    """Return the line of a key whose value only the laboratory knows; `why`: what is expected."""
+    return key_line(key, UNFILLED, why)
+
+
+def optional_line(key: str, value: Any, why: str) -> str:
+    """Return the line of a key that may be left out."""
+    return f"# {key_line(key, value, why)}"
+
+
+# What a channel reads, by its name, its unit and its signal.
+
+
+@dataclass(frozen=True)
+class ChannelGuess:
+    """What a channel of a file seems to read; `scale`: None where nothing says it; `name`: that of the recording."""
+
+    found: FoundChannel
+    quantity: str
+    why: str
+    scale: float | None = None
+    scale_why: str = ""
+    name: str = ""
+
+    @property
+    def order(self) -> tuple[int, tuple[object, ...]]:
+        """Return where the channel stands in its block: motion first, triggers last, else as its name says."""
+        kinds = [*TRANSDUCERS, "force", "output", "voltage", UNFILLED, "trigger"]
+        return kinds.index(self.quantity), natural_key(self.name)
+
+
+NAMES = (
+    ("output", r"[fm][xyz]\d?"),
+    ("velocity", r"vel\w*|vib\w*|ldv\w*|laser\w*|psv\w*|lsv\w*|speed\w*"),
+    ("acceleration", r"acc\w*|accel\w*|beschl\w*|icp\w*"),
+    ("displacement", r"disp\w*|weg\w*"),
+    ("angular_velocity", r"gyro\w*|rate"),
+    ("output", r"bridge\w*|output\w*"),
+    ("force", r"force\w*|kraft\w*|load_?cell\w*"),
+    ("voltage", r"volt\w*|drive|generator|excitation"),
+)
+"""Quantities by a word of a channel's name, the first that fits."""
+TRIGGER_WORDS = r"\w*trig\w*|sync\w*|strobe\w*|cam\w*"
+BASE_WORDS, LOAD_WORDS = r"base|table|tisch|bottom|lower|shaker|armature", r"load|mass|top|upper|masse|last"
+
+
+def has_word(words: str, name: str) -> bool:
+    """Whether a name has one of some words, in small letters and with | between them, between other signs."""
+    return re.search(rf"(?<![a-z])({words})(?![a-z])", name.lower().replace("_", " ").replace("/", " ")) is not None
+
+
+def guess_channel(channel: FoundChannel) -> ChannelGuess:
+    """Return what a channel of a file seems to read, and why."""
+    unit, volt = recorded_unit(channel.unit), recorded_unit("V")
+    if channel.pulses is not None:
+        pulses = channel.pulses
+        why = f"guessed: two levels, {pulses.edges} edges at {pulses.rate_hz:.6g} Hz"
+        return ChannelGuess(channel, "trigger", why, 1.0)
+    by_name = next((quantity for quantity, words in NAMES if has_word(words, channel.title)), None)
+    by_unit = None if unit is None or unit.raw else QUANTITY_OF.get(unit.dimension)
+    if unit is not None and unit.dimension == NONE and "/" in channel.unit:
+        by_unit = "output"
+    if by_unit == "angular_velocity" and not re.search("rad|d|\u00b0", channel.unit.lower()):
+        by_unit = None  # revolutions of something that turns on
+    if by_name == "output" and by_unit in (None, "force"):
+        scaled = 1.0 if unit is not None and unit.factor == 1.0 and (by_unit or unit == volt) else None
+        return ChannelGuess(channel, "output", "guessed: its name", scaled, f"the file says {channel.unit}")
+    if by_unit is not None and unit is not None:
+        return ChannelGuess(channel, by_unit, f"the file says {channel.unit}", unit.factor, f"from {channel.unit}")
+    if by_name is not None:
+        volts = by_name == "voltage" and (unit == volt or not channel.unit.strip())
+        return ChannelGuess(channel, by_name, "guessed: its name", 1.0 if volts else None, "V")
+    return ChannelGuess(channel, UNFILLED, "velocity, acceleration, displacement, force, output or voltage")
+
+
+@dataclass(frozen=True)
+class RecorderFile:
+    """A recorder's file and what its channels seem to read."""
+
+    daq: FoundDaq
+    channels: tuple[ChannelGuess, ...]
+
+    @property
+    def triggers(self) -> list[tuple[str, TriggerPulses]]:
+        """Return the triggers by the names that the recording gives them, with their pulses."""
+        return [(item.name, item.found.pulses) for item in self.channels if item.found.pulses is not None]
+
+
+def guess_recorders(daqs: Iterable[FoundDaq]) -> list[RecorderFile]:
+    """Return what the channels of all files seem to read, files that measure motion first.
+
+    Pulses of one rate in several files are one trigger, and get the name of one of them that says so.
+    """
+    found = [RecorderFile(daq, tuple(map(guess_channel, daq.channels))) for daq in daqs if daq.channels]
+    rates = [pulses.rate_hz for recorder in found for _, pulses in recorder.triggers]
+
+    def named(recorder: RecorderFile) -> RecorderFile:
+        names: list[str] = []
+        for item in recorder.channels:
+            name = item.found.title if len(item.found.title) <= LONG_NAME else item.found.title.rpartition("/")[2]
+            if item.found.pulses is not None:
+                name = telling.get(_same_rate(rates, item.found.pulses.rate_hz), name)
+            names.append(item.found.name if name in names else name)
+        own = (replace(item, name=name) for item, name in zip(recorder.channels, names, strict=True))
+        return RecorderFile(recorder.daq, tuple(sorted(own, key=lambda item: item.order)))
+
+    telling: dict[float, str] = {}
+    for item in (item for recorder in found for item in recorder.channels if item.found.pulses is not None):
+        if item.found.pulses is not None and has_word(TRIGGER_WORDS, item.found.title):
+            telling.setdefault(_same_rate(rates, item.found.pulses.rate_hz), item.found.title)
+    files = map(named, found)
+    return sorted(files, key=lambda recorder: (-_motions(recorder), natural_key(recorder.daq.path.name)))
+
+
+def _same_rate(rates: Sequence[float], rate_hz: float) -> float:
+    """Return the first of some rates that is the same as another one."""
+    return next(rate for rate in rates if abs(rate / rate_hz - 1.0) < SAME_RATE)
+
+
+def _motions(recorder: RecorderFile) -> int:
+    return sum(item.quantity in TRANSDUCERS for item in recorder.channels)
+
+
+def body_line(name: str) -> str:
+    """Return the line that says whose motion something sees: of the load, unless its name says otherwise."""
+    if has_word(BASE_WORDS, name):
+        return key_line("body", "base", "guessed: its name")
+    told = "its name" if has_word(LOAD_WORDS, name) else "its name says nothing of the base"
+    return key_line("body", "load", f"guessed: {told}")
+
+
+def sort_body_views(items: Iterable[FoundCameras | FoundPoints]) -> list[FoundCameras | FoundPoints]:
+    """Return cameras and tables of points, those of the base last."""
+    return sorted(items, key=lambda item: (has_word(BASE_WORDS, item.name), natural_key(item.name)))

@@ -1,0 +1,191 @@
+"""What recorders' channels show at a glance: clipping, dead channels, drift, mains, triggers, lines that fold."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fusion.instruments.transducer import TRANSDUCERS, main_direction
+from fusion.phasors.channel_phasors import describe_folds, folding
+from fusion.planning.look.finding import Finding
+from fusion.recording.daq_records import DaqRecord
+from fusion.recording.load import Manifest
+from fusion.recording.manifest import ChannelEntry, Daq
+from shaker.arrays import FloatArray
+from shaker.io.channel import RawChannel
+from shaker.io.condition import FEWEST_STEPS, Defect, converter_step
+from shaker.lines.detection import Survey, survey_lines
+from shaker.sine.aliasing import alias_frequency, nearest_clear_rate, separation_bins
+from shaker.timebase.trigger import TriggerFit
+
+LOOKED_AT = 1 << 16  # samples in which lines are looked for
+FEWEST = 64
+DRIFTS, MAINS = 0.2, 0.05  # over the amplitude of the driven line
+DRIVEN_SHARE = 0.7  # of the driven direction along a channel's, from which on it must see the line
+APART_BINS, LOST_BINS = 1.0, 0.5  # within which lines disturb each other; cannot be distinguished
+
+
+@dataclass(frozen=True)
+class LineStrength:
+    """A driven line in a channel: its amplitude in SI of the quantity, and the relative u that noise leaves of it."""
+
+    entry: ChannelEntry
+    frequency_hz: float
+    amplitude: float
+    u_relative: float
+
+
+def examine_channels(manifest: Manifest, record: DaqRecord) -> tuple[list[Finding], list[LineStrength]]:
+    """Look at the channels of a recorder: what is wrong with each, and how strong the driven lines are in it."""
+    daq, raw = record.entry, record.raw
+    found: list[Finding] = []
+    strengths: list[LineStrength] = []
+    groups: dict[tuple[float, int], list[ChannelEntry]] = {}
+    for entry in daq.channel:
+        channel = raw[entry.name]
+        where = f"{daq.name}.{entry.name}"
+        if not np.isfinite(channel.samples).any():
+            found.append(Finding("REPEAT", where, "has samples that are no finite numbers"))
+        elif np.ptp(channel.samples[np.isfinite(channel.samples)]) == 0.0:
+            found.append(Finding("REPEAT", where, f"is dead: {channel.samples[0]:.4g} {channel.unit} throughout"))
+        elif entry.quantity != "trigger":
+            texts = [defect.text(record.time_s(entry.name), channel.unit) for defect in record.defects(entry)]
+            found += [Finding("REPEAT", where, text) for text in texts]
+            # Lines at stamped times, and of what is left of a record, are found by the evaluation alone.
+            if channel.stamp_s is None and not texts and np.isfinite(channel.samples).all():
+                groups.setdefault((channel.sample_rate_hz, len(channel.samples)), []).append(entry)
+    for (rate_hz, samples), entries in groups.items():
+        if samples < FEWEST:
+            found.append(Finding("REPEAT", daq.name, f"only {samples} samples"))
+            continue
+        folds = folding(manifest.excitation.frequencies or (), rate_hz, samples)
+        if folds and not all(entry.response for entry in entries):
+            told = f"{describe_folds(folds)} at {rate_hz:g} samples/s, unless an anti-aliasing filter keeps it off"
+            found.append(Finding("CHECK", daq.name, told))
+        for finding, strength in _lines(manifest, daq, entries, raw):
+            found += finding
+            strengths += strength
+    return found, strengths
+
+
+def _lines(
+    manifest: Manifest, daq: Daq, entries: Sequence[ChannelEntry], raw: Mapping[str, RawChannel]
+) -> Iterator[tuple[list[Finding], list[LineStrength]]]:
+    """Yield what the spectra of channels show that were sampled alike, channel by channel."""
+    nominal = manifest.excitation.frequencies or ()
+    rate_hz, samples = raw[entries[0].name].sample_rate_hz, len(raw[entries[0].name].samples)
+    values = np.stack([raw[entry.name].samples[:LOOKED_AT] for entry in entries], axis=1)
+    length = len(values)
+    survey = survey_lines(values - values.mean(axis=0), rate_hz, [f for f in nominal if f < rate_hz / 2])
+    alias = alias_frequency(np.array(nominal), rate_hz) if nominal else np.empty(0)
+    near = [int(np.argmin(np.abs(survey.frequency_hz - a))) if len(survey.frequency_hz) else -1 for a in alias]
+    bins = rate_hz / length
+    near = [
+        i if i >= 0 and abs(survey.frequency_hz[i] - a) < 1e-2 * a + 3 * bins else -1
+        for i, a in zip(near, alias, strict=True)
+    ]
+    for c, entry in enumerate(entries):
+        where, found, strengths = f"{daq.name}.{entry.name}", list[Finding](), list[LineStrength]()
+        for frequency, i in zip(nominal, near, strict=True):
+            amplitude = float(survey.amplitude[i, c]) if i >= 0 else np.nan
+            if np.isfinite(amplitude):
+                u = float(survey.u_amplitude[i, c]) / amplitude * np.sqrt(length / samples)
+                strengths.append(LineStrength(entry, frequency, abs(entry.scale) * amplitude, u))
+            elif _must_see(manifest, entry):
+                found.append(_unseen(where, frequency, survey, c))
+        strongest = max((s.amplitude / abs(entry.scale) for s in strengths), default=0.0)
+        if strongest > 0.0:
+            found += _beside_the_line(where, raw[entry.name], strongest, driven=_must_see(manifest, entry))
+            mains = [
+                (float(survey.amplitude[i, c]), survey.frequency_hz[i], origin)
+                for i, origin in enumerate(survey.origin)
+                if origin.kind == "mains" and np.isfinite(survey.amplitude[i, c])
+            ]
+            if mains and max(mains)[0] > MAINS * strongest:
+                share = f"{100 * max(mains)[0] / strongest:.2g} % of the driven line"
+                found.append(Finding("CHECK", where, f"picks up mains: {max(mains)[1]:.4g} Hz with {share}"))
+        yield found, strengths
+
+
+def _unseen(where: str, frequency_hz: float, survey: Survey, c: int) -> Finding:
+    """Say that a channel lacks a driven line: another line that it shows instead is a mistake of the manifest."""
+    text = f"shows nothing at {frequency_hz:g} Hz, which it should see"
+    driven = [
+        (float(survey.amplitude[i, c]), float(survey.frequency_hz[i]))
+        for i, origin in enumerate(survey.origin)
+        if origin.kind != "mains" and np.isfinite(survey.amplitude[i, c])
+    ]
+    if not driven:
+        return Finding("REPEAT", where, text)
+    return Finding("FIX MANIFEST", where, f"{text}; its strongest line lies at {max(driven)[1]:.6g} Hz")
+
+
+def _beside_the_line(where: str, channel: RawChannel, amplitude: float, *, driven: bool) -> Iterator[Finding]:
+    """Yield what drifts, and what hardly moves the converter."""
+    tenth = max(len(channel.samples) // 10, 1)
+    drift = abs(float(np.mean(channel.samples[-tenth:]) - np.mean(channel.samples[:tenth])))
+    if drift > DRIFTS * amplitude:
+        told = f"drifts by {drift:.3g} {channel.unit}, {100 * drift / amplitude:.2g} % of its driven line"
+        yield Finding("CHECK", where, " ".join(told.split()))
+    step = converter_step(channel.samples) if driven else 0.0
+    if step > 0.0 and amplitude < FEWEST_STEPS * step:
+        coarse = Defect("steps", np.zeros((0, 2), dtype=np.int64), (), step, amplitude / step)
+        yield Finding("CHECK", where, coarse.text(channel.time_s, channel.unit))
+
+
+def _must_see(manifest: Manifest, entry: ChannelEntry) -> bool:
+    """Whether a channel looks along what is driven: motion by its direction, an output by its name."""
+    driven = np.asarray(manifest.excitation.direction or ())
+    if len(driven) != 3:
+        return False
+    if entry.quantity == "output":
+        names = ("Fx", "Fy", "Fz")
+        return entry.channel in names and abs(float(driven[names.index(entry.channel)])) > DRIVEN_SHARE
+    aimed = entry.quantity in TRANSDUCERS and not TRANSDUCERS[entry.quantity].rotational
+    return aimed and abs(float(np.asarray(main_direction(entry)) @ driven)) > DRIVEN_SHARE
+
+
+# Triggers, and what they make of the driven lines.
+
+
+def fit_trigger_channel(record: DaqRecord, entry: ChannelEntry) -> TriggerFit | str:
+    """Return the periodic model of a trigger channel, or why there is none."""
+    try:
+        return record.fit_trigger(entry)
+    except ValueError as error:
+        return str(error).partition(": ")[2] or str(error)
+
+
+def examine_trigger(where: str, fit: TriggerFit | str) -> Iterator[Finding]:
+    """Yield what is wrong with the edges of a trigger."""
+    if isinstance(fit, str):
+        yield Finding("REPEAT", where, f"is no periodic trigger: {fit}")
+        return
+    if fit.missing:
+        told = ", ".join(map(str, fit.missing[:5])) + (" …" if len(fit.missing) > 5 else "")
+        yield Finding("REPEAT", where, f"{len(fit.missing)} of {fit.edges} trigger edges are lost (number {told})")
+    if fit.doubled or fit.spurious:
+        yield Finding("CHECK", where, f"{fit.doubled + fit.spurious} edges are doubled or stray")
+    if fit.scatters:
+        yield Finding("CHECK", where, f"its edges scatter by {1e6 * fit.jitter_s:.2g} µs")
+
+
+def examine_beat(where: str, frequencies_hz: Sequence[float], fit: TriggerFit, frames: int) -> Iterator[Finding]:
+    """Yield where the cameras' rate folds driven lines onto each other, or onto standstill."""
+    rate_hz = 1.0 / fit.period_s
+    lines = np.array(sorted(frequencies_hz), dtype=np.float64)
+    bins = separation_bins(lines, rate_hz, frames) if len(lines) else np.inf
+    told = ", ".join(f"{f:g} Hz at {a:.3g} Hz" for f, a in zip(lines, alias_frequency(lines, rate_hz), strict=True))
+    if bins < APART_BINS:
+        clear = nearest_clear_rate(lines, rate_hz, frames)
+        advice = f"; {clear:.6g} frames/s keep all apart" if clear is not None else ""
+        text = (
+            f"at {rate_hz:.6g} frames/s driven lines fold to within {bins:.2g} of a bin of each other or of standstill"
+        )
+        yield Finding("REPEAT" if bins < LOST_BINS else "CHECK", where, f"{text} ({told}){advice}")
+        return
+    harmonics: FloatArray = np.outer(lines, (1.0, 2.0, 3.0)).ravel()
+    if len(lines) <= 5 and separation_bins(harmonics, rate_hz, frames) < APART_BINS:
+        yield Finding("CHECK", where, f"at {rate_hz:.6g} frames/s a harmonic up to the third folds onto a driven line")

@@ -1,0 +1,143 @@
+"""What `run` will say of a recording: the same evaluation, with a few frames of every stereo pair."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from fusion.base import Settings, no_progress
+from fusion.errors import ComputeError, InputError
+from fusion.estimation.fuse import Acceleration
+from fusion.phasors.set_up import MeasuredSetUp, PreparedSetUp, measure_set_ups
+from fusion.phasors.set_up_merging import join_set_ups
+from fusion.phasors.stereo_motion import PreparedImages
+from fusion.planning.look.causes import find_contradictions
+from fusion.planning.look.finding import Finding, refusal_finding
+from fusion.recording.load import Manifest
+from fusion.sensitivity.analyse import NO_RESULT, Evaluation
+from fusion.sensitivity.ratio import driven_component
+from fusion.sensitivity.recording_evaluation import evaluate_set_ups
+from photogram.arrays import spread_choice
+from photogram.images.sequence import ImageSequence
+from shaker.arrays import IntArray
+from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
+from shakercal._common.notices import Notice
+
+FOLLOWED, IN_A_ROW = 24, 8
+"""Frames of a pair that are followed, so many of them the first ones, from which the others are predicted."""
+AWAY, FAR_AWAY = 0.7, 0.3
+"""Share of the motion along what is driven, below which the direction is doubted or wrong."""
+
+
+def trial_findings(manifest: Manifest, set_ups: Sequence[PreparedSetUp]) -> list[Finding]:
+    """Evaluate an opened recording as `run` does, few frames of each pair, and return what speaks against it."""
+    try:
+        measured = measure_set_ups([_thinned(one) for one in set_ups], Settings(), no_progress)
+        evaluation = evaluate_set_ups(manifest, measured, Settings())
+    except (InputError, ComputeError) as error:
+        return [refusal_finding(error)]
+    return [*_of_evaluation(evaluation, measured)]
+
+
+def _thinned(opened: PreparedSetUp) -> PreparedSetUp:
+    """Return a set-up with few frames of every pair."""
+    return replace(opened, images=tuple(_few_frames(images) for images in opened.images))
+
+
+def _few_frames(images: PreparedImages) -> PreparedImages:
+    """Return the images of a pair with the first frames and some of the others, spread over the record in no period.
+
+    Lines that all frames tell apart do not fold onto each other in these.
+    """
+    count = len(images.left)
+    if count <= FOLLOWED:
+        return images
+    numbers = np.arange(count)
+    share = (FOLLOWED - IN_A_ROW) / (count - IN_A_ROW)
+    chosen = np.flatnonzero((numbers < IN_A_ROW) | spread_choice(numbers, share))
+    sight = replace(images.sight, time_s=images.sight.time_s[chosen])
+    return replace(images, sight=sight, cameras=tuple(_frames_of(camera, chosen) for camera in images.cameras))
+
+
+def _frames_of(images: ImageSequence, chosen: IntArray) -> ImageSequence:
+    names, time_s = tuple(images.names[i] for i in chosen), images.time_s
+    reader = images.reader
+    return replace(
+        images,
+        names=names,
+        reader=lambda place: reader(int(chosen[place])),
+        time_s=None if time_s is None else time_s[chosen],
+    )
+
+
+def _of_evaluation(evaluation: Evaluation, set_ups: Sequence[MeasuredSetUp]) -> Iterator[Finding]:
+    """Yield contradictions with their likely causes, a missing result with its reason, then every other doubt."""
+    fused = [acceleration for acceleration in evaluation.accelerations if acceleration.source == "fused"]
+    gravity = evaluation.manifest.rig.surroundings.free_fall_mps2[0]
+    found = list(find_contradictions(fused, join_set_ups(set_ups).observed(gravity), set_ups))
+    found += _direction(evaluation, fused)
+    found += _indistinct(evaluation)
+    yield from found
+    explained = {notice for acceleration in fused for notice in acceleration.notices} if found else set()
+    if any(notice.where == NO_RESULT for notice in evaluation.notices):
+        explained |= set(evaluation.sensitivity.notices if evaluation.sensitivity else ())
+        explained |= set(evaluation.load.notices if evaluation.load else ())
+    yield from notice_findings(notice for notice in evaluation.notices if notice not in explained)
+
+
+def notice_findings(notices: Iterable[Notice]) -> Iterator[Finding]:
+    """Yield what follows from warnings, and from questions: those of a manifest are to be answered.
+
+    What is assumed of motion that no instrument observes is in U, and a note.
+    """
+    for notice in notices:
+        question, assumed = "?" in notice.text, notice.text.startswith("nothing measures ")
+        named = notice.where == "sensitivity" and ("as if " in notice.text or "exchanged" in notice.text)
+        if named or notice.where == NO_RESULT:
+            yield Finding("FIX MANIFEST", notice.where, notice.text)
+        elif (notice.severity == "warning" and not assumed) or (question and notice.where.endswith(".toml")):
+            yield Finding("CHECK", notice.where, notice.text)
+        elif notice.severity == "warning" or question:
+            yield Finding("KEEP", notice.where, notice.text)
+
+
+def _driven(evaluation: Evaluation) -> int | None:
+    """Return the load component (0 to 5) that is driven, None where no direction is stated."""
+    direction, sensor = evaluation.manifest.excitation.direction, evaluation.manifest.rig.sensor
+    return None if direction is None else driven_component(direction, None if sensor is None else sensor.capacity)
+
+
+def _direction(evaluation: Evaluation, fused: Sequence[Acceleration]) -> Iterator[Finding]:
+    """Yield that the load moves along another axis than the one stated as driven."""
+    direction = evaluation.manifest.excitation.direction
+    load = next((one for one in fused if one.body == "load"), fused[0] if fused else None)
+    if direction is None or len(direction) != 3 or load is None or load.disputed is not None:
+        return
+    for line in np.flatnonzero(evaluation.lines.multiple == 1).tolist():
+        motion = np.nan_to_num(load.phasors.value[line, :3])
+        size = float(np.linalg.norm(motion))
+        share = abs(complex(motion @ np.asarray(direction))) / size if size > 0.0 else 1.0
+        if share < AWAY:
+            most = int(np.argmax(np.abs(motion)))
+            text = (
+                f"the {load.body} moves along {MOTION_COMPONENTS[most]} at {load.phasors.frequency_hz[line]:.6g} Hz, "
+                f"with {100.0 * share:.2g} % of its motion along excitation.direction = {list(direction)}"
+            )
+            yield Finding("FIX MANIFEST" if share < FAR_AWAY else "CHECK", "excitation.direction", text)
+
+
+def _indistinct(evaluation: Evaluation) -> Iterator[Finding]:
+    """Yield that a driven sensitivity has a value that cannot be distinguished from zero, line by line."""
+    component, result = _driven(evaluation), evaluation.element or evaluation.sensitivity
+    own = [] if result is None else [e for e, (_, driven) in enumerate(result.elements) if driven == component]
+    if result is None or not own:
+        return
+    for line in np.flatnonzero(evaluation.lines.multiple == 1).tolist():
+        sizes = np.abs([result.value[line, result.elements[place][0], result.elements[place][1]] for place in own])
+        main = result.polar[line][own[int(np.argmax(np.nan_to_num(sizes)))]]
+        if main is not None and main.region.holds_zero:
+            hertz = f"{evaluation.lines.frequency_hz[line]:.6g} Hz"
+            text = f"the sensitivity to {LOAD_COMPONENTS[result.elements[own[0]][1]]} at {hertz}"
+            yield Finding("CHECK", "sensitivity", f"{text} cannot be distinguished from zero")

@@ -1,0 +1,173 @@
+"""`shakercal view`: what the page asks for, and the command."""
+
+from __future__ import annotations
+
+import webbrowser
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fusion.errors import InputError
+from fusion.estimation.uncertainty import polar_elements
+from fusion.planning.lines import lines_of_recording
+from fusion.planning.view.server import ApiHandlers, ApiResponse, Server, table
+from fusion.planning.view.subset_results import SubsetViews
+from fusion.planning.view.viewed_recording import ViewedRecording, ViewSession, ViewSource, find_sources
+from fusion.recording.toml import read_toml
+from shaker.lines.spectrum import amplitude_spectrum
+
+MOST_COLUMNS, MOST_BINS = 4000, 4000
+Query = Mapping[str, str]
+
+
+def api_handlers(viewed: ViewSession) -> ApiHandlers:
+    """Return what answers each request of the page, by its name."""
+    kept: dict[int, SubsetViews] = {}
+
+    def subsets(asked: Query) -> tuple[SubsetViews, int]:
+        opened = viewed.recording(asked)
+        with viewed.lock:
+            if id(opened) not in kept:
+                kept.clear()
+                kept[id(opened)] = SubsetViews(opened)
+            return kept[id(opened)], int(asked.get("pair", "0"))
+
+    def recording(asked: Query) -> ApiResponse:
+        opened, (own, _) = viewed.recording(asked), subsets(asked)
+        told = dict(opened.description())
+        told["pairs"] = [{**pair, **own.description(number)} for number, pair in enumerate(told["pairs"])]
+        return {**told, "resultLines": result_lines(opened)}
+
+    def frame(asked: Query) -> ApiResponse:
+        pair = viewed.recording(asked).pairs[int(asked["pair"])]
+        return pair.image_bytes(int(asked["side"]), int(asked["frame"]))
+
+    def placed(asked: Query) -> ApiResponse:
+        own, pair = subsets(asked)
+        return own.frame(pair, int(asked["frame"]))
+
+    def epipolar(asked: Query) -> ApiResponse:
+        own, pair = subsets(asked)
+        return own.epipolar(pair, int(asked["side"]), (float(asked["x"]), float(asked["y"])))
+
+    def track(asked: Query) -> ApiResponse:
+        own, pair = subsets(asked)
+        return own.track(pair, int(asked["point"]))
+
+    return {
+        "sources": lambda _: {"recordings": [overview(one) for one in viewed.sources]},
+        "recording": recording,
+        "frame": frame,
+        "subsets": placed,
+        "epipolar": epipolar,
+        "track": track,
+        "signal": lambda asked: signal(viewed.recording(asked), asked),
+        "spectrum": lambda asked: spectrum(viewed.recording(asked), int(asked["channel"])),
+        "lines": lambda asked: lines(viewed.recording(asked)),
+        "phasors": lambda asked: phasors(viewed.recording(asked), int(asked["line"])),
+    }
+
+
+def overview(source: ViewSource) -> Mapping[str, str]:
+    """Return a row of the campaign's table, from the recording's manifest as text: nothing else is read for it."""
+    name = source.recording.parent.name
+    try:
+        text = read_toml(source.recording)
+    except InputError as error:
+        return {"name": name, "excitation": str(error), "images": "", "channels": "", "results": ""}
+    excitation = text.get("excitation")
+    stated = excitation if isinstance(excitation, dict) else {}
+    listed = stated.get("frequencies")
+    hz = (
+        ", ".join(f"{value:g}" for value in listed if isinstance(value, int | float))
+        if isinstance(listed, list)
+        else ""
+    )
+    blocks = text.get("daq") if isinstance(text.get("daq"), list) else []
+    channels = sum(len(block.get("channel", ())) for block in blocks or () if isinstance(block, dict))
+    pairs = text.get("images")
+    return {
+        "name": name,
+        "excitation": f"{stated.get('kind', '')} {hz}{' Hz' * bool(hz)}".strip(),
+        "images": str(len(pairs) if isinstance(pairs, list) else 0),
+        "channels": str(channels),
+        "results": "" if source.results is None else source.results.name,
+    }
+
+
+def result_lines(viewed: ViewedRecording) -> list[float]:
+    """Return the lines of the results."""
+    return next((found.frequency_hz.tolist() for found in viewed.accelerations.values()), [])
+
+
+def phasors(viewed: ViewedRecording, line: int) -> ApiResponse:
+    """Return a panel for each component: the value of every instrument at a line with its 95 % region."""
+    panels: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    for name, found in viewed.accelerations.items():
+        row = polar_elements(found.value, found.uncertainty)[line]
+        for e, element in enumerate(row):
+            if element is None or not np.isfinite(element.region.half_axes).all():
+                continue
+            value = complex(found.value[line, e])
+            panels.setdefault((f"{found.channel[e]} {found.component[e]}", found.unit[e]), []).append(
+                {
+                    "name": name,
+                    "re": value.real,
+                    "im": value.imag,
+                    "axes": list(element.region.half_axes),
+                    "angle": element.region.angle_rad,
+                    "size": f"{element.magnitude:.6g} {found.unit[e]}, {np.degrees(element.phase_rad):.4g}°",
+                }
+            )
+    told = "ellipses: 95 % regions" if panels else "Phasors need results: shakercal run makes them."
+    shown = [{"name": name, "unit": unit, "values": values} for (name, unit), values in panels.items()]
+    return {"panels": shown, "told": told}
+
+
+def lines(viewed: ViewedRecording) -> ApiResponse:
+    """Return the lines of a recording, and what they are, as `shakercal lines` finds them."""
+    found = lines_of_recording(viewed.manifest)
+    rows = [
+        {"frequency": one.frequency_hz, "what": one.what, "use": one.use, "floor": float(np.nan_to_num(one.floor_db))}
+        for one in found.entries
+    ]
+    return {"lines": rows}
+
+
+def spectrum(viewed: ViewedRecording, number: int) -> bytes:
+    """Return the amplitude spectrum of a channel in its unit, peaks of neighbouring bins kept."""
+    raw = viewed.raw(number)
+    found = amplitude_spectrum(raw.samples, raw.sample_rate_hz, MOST_BINS)
+    told = (
+        f"{len(raw.samples)} samples at {raw.sample_rate_hz:g} samples/s, Hann window; the highest of neighbouring bins"
+    )
+    scale = abs(viewed.channels[number].entry.scale)
+    return table({"told": told}, found.frequency_hz, scale * found.amplitude)
+
+
+def signal(viewed: ViewedRecording, query: Query) -> bytes:
+    """Return channels between two times in columns: for each, edges in s, and the extremes in its unit."""
+    numbers = [int(text) for text in query["channels"].split(",")]
+    most = min(max(int(query.get("columns", "1000")), 1), MOST_COLUMNS)
+    arrays: list[np.typing.NDArray[Any]] = []
+    for number in numbers:
+        raw, scale = viewed.raw(number), viewed.channels[number].entry.scale
+        rate = raw.sample_rate_hz
+        begin, end = float(query.get("from", "0")), float(query.get("to", repr(len(raw.samples) / rate)))
+        found = viewed.extremes(number).columns(int(begin * rate), int(np.ceil(end * rate)), most)
+        low, high = (found.low, found.high) if scale >= 0 else (found.high, found.low)
+        arrays += [found.edge / rate, low * scale, high * scale]
+    return table({"channels": numbers}, *arrays)
+
+
+def run_view(path: Path, recording: Path | None, port: int, *, browser: bool, allow_outside: bool) -> None:
+    """Serve the page until Ctrl-C."""
+    viewed = ViewSession(find_sources(path, recording), allow_outside=allow_outside)
+    viewed.recording({})
+    with Server(api_handlers(viewed), port) as server:
+        print(f"{server.address}\nCtrl-C ends it", flush=True)
+        if browser:
+            webbrowser.open(server.address)
+        server.serve_forever()

@@ -1,0 +1,523 @@
+"""What stands in HDF5 files of results, told in the files: unit, name in words and named axes of every data set."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fusion.report.h5_tree import Data, Group
+from fusion.report.table import sensitivity_unit
+from shaker.labels import AXES, LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS, component_units
+
+
+class DatasetDescription(NamedTuple):
+    """What is told of a data set: names of its axes, its unit, its name in words; empty: by the rules below.
+
+    `axes`: of a data set of one axis in the group or above it, else any name. `unit`: ASCII; `value` for that of the
+    values of its group, `squared` for the products of those, `.` for the unit of each row in `unit` beside it.
+    """
+
+    axes: str = ""
+    unit: str = ""
+    text: str = ""
+
+
+K, KC, KQ, EACH = "frequency_hz", "frequency_hz channels", "frequency_hz elements", "[unit of the channel]"
+SPREAD = {
+    "mean": "mean of the draws",
+    "u": "standard deviation of the draws",
+    "low": "lower end of the 95 % interval",
+    "high": "upper end of the 95 % interval",
+    "u_end": "standard uncertainty of the ends, of so many draws",
+    "first_u": "standard uncertainty by first order",
+    "first_low": "lower end of the 95 % interval by first order",
+    "first_high": "upper end of the 95 % interval by first order",
+}
+"""What is told of the draws of a real quantity."""
+DATASETS = {
+    "frequency_hz": DatasetDescription(K, "Hz", "frequency"),
+    "u_frequency_hz": DatasetDescription(K),
+    "nominal_hz": DatasetDescription(K, text="nominal fundamental of the line"),
+    "multiple": DatasetDescription(K, "1", "harmonic number of the line"),
+    "dof": DatasetDescription(K, "1", "degrees of freedom"),
+    "kind": DatasetDescription(K),
+    "why": DatasetDescription(K),
+    "channels": DatasetDescription("channels"),
+    "components": DatasetDescription("components"),
+    "unit": DatasetDescription("channels"),
+    "value": DatasetDescription(KC, "value", "peak phasors"),
+    "covariance": DatasetDescription("frequency_hz row column", "squared", "covariance of [all Re, all Im]"),
+    "observed": DatasetDescription(KC, "1", "whether the component is a result"),
+    "disputed": DatasetDescription(KC, "1", "whether instruments contradict each other in the component"),
+    "assumed": DatasetDescription(
+        KC, "value", "largest amplitude of a component that nobody observes, infinite without a limit"
+    ),
+    "driven": DatasetDescription(K, "m/s^2", "largest amplitude of the driven motion, infinite without a limit"),
+    "drive": DatasetDescription("motion", "1", "driven motion, rotations times 0.1 m, a unit vector"),
+    "leaked": DatasetDescription(
+        "frequency_hz row column", "value", "what one u of unobserved motion adds to [Re, Im]"
+    ),
+    "instruments": DatasetDescription("instruments"),
+    "capacity": DatasetDescription("components", "load", "rated loads"),
+    "static": DatasetDescription("channels components", "static", "static sensitivity"),
+    "static_sensitivity": DatasetDescription("channels components", "static", "static sensitivity"),
+    "direction": DatasetDescription("axis", "1", "direction in the sensor frame"),
+    "frequencies": DatasetDescription("excitation", "Hz", "stated frequencies"),
+    "origin_m": DatasetDescription("axis", text="point that the motion is referred to"),
+    "elements": DatasetDescription(
+        "element of", "1", "number of channel and of component (0 to 5: Fx to Mz) of each element"
+    ),
+    "half_axis": DatasetDescription("channels components", "1", "larger half axis of the 95 % region"),
+    "holds_zero": DatasetDescription("channels components", "1", "whether the 95 % region holds zero"),
+    "main": DatasetDescription("channels", "1", "number of the main component (0 to 5: Fx to Mz)"),
+    "load_size": DatasetDescription("components", "load", "largest loads of the recordings"),
+    "effect": DatasetDescription(
+        "name frequency_hz row", "value", "change of [all Re, all Im] for one u of each unknown"
+    ),
+    "uncertainty/dof": DatasetDescription("name", "1", "degrees of freedom of u"),
+    "uncertainty/u": DatasetDescription("name", ".", "standard uncertainty of the unknown"),
+    **{f"uncertainty/{text}": DatasetDescription("name") for text in ("name", "label", "unit", "scope", "type")},
+    "unknowns/*": DatasetDescription("name"),
+    "unknowns/u": DatasetDescription("name", ".", "standard uncertainty of the unknown"),
+    "unknowns/estimate": DatasetDescription("name", "1", "estimate of the unknown over its u"),
+    "unknowns/remaining": DatasetDescription("name", "1", "u after the estimate over u before"),
+    "unknowns/recordings": DatasetDescription("name", "1", "number of recordings that tell of the unknown"),
+    "posterior": DatasetDescription(
+        "unknown unknown_of", "1", "covariance of the unknowns after the estimate, in their u"
+    ),
+    "products": DatasetDescription(
+        "unknown", "1", "by how much each unknown acts otherwise than to first order, in its u"
+    ),
+    "both": DatasetDescription("both", text="unknowns that act on the load through the motion and by themselves"),
+    "consistency/*": DatasetDescription("instrument"),
+    "consistency/channels": DatasetDescription("instrument", "1", "number of channels"),
+    "consistency/normalised_deviation": DatasetDescription("instrument", "1", "normalised deviation from all others"),
+    "consistency/ratio": DatasetDescription("instrument", "1", "measured over predicted"),
+    **{
+        f"consistency/{word}": DatasetDescription("instrument", "1", f"whether it is {word}")
+        for word in ("used", "suspect")
+    },
+    "consistency/left_out": DatasetDescription("instrument", "1", "whether it is left out as a gross error"),
+    "unnoticed/*": DatasetDescription("case"),
+    "unnoticed/shift": DatasetDescription("case", "1", "shift of the component over its U"),
+    "notices/*": DatasetDescription("notice"),
+    "evidence/*": DatasetDescription("input"),
+    "evidence/value": DatasetDescription("input", ".", "value of the input as it is stated"),
+    "evidence/u": DatasetDescription("input", ".", "standard uncertainty of the unknown"),
+    "scatter/*/amplitude": DatasetDescription(K, "1", "scatter in phase with the reading, relative to the motion"),
+    "scatter/*/phase": DatasetDescription(K, "rad", "scatter at right angles to the reading, relative to the motion"),
+    "budget/*/coefficient": DatasetDescription(
+        "quantity frequency_hz element", "per", "change of relative magnitude and phase per unit"
+    ),
+    "u_relative": DatasetDescription("frequency_hz element", "1", "contribution to the u of the relative magnitude"),
+    "u_phase_rad": DatasetDescription("frequency_hz element", text="contribution to the u of the phase"),
+    "excerpt_s": DatasetDescription("excerpt_s", text="time of the excerpt"),
+    "excerpt": DatasetDescription("excerpt_s", "value", "excerpt of the record"),
+    "excerpt_fit": DatasetDescription("excerpt_s", "value", "fit to the excerpt"),
+    "spectrum_hz": DatasetDescription("spectrum_hz", text="frequency of the spectrum"),
+    "spectrum": DatasetDescription("spectrum_hz", "value", "amplitude spectrum"),
+    "time_s": DatasetDescription("time_s", text="time on the clock of the first recorder"),
+    "stationarity/value": DatasetDescription("time_s frequency_hz channels", "value", "peak phasors of the blocks"),
+    "stationarity/u": DatasetDescription(
+        "time_s frequency_hz channels", "value", "standard uncertainty of either part"
+    ),
+    "amplitude_per_s": DatasetDescription(KC, "value/s", "rate of change of the amplitude"),
+    "u_amplitude_per_s": DatasetDescription(
+        KC, "value/s", "standard uncertainty of the rate of change of the amplitude"
+    ),
+    "phase_rad_per_s": DatasetDescription(KC, "rad/s", "rate of change of the phase"),
+    "u_phase_rad_per_s": DatasetDescription(KC, "rad/s", "standard uncertainty of the rate of change of the phase"),
+    "p_value": DatasetDescription(KC, "1", "chance that noise alone moves the blocks that far"),
+    "pose": DatasetDescription("time_s channels", "value", "pose: translation and rotation vector"),
+    "motion/covariance": DatasetDescription("time_s channels component", "squared", "covariance of the pose"),
+    "motion_from_mean/covariance": DatasetDescription("time_s channels component", "squared", "covariance of the pose"),
+    "residual_m": DatasetDescription("time_s", text="rms residual of the points per coordinate"),
+    "motion/points": DatasetDescription("time_s", "1", "number of points used"),
+    "motion_from_mean/points": DatasetDescription("time_s", "1", "number of points used"),
+    "stereo/*/residual": DatasetDescription(
+        "time_s channels", "value", "what the sine approximation leaves of the pose"
+    ),
+    "usable": DatasetDescription("line", "1", "whether the rate of the camera can tell the line apart"),
+    "subsets_px": DatasetDescription("subset coordinate", text="place of the subsets in the first left image"),
+    "sigma_px": DatasetDescription("of", text="median standard deviation of a subset's coordinate: predicted, found"),
+    "read_variance_grey2": DatasetDescription("camera", "1", "variance of the dark sensor in grey values squared"),
+    "variance_per_grey": DatasetDescription("camera", "1", "variance per grey value"),
+    "deflection/value": DatasetDescription(
+        "frequency_hz point axis", "m", "deflection beside the rigid motion, peak phasors"
+    ),
+    "deflection/u": DatasetDescription("frequency_hz point axis", "m", "standard uncertainty of either part"),
+    "shapes/effects": DatasetDescription(
+        "unknown frequency_hz channels", "m", "change of the amplitudes by 1 u of an unknown"
+    ),
+    "shapes/share": DatasetDescription(
+        "component channels", "1, rad/m", "rigid motion per amplitude in that of the pair"
+    ),
+    "shapes/f": DatasetDescription(K, "1", "F of the amplitudes of all shapes against a rigid body"),
+    "shapes/chance": DatasetDescription(K, "1", "chance of an F as large on a rigid body"),
+    "shapes/modes": DatasetDescription("", "1", "number of independent shapes that stand out"),
+    "reference_m": DatasetDescription("point axis", text="place of the points at rest"),
+    "course_px": DatasetDescription("time_s share", text="epipolar residual: mean, change along x, change along y"),
+    "u_course_px": DatasetDescription("time_s share", text="standard uncertainty of the epipolar residual"),
+    "pattern_px": DatasetDescription(
+        "share", text="epipolar residual of the recording: mean, change along x, change along y"
+    ),
+    "pattern_covariance": DatasetDescription(
+        "share share_of", "px^2", "what calibration and matching explain of the pattern"
+    ),
+    "position_px": DatasetDescription("point coordinate", text="mean place of the points in the left image"),
+    "residual_px": DatasetDescription("point", text="mean epipolar residual of the points"),
+    "offset": DatasetDescription("channels", "value", "offset"),
+    "offset_covariance": DatasetDescription("channels component", "squared", "covariance of the offset"),
+    "drift_per_s": DatasetDescription("channels", "value/s", "drift"),
+    "residual_rms": DatasetDescription("channels", "value", "rms of what the sines leave"),
+    "decay_per_s": DatasetDescription(K, "1/s", "decay of the line"),
+    "u_decay_per_s": DatasetDescription(K, "1/s"),
+    "slopes": DatasetDescription("set row column", "1", "share of the lines' parts times time that the fit follows"),
+    "spikes": DatasetDescription("spike", "1", "number of each frame left out"),
+    "others/amplitude": DatasetDescription("frequency_hz channel", EACH, "peak amplitude in the channel"),
+    "others/u_amplitude": DatasetDescription(
+        "frequency_hz channel", EACH, "standard uncertainty of the peak amplitude"
+    ),
+    "snr": DatasetDescription(K, "1", "power of the line over that of the noise"),
+    "origin": DatasetDescription(K),
+    "floor": DatasetDescription("floor_hz channel", EACH, "noise floor as amplitude per bin"),
+    "floor_hz": DatasetDescription("floor_hz", text="frequency of the noise floor"),
+    "nuisance_hz": DatasetDescription("nuisance_hz", text="lines fitted beside those of the recording"),
+    "trigger/number": DatasetDescription("number", "1", "number of the edge"),
+    **{f"trigger/{name}": DatasetDescription("number") for name in ("edge_s", "lower_s", "upper_s", "correction_s")},
+    "trigger/missing": DatasetDescription("missed", "1", "numbers without an edge"),
+    "trigger/covariance": DatasetDescription("parameter other", "s^2", "covariance of start_s and period_s"),
+    "trigger/known_period_s": DatasetDescription(
+        "parts", text="period as known otherwise than by its edges, and its u"
+    ),
+    "tie/follows": DatasetDescription(
+        "parameter other", "[s, 1]/s", "what errors of the first start_s and period_s make of it"
+    ),
+    "tie/beside": DatasetDescription("parameter other", "[s, 1]^2", "covariance of the rest"),
+    "tie/covariance": DatasetDescription("parameter other", "[s, 1]^2", "covariance of offset_s and rate"),
+    "tie/noise": DatasetDescription("parameter other", "[s, 1]^2", "its part that the noise of the edges makes"),
+    "axes": DatasetDescription("across axis", "1", "directions across that of the points"),
+    "place_m": DatasetDescription("channels across", text="lever arms of the points"),
+    "plane": DatasetDescription(
+        "frequency_hz plane_of", "[m/s^2, rad/s^2, rad/s^2]", "mean and angular accelerations of the points"
+    ),
+    "points/*/residual": DatasetDescription(KC, "m/s^2", "what the plane leaves"),
+    "fused": DatasetDescription(K, "value", "output over the load of the fused motion"),
+    "set_ups/*/value": DatasetDescription(K, EACH, "phasors of the reference channel"),
+    "supports/*/observed": DatasetDescription(KC, "1", "whether the references tell the component by themselves"),
+    "supports/*/measured_mps2": DatasetDescription(
+        K, "m/s^2", "largest translation that the instruments on it measure"
+    ),
+    "references": DatasetDescription("reference"),
+    "carried": DatasetDescription("row"),
+    "factor": DatasetDescription(K, "1", "factor that ties the set-up to the first"),
+    "drift": DatasetDescription(K, "1", "change of the reference's magnitude"),
+    "u_drift": DatasetDescription(K, "1"),
+    "results/*/elements": DatasetDescription("elements"),
+    "results/*/unit": DatasetDescription("elements"),
+    "results/*/value": DatasetDescription(KQ, "value", "values that the draws are about"),
+    "results/*/mean": DatasetDescription(KQ, "value", "mean of the draws"),
+    "results/*/covariance": DatasetDescription(f"{KQ} part part_of", "[unit]^2", "covariance of (Re, Im) of the draws"),
+    "results/*/first_covariance": DatasetDescription(
+        f"{KQ} part part_of", "[unit]^2", "covariance of (Re, Im) by first order"
+    ),
+    "results/*/factor": DatasetDescription(KQ, "1", "factor of the 95 % ellipse of the draws"),
+    "results/*/first_region": DatasetDescription(
+        f"{KQ} part part_of", "[unit]^2", "matrix of the 95 % region by first order"
+    ),
+    "results/*/first_holds": DatasetDescription(KQ, "1", "share of the draws in the ellipse by first order"),
+    "results/*/k_polar": DatasetDescription(f"polar {KQ}", "1", "coverage factors of magnitude and of phase"),
+    **{
+        f"results/*/{of}/{name}": DatasetDescription(KQ, unit, f"{of}: {text}")
+        for of, unit in (("magnitude", "value"), ("phase", "rad"))
+        for name, text in SPREAD.items()
+    },
+    "sensitivity/value": DatasetDescription("frequency_hz channels components", "value", "complex sensitivity"),
+    "element/value": DatasetDescription(
+        "frequency_hz channels components", "value", "complex sensitivity, elements of the sensor"
+    ),
+    "load/value": DatasetDescription("frequency_hz components", "value", "peak phasors of the load"),
+    "load/observed": DatasetDescription("frequency_hz components", "1", "whether the component is a result"),
+    "curves/*/value": DatasetDescription("frequency_hz element", "value", "complex sensitivity"),
+    "repeats/*/value": DatasetDescription("channels", "value", "mean complex sensitivity"),
+    "weight": DatasetDescription("recordings", "1", "weight in the mean"),
+    "within": DatasetDescription("channels", "1", "relative standard deviation of a recording"),
+    "between": DatasetDescription("channels", "1", "relative standard deviation of a mounting"),
+    "mountings": DatasetDescription("recordings"),
+    "linearity/*/amplitude": DatasetDescription("recordings", "driven", "amplitude of the load"),
+    "slope": DatasetDescription("channels", "1/driven", "relative change per unit of load"),
+    "change": DatasetDescription("channels", "1", "relative change from the smallest to the largest amplitude"),
+    "linearity/*/covariance": DatasetDescription("channels part part_of", "1", "covariance of (Re, Im) of the change"),
+    "linear": DatasetDescription("channels", "1", "whether the 95 % region of the change holds zero"),
+    "matrices/*/value": DatasetDescription("channels components", "value", "complex 6x6 matrix"),
+    "singular": DatasetDescription("independent", "1", "independent loads in their standard uncertainties"),
+    "excitation/share": DatasetDescription("independent", "1", "singular values relative to the largest"),
+    "agreement/*": DatasetDescription("drive"),
+    "agreement/normalised_deviation": DatasetDescription("drive", "1", "normalised deviation from all others"),
+    "agreement/readings": DatasetDescription("drive", "1", "number of readings"),
+    "agreement/frequency_hz": DatasetDescription("drive", "Hz", "frequency"),
+    "cross_talks/*/value": DatasetDescription(
+        "channels components", "1", "output under a rated load over that under its own"
+    ),
+}
+"""By the tail of the path: the longest that fits counts, `*` stands for any name."""
+_TAILS: dict[str, list[list[str]]] = {}
+for _name in DATASETS:
+    _TAILS.setdefault(_name.rpartition("/")[2], []).append(_name.split("/"))
+_LONGEST = max(name.count("/") + 1 for name in DATASETS)
+SUFFIXES = {
+    "_rad_per_s": "rad/s", "_per_s": "1/s", "_hz": "Hz", "_rad": "rad", "_s": "s", "_m": "m", "_m2": "m^2",
+    "_px": "px", "_kg": "kg", "_n": "N", "_relative": "1", "_db": "dB",
+}  # fmt: skip
+"""Units that the names of fields end with."""
+PHASORS = {"frequency_hz", "value", "covariance", "channels", "unit"}
+"""What a group of phasors holds, in whatever file."""
+
+
+OTHERS = {
+    **dict.fromkeys(("value", "u", "stated", "u_stated", "reading"), DatasetDescription(unit=".")),
+    **dict.fromkeys(("damping_ratio", "u_damping_ratio", "share", "u_share"), DatasetDescription(unit="1")),
+    "load": DatasetDescription(unit="load"),
+    "dof": DatasetDescription(unit="1", text="degrees of freedom"),
+    "averages": DatasetDescription(unit="1", text="number of averages"),
+    "coherence": DatasetDescription(unit="1", text="coherence with the reference"),
+    "line_correlation": DatasetDescription(unit="1", text="correlation of the noise of lines so many bins apart"),
+    "relative": DatasetDescription(unit="1", text="relative change for one u of the error"),
+    "correlation": DatasetDescription(unit="1", text="correlation of the estimates"),
+    "direction": DatasetDescription(unit="1", text="direction in the sensor frame"),
+    "shares": DatasetDescription(unit="1", text="share of each release in the mean"),
+    "estimate": DatasetDescription(unit="1", text="estimate of the unknown over its u"),
+    "remaining": DatasetDescription(unit="1", text="u after the estimate over u before"),
+}
+"""What is told of the data sets of other commands, by their names alone; `.` where `unit` beside it has as many."""
+OVER = ("frequency_hz", "time_s")
+"""Axes of these, where they stand beside a data set as long."""
+
+
+def describe(top: Group) -> None:
+    """Give every data set `units` and `long_name` as far as they are known, and its axes names as dimension scales.
+
+    `units` is ASCII: one unit, `[a, b]` where they differ along the last axis (for Re and again for Im where that is
+    twice as long), `[a, b]^2` for products of the units of row and column, `[unit]` where `unit` beside it has them.
+    Files of other commands say so of their phasors, and of what names say by themselves.
+    """
+    whole = "mounting" in top.attrs or "curves" in top
+    for path, group, data in sorted(top.datasets(), key=lambda one: (one[0].count("/"), len(one[2].shape), one[0])):
+        own, shape = path.rpartition("/")[2], data.shape
+        known = whole or set(group.inside) >= PHASORS
+        told = _told(path) if known else OTHERS.get(own, DatasetDescription())
+        if data.numbers:
+            unit = _unit(group, own, shape, told)
+            if unit:
+                data.attrs["units"] = unit
+        data.attrs["long_name"] = told.text or _words(path)
+        names = told.axes.split() if known else [name for name in OVER if _along(group, own, shape, name)]
+        if not known and not names:
+            continue
+        if len(names) != len(shape):
+            rest = [own] if len(shape) == 1 else [f"{own}_{axis + 1}" for axis in range(len(shape))]
+            names = rest if known else [*names[:1], *rest[1:]]
+        for axis, name in enumerate(names):
+            scale = _scale(group, name, shape[axis])
+            if scale is not data:
+                data.attach(axis, scale)
+
+
+def _along(group: Group, own: str, shape: tuple[int, ...], name: str) -> bool:
+    """Whether the first axis of a data set is what a data set of this name beside it says."""
+    beside = group.get(name)
+    return isinstance(beside, Data) and own != name and len(shape) > 0 and beside.shape == shape[:1]
+
+
+def _told(path: str) -> DatasetDescription:
+    """Return what the table has of a path: of the longest tail that fits, one without `*` before one with it."""
+    return _told_of(tuple(path.strip("/").split("/")[-_LONGEST:]))
+
+
+@cache
+def _told_of(names: tuple[str, ...]) -> DatasetDescription:
+    """Return what the table has of the last names of a path."""
+    parts = [re.sub(r"^\w+_uncertainty$", "uncertainty", part) for part in names]
+    fitting = [
+        tail
+        for tail in _TAILS.get(parts[-1], []) + _TAILS["*"]
+        if len(tail) <= len(parts) and all(a in ("*", b) for a, b in zip(tail[::-1], parts[::-1], strict=False))
+    ]
+    best = max(fitting, key=lambda tail: (len(tail), -tail.count("*")), default=None)
+    return DATASETS["/".join(best)] if best else DatasetDescription()
+
+
+def _words(path: str) -> str:
+    """Return the name of a field in words: without its unit, `u_` as standard uncertainty."""
+    name = path.rpartition("/")[2]
+    ending = max((suffix for suffix in SUFFIXES if name.endswith(suffix)), key=len, default="")
+    text = name.removesuffix(ending).replace("_", " ")
+    return re.sub("^u(?: |$)", "standard uncertainty of the ", text).removesuffix(" of the ")
+
+
+# Units: those of the values of a group, from what it says of itself.
+
+
+def _unit(group: Group, name: str, shape: tuple[int, ...], told: DatasetDescription) -> str:
+    """Return the unit of a data set, empty where nothing tells it."""
+    rules: dict[str, Callable[[], str]] = {
+        "": lambda: next((unit for suffix, unit in SUFFIXES.items() if name.endswith(suffix)), ""),
+        ".": lambda: _listed(group["unit"].values, "[unit]") if group["unit"].shape[0] == shape[-1] else "",
+        "load": lambda: _listed(LOAD_UNITS) if shape[-1:] == (6,) else "",
+        "per": lambda: f"[1, rad]/({group.attrs['unit'] or '1'})",
+        "static": lambda: _listed(_sensitivity_units(group)),
+        "driven": lambda: LOAD_UNITS[int(group.attrs["component"])],
+        "1/driven": lambda: f"1/({LOAD_UNITS[int(group.attrs['component'])]})",
+        "value": lambda: _listed(_sensitivity_units(group) if len(shape) > 1 and _is_matrix(group) else units()),
+        "value/s": lambda: _listed(f"({unit})/s" if "/" in unit else f"{unit}/s" for unit in units()),
+        "squared": lambda: _squared(_listed(units())),
+    }
+
+    def units() -> list[str]:
+        return _units_of_values(group)
+
+    try:
+        return rules[told.unit]() if told.unit in rules else told.unit
+    except KeyError:  # nothing here says of which unit
+        return ""
+
+
+def _squared(listed: str) -> str:
+    """Return what products of these units have."""
+    return listed if listed in ("", "1") else f"{listed}^2" if listed[0] == "[" else f"({listed})^2"
+
+
+def _is_matrix(group: Group) -> bool:
+    """Whether the values of a group stand over channels and load components."""
+    top = group.name.split("/")
+    return "uncertainty" not in top and (top[1:2] == ["matrices"] or top[1:] in (["sensitivity"], ["element"]))
+
+
+def _sensitivity_units(group: Group) -> list[str]:
+    """Return the units of sensitivities to the six load components."""
+    return [sensitivity_unit(_output_unit(group), component) for component in LOAD_COMPONENTS]
+
+
+def _listed(units: Iterable[str], several: str = "") -> str:
+    """Return the one unit of all, else `several`, by default all in brackets."""
+    units = [str(unit) for unit in units]
+    return units[0] if len(set(units)) == 1 else (several or f"[{', '.join(units)}]") if units else ""
+
+
+def _output_unit(group: Group) -> str:
+    """Return the unit of the outputs that sensitivities of a group are of."""
+    return str(group.attrs.get("unit", group.top["sensor"].attrs["unit"] if "sensor" in group.top else ""))
+
+
+def _owner(group: Group) -> tuple[Group, str]:
+    """Return the group whose values an uncertainty is of, and which of its values (`plane`, `residual`)."""
+    found = re.match(r"(.*)/(?:(\w+)_)?uncertainty(/.*)?$", group.name)
+    return (group.top[found[1].strip("/")], found[2] or "") if found else (group, "")
+
+
+def _units_of_values(group: Group) -> list[str]:
+    """Return the unit of each value of a group, or of what an uncertainty or a group of details belongs to."""
+    owner, which = _owner(group)
+    top = owner.name.split("/")[1:]
+    stated = next((inner for inner in ("unit", "phasors/unit") if inner in owner), None)
+    fixed = {
+        "load": list(LOAD_UNITS),
+        "cross_talks": ["1"],
+        "stereo": list(component_units(0)),
+        "points": ["m/s^2", "rad/s^2", "rad/s^2"] if which == "plane" else ["m/s^2"],
+    }
+    if stated is not None:
+        units = list(owner[stated].values)
+    elif top[0] in fixed and top[-1] != "ratios":
+        units = fixed[top[0]]
+    elif "components" not in owner and "component" in owner.attrs:
+        component = owner.attrs["component"]
+        units = [
+            sensitivity_unit(_output_unit(owner), LOAD_COMPONENTS[component] if component in range(6) else component)
+        ]
+    elif "elements" in owner:
+        units = [_sensitivity_units(owner)[j] for j in owner["elements"].values[:, 1]]
+    elif top[0] == "matrices":
+        units = _sensitivity_units(owner) * owner["channels"].shape[0]
+    elif "unit" in owner.attrs:
+        units = [str(owner.attrs["unit"])]
+    else:
+        units = _units_of_values(owner.parent) if len(top) > 1 else []
+    return units
+
+
+# Axes: coordinates of the group or of those above it, labels, or a length alone.
+
+
+def _scale(own: Group, name: str, length: int) -> Data:
+    """Return the dimension scale of an axis: of the data set's group, or of one above it, made where there is none."""
+    group = own
+    while True:
+        near = group.get(name)
+        if isinstance(near, Data) and near.shape == (length,):
+            near.scale = near.scale or name
+            return near
+        if group is group.top:
+            break
+        group = group.parent
+    free = next(text for text in (name, *(f"{name}_{number}" for number in range(2, 99))) if text not in own)
+    values = _coordinate(own, name, length)
+    if values is None:
+        scale = Data(np.zeros(length, ">f4"), stored=False)
+        scale.scale = f"This is a netCDF dimension but not a netCDF variable. {length:9d}"
+    else:
+        scale = Data(values)
+        scale.scale = free
+        scale.attrs["long_name"] = (
+            "real parts, then imaginary parts" if name in ("row", "column") else _words(f"/{name}")
+        )
+        if scale.numbers:
+            scale.attrs["units"] = "Hz"
+    own.inside[free] = scale
+    return scale
+
+
+def _coordinate(group: Group, name: str, length: int) -> Any:
+    """Return what an axis says at each place, None where nothing does."""
+    owner, which = _owner(group)
+    labels = _labels(owner, which) if name in ("row", "column", "element") else []
+    places = [owner, *(owner[inner] for inner in ("phasors", "fit/phasors") if inner in owner)]
+    found: Any = next((place[name] for place in places if name in place and place[name].shape == (length,)), None)
+    if name in ("row", "column"):
+        values: Any = [f"{part} {label}" for part in ("Re", "Im") for label in labels]
+    elif name == "element":
+        values = labels
+    elif name == "components":
+        values = LOAD_COMPONENTS
+    elif name in ("channels", "component") and group.name.startswith("/stereo"):
+        values = MOTION_COMPONENTS
+    elif name == "axis":
+        values = AXES
+    elif found is not None:
+        values = found.values
+    else:
+        values = np.array([owner.attrs["frequency_hz"]]) if name == K and K in owner.attrs else ()
+    return values if len(values) == length > 0 else None
+
+
+def _labels(owner: Group, which: str) -> list[str]:
+    """Return the label of each value of a group."""
+    if which == "plane":
+        return ["mean", "rotation 1", "rotation 2"]
+    if "elements" in owner:
+        channels = owner["channels"].values
+        return [f"{channels[c]}/{LOAD_COMPONENTS[j]}" for c, j in owner["elements"].values]
+    top = owner.name.split("/")[1]
+    if top == "load":
+        return list(LOAD_COMPONENTS)
+    inner = next((inner for inner in ("channels", "phasors/channels") if inner in owner), None)
+    if inner is None:
+        return _labels(owner.parent, which) if owner.name != "/" else []
+    channels = list(owner[inner].values)
+    if top in ("matrices", "cross_talks"):
+        return [f"{channel}/{component}" for channel in channels for component in LOAD_COMPONENTS]
+    return channels

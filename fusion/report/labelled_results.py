@@ -1,0 +1,249 @@
+"""Results read back as labelled arrays with units and covariances, for programs of users: NumPy, pandas, xarray."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from fusion.errors import InputError
+from fusion.estimation.uncertainty import Uncertainty, polar_elements
+from fusion.report.folder import RESULT_FILE, RESULT_FORMAT
+from fusion.report.h5 import open_results, read_numbers, read_uncertainty
+from fusion.report.table import sensitivity_unit
+from shaker.arrays import ComplexArray, FloatArray, check_shape
+from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS
+
+CAMPAIGN_FILE = "campaign.h5"
+READ = ("sensor", "sensitivity", "element", "accelerations", "load", "curves", "matrices")
+"""Groups of a file that results are made of."""
+
+
+@dataclass(frozen=True, repr=False)
+class LabelledPhasors:
+    """Complex values of E elements at K frequencies with names, units and all that makes them uncertain.
+
+    `value` (K, E) peak phasors or ratios of them, NaN where there is no result; `channel` (of the sensor; of an
+    acceleration or load its body), `component` and `unit` (E texts each); `uncertainty` of all, real parts first, by
+    named unknowns. `name` says of what, `kind` (K) of which kind each line is.
+    """
+
+    name: str
+    frequency_hz: FloatArray
+    value: ComplexArray
+    channel: tuple[str, ...]
+    component: tuple[str, ...]
+    unit: tuple[str, ...]
+    uncertainty: Uncertainty
+    kind: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        lines, size = len(self.frequency_hz), len(self.unit)
+        check_shape("frequency_hz", self.frequency_hz, (lines,))
+        check_shape("value", self.value, (lines, size))
+        check_shape("covariance", self.uncertainty.random[0].covariance, (lines, 2 * size, 2 * size))
+        if len(self.kind) != lines:
+            raise ValueError(f"kind: expected one of each of {lines} lines, found {len(self.kind)}")
+
+    def __repr__(self) -> str:
+        lines, units = self.frequency_hz, ", ".join(dict.fromkeys(self.unit))
+        span = f" from {lines.min():.6g} to {lines.max():.6g} Hz" if len(lines) else ""
+        elements = f"{len(self.unit)} element{'s' * (len(self.unit) != 1)}"
+        return f"{self.name}: {elements} at {len(lines)} line{'s' * (len(lines) != 1)}{span} in {units}"
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance (K, 2E, 2E) of [all Re, all Im] at each frequency, in products of the units."""
+        return self.uncertainty.covariance
+
+    @property
+    def elements(self) -> tuple[str, ...]:
+        """Name of each element, `channel/component`."""
+        return tuple(f"{channel}/{component}" for channel, component in zip(self.channel, self.component, strict=True))
+
+    def of(self, channel: str, component: str) -> ComplexArray:
+        """Return the values (K,) of one element."""
+        if (name := f"{channel}/{component}") not in self.elements:
+            raise ValueError(f"channel, component: expected one of {', '.join(self.elements)}, found {name}")
+        return np.asarray(self.value[:, self.elements.index(name)])
+
+    def to_dataframe(self) -> Any:
+        """Return a pandas table: a row for each value that is a result, with the columns of `sensitivity.csv`."""
+        pandas = _optional("pandas")
+        rows = []
+        with np.errstate(over="ignore", invalid="ignore"):  # of damaged files, whose numbers come back as they are
+            every = polar_elements(self.value, self.uncertainty)
+        for k, line in enumerate(every):
+            for e, value in enumerate(line):
+                if value is not None:
+                    named = {"channel": self.channel[e], "component": self.component[e]}
+                    what = {"unit": self.unit[e], "kind": self.kind[k]}
+                    rows.append({"frequency_hz": float(self.frequency_hz[k]), **named, **asdict(value), **what})
+        return pandas.DataFrame(rows)
+
+    def to_xarray(self) -> Any:
+        """Return an xarray `Dataset`: `value` and `covariance` over `frequency_hz` and `element`, with their labels."""
+        parts = [f"{part} {element}" for part in ("Re", "Im") for element in self.elements]
+        labels = {name: ("element", list(getattr(self, name))) for name in ("channel", "component", "unit")}
+        units = set(self.unit)
+        attributes = {"long_name": self.name, **({"units": self.unit[0]} if len(units) == 1 else {})}
+        return _optional("xarray").Dataset(
+            {
+                "value": (("frequency_hz", "element"), self.value, attributes),
+                "covariance": (
+                    ("frequency_hz", "row", "column"),
+                    self.covariance,
+                    {"long_name": "of [all Re, all Im]"},
+                ),
+            },
+            coords={
+                "frequency_hz": ("frequency_hz", self.frequency_hz, {"units": "Hz"}),
+                "element": list(self.elements),
+                "row": parts,
+                "column": parts,
+                "kind": ("frequency_hz", list(self.kind)),
+                **labels,
+            },
+        )
+
+
+@dataclass(frozen=True, repr=False)
+class Results:
+    """What a results folder of a recording or campaign says, as labelled arrays; None or empty where it says nothing.
+
+    `sensitivity`: ratios of a recording; `element`: the sensor's elements; `acceleration` by `BODY-SOURCE`; `load`.
+    Of a campaign `curve`: one for each kind and driven component, that of the matrix over frequency among them;
+    `matrix`: one for each frequency, its 6C elements channel by channel.
+    """
+
+    name: str
+    path: Path
+    sensitivity: LabelledPhasors | None
+    element: LabelledPhasors | None
+    acceleration: dict[str, LabelledPhasors]
+    load: LabelledPhasors | None
+    curve: tuple[LabelledPhasors, ...]
+    matrix: tuple[LabelledPhasors, ...]
+
+    def __repr__(self) -> str:
+        single = [found for found in (self.sensitivity, self.element, self.load) if found is not None]
+        found = [*single, *self.acceleration.values(), *self.curve, *self.matrix]
+        return "\n  ".join(
+            [f"Results of {self.name}:", *map(repr, found)] if found else [f"Results of {self.name}: none"]
+        )
+
+
+def read_results(path: str | Path) -> Results:
+    """Return the results that a run left in a folder (or in its `result.h5` or `campaign.h5`), with their units.
+
+    >>> from fusion import read_results
+    >>> results = read_results("results/Fz-0080")  # doctest: +SKIP
+    >>> results.load  # doctest: +SKIP
+    load: 6 elements at 3 lines from 80 to 240 Hz in N, N.m
+    >>> results.sensitivity.of("Fz", "Fz")  # doctest: +SKIP
+    >>> results.sensitivity.to_dataframe()  # doctest: +SKIP
+    """
+    path = Path(path)
+    files = [path] if path.is_file() else [path / name for name in (CAMPAIGN_FILE, RESULT_FILE)]
+    file = next((file for file in files if file.is_file() and h5py.is_hdf5(file)), None)
+    if file is None:
+        raise InputError(path, "", found="none of these", expected=f"{RESULT_FILE} or {CAMPAIGN_FILE} of a run")
+    with open_results(file, *READ) as content:
+        if content.attrs.get("format") != RESULT_FORMAT or not {"recording", "campaign"} & set(content.attrs):
+            found = f"format {content.attrs['format']}" if "format" in content.attrs else "another file"
+            raise InputError(file, "", found=found, expected=f"results of format {RESULT_FORMAT}; evaluate anew")
+        try:
+            return _results(content, file)
+        except KeyError as error:
+            raise InputError(file, "", found=f"incomplete results ({error.args[0]})", expected="") from error
+
+
+def _results(file: h5py.File, path: Path) -> Results:
+    """Everything that a file has."""
+    curves, matrices = file.get("curves", {}), file.get("matrices", {})
+    return Results(
+        name=str(file.attrs.get("recording", file.attrs.get("campaign"))),
+        path=path,
+        sensitivity=_sensitivity(file["sensitivity"]) if "sensitivity" in file else None,
+        element=_sensitivity(file["element"]) if "element" in file else None,
+        acceleration={name: _motion(name, group) for name, group in file.get("accelerations", {}).items()},
+        load=_load(file["load"]) if "load" in file else None,
+        curve=tuple(_curve(group) for group in _groups(curves)),
+        matrix=tuple(_matrix(group) for group in _groups(matrices)),
+    )
+
+
+def _groups(parent: Any) -> Iterator[h5py.Group]:
+    """Groups of a list, in order."""
+    return (group for group in parent.values() if isinstance(group, h5py.Group)) if len(parent) else iter(())
+
+
+def _texts(group: h5py.Group, name: str) -> tuple[str, ...]:
+    return tuple(group[name].asstr()[()].tolist())
+
+
+def _labelled(
+    name: str, group: h5py.Group, value: ComplexArray, labels: Sequence[tuple[str, str, str]], kind: Sequence[str]
+) -> LabelledPhasors:
+    """Values of a group with their uncertainty; `labels`: channel, component and unit of each."""
+    channel, component, unit = zip(*labels, strict=True) if labels else ((), (), ())
+    places: list[Any] = [group.get("frequency_hz"), group.get("phasors/frequency_hz")]
+    found = next((read_numbers(place) for place in places if place is not None), None)
+    frequency = np.array([group.attrs["frequency_hz"]]) if found is None else found
+    uncertainty = read_uncertainty(group["uncertainty"])
+    return LabelledPhasors(name, frequency, value, channel, component, unit, uncertainty, tuple(kind))
+
+
+def _sensitivity(group: h5py.Group) -> LabelledPhasors:
+    channels, elements = _texts(group, "channels"), read_numbers(group["elements"], "iu").tolist()
+    unit = str(group.attrs["unit"])
+    labels = [(channels[c], LOAD_COMPONENTS[j], sensitivity_unit(unit, LOAD_COMPONENTS[j])) for c, j in elements]
+    value = read_numbers(group["value"], "c")[:, [c for c, _ in elements], [j for _, j in elements]]
+    return _labelled(group.name.strip("/"), group, value, labels, _texts(group, "kind"))
+
+
+def _curve(group: h5py.Group) -> LabelledPhasors:
+    channels, unit, kind = _texts(group, "channels"), _output_unit(group), str(group.attrs["kind"])
+    pairs = [(channels[c], LOAD_COMPONENTS[j]) for c, j in read_numbers(group["elements"], "iu").tolist()]
+    labels = [(channel, component, sensitivity_unit(unit, component)) for channel, component in pairs]
+    return _labelled(
+        f"curve ({kind})", group, read_numbers(group["value"], "c"), labels, [kind] * len(group["frequency_hz"])
+    )
+
+
+def _motion(name: str, group: h5py.Group) -> LabelledPhasors:
+    inner, body = group["phasors"], str(group.attrs["body"])
+    labels = [(body, *pair) for pair in zip(_texts(inner, "channels"), _texts(inner, "unit"), strict=True)]
+    return _labelled(
+        f"acceleration {name}", group, read_numbers(inner["value"], "c"), labels, ["phasor"] * len(inner["value"])
+    )
+
+
+def _load(group: h5py.Group) -> LabelledPhasors:
+    value = np.where(group["observed"][()], read_numbers(group["value"], "c"), complex(np.nan, np.nan))
+    labels = [("load", *pair) for pair in zip(LOAD_COMPONENTS, LOAD_UNITS, strict=True)]
+    return _labelled("load", group, value, labels, ["phasor"] * len(value))
+
+
+def _matrix(group: h5py.Group) -> LabelledPhasors:
+    unit = _output_unit(group)
+    pairs = [(channel, component) for channel in _texts(group, "channels") for component in LOAD_COMPONENTS]
+    labels = [(*pair, sensitivity_unit(unit, pair[1])) for pair in pairs]
+    return _labelled("matrix", group, read_numbers(group["value"], "c").reshape(1, -1), labels, ["matrix"])
+
+
+def _output_unit(group: h5py.Group) -> str:
+    return str(group.file["sensor"].attrs["unit"]) if "sensor" in group.file else ""
+
+
+def _optional(name: str) -> Any:
+    """Return a package that a user may have."""
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        raise ImportError(f"{name} is not installed: pip install {name}") from None

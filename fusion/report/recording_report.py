@@ -1,0 +1,361 @@
+"""Page, tables and result folder of a recording; how a campaign joins the tables of several."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from fusion.errors import InputError
+from fusion.estimation.coverage import Polar
+from fusion.estimation.fuse import Acceleration
+from fusion.phasors.stereo_phasors import StereoResult
+from fusion.report import tables, uncertainty_tables
+from fusion.report.atomic_files import write_file, write_files
+from fusion.report.figure import Figure
+from fusion.report.folder import (
+    CURVE_FILE,
+    RESULT_FILE,
+    RESULT_FORMAT,
+    SENSITIVITY_FILE,
+    InputFiles,
+    check_folder,
+    origin_frame,
+    read_provenance,
+    render_page,
+    write_folder,
+    write_provenance,
+)
+from fusion.report.h5 import EVIDENCE, h5_content, write_fields, write_value
+from fusion.report.h5_tree import Group
+from fusion.report.labelled_results import CAMPAIGN_FILE
+from fusion.report.motion_figures import pair_motion_figures, subset_figures
+from fusion.report.points import save_points
+from fusion.report.report_scene import evaluation_scene, scene_page
+from fusion.report.result_figures import acceleration_figures, draw_budget, sensitivity_figures
+from fusion.report.signal_figures import channel_figures, point_figures, trigger_figures
+from fusion.report.table import (
+    TableColumn,
+    capitalise,
+    csv_text,
+    polar_columns,
+    quantity_html,
+    sensitivity_unit,
+    text_column,
+)
+from fusion.sensitivity.analyse import NO_RESULT, NOT_SHOWN, Evaluation
+from fusion.sensitivity.input_evidence import find_evidence
+from fusion.sensitivity.load_phasors import LoadResult
+from fusion.sensitivity.moving_body import moving_parts
+from fusion.sensitivity.ratio import Sensitivity
+from shaker.arrays import FloatArray
+
+# Its tables as CSV files, and how a campaign joins those of several.
+
+
+ACCELERATION_FILE, LOAD_FILE = "acceleration.csv", "load.csv"
+
+
+class ResultElement(NamedTuple):
+    """One complex value of a recording: of an output and load, or of a body and component, and where it is from."""
+
+    frequency_hz: float
+    of: str
+    component: str
+    value: Polar
+    unit: str
+    origin: str
+    recording: str
+
+
+class Pose(NamedTuple):
+    """Motion of one frame: time, the pose's six components with u, rms residual, number of points."""
+
+    time_s: float
+    pose: FloatArray
+    u: FloatArray
+    residual_m: float
+    points: int
+
+
+def _element_columns(of: str, size: str, origin: str) -> list[TableColumn[ResultElement]]:
+    """Columns of a table of complex values."""
+    return [
+        TableColumn("frequency_hz", lambda e: e.frequency_hz),
+        text_column(of, lambda e: e.of),
+        text_column("component", lambda e: e.component),
+        *polar_columns(size, lambda e: e.value),
+        text_column("unit", lambda e: e.unit),
+        text_column(origin, lambda e: e.origin),
+        text_column("recording", lambda e: e.recording),
+        *polar_columns(size, lambda e: e.value, freedom=True),
+    ]
+
+
+SENSITIVITY = _element_columns("channel", "magnitude", "kind")
+PHASORS = _element_columns("body", "amplitude", "source")
+MERGED_FILES = {SENSITIVITY_FILE: SENSITIVITY, ACCELERATION_FILE: PHASORS, LOAD_FILE: PHASORS}
+"""Columns of the tables that a campaign joins, by file name."""
+POSE = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
+
+
+def _pose_column(place: int, prefix: str = "") -> TableColumn[Pose]:
+    """Column of one component of the pose, or of its u."""
+    return TableColumn(prefix + POSE[place], lambda frame: float((frame.u if prefix else frame.pose)[place]))
+
+
+MOTION: list[TableColumn[Pose]] = [
+    TableColumn("time_s", lambda frame: frame.time_s),
+    *(_pose_column(place) for place in range(len(POSE))),
+    *(_pose_column(place, "u_") for place in range(len(POSE))),
+    TableColumn("residual_m", lambda frame: frame.residual_m),
+    TableColumn("points", lambda frame: frame.points),
+]
+
+
+def result_tables(evaluation: Evaluation) -> dict[str, str]:
+    """Text of every CSV file of one recording, by file name."""
+    name, found = evaluation.manifest.name, [own for own in (evaluation.sensitivity, evaluation.element) if own]
+    accelerations, load = evaluation.accelerations, evaluation.load
+    moved = (entry for result in accelerations for entry in _phasors(result, result.body, result.source, name))
+    texts = {
+        SENSITIVITY_FILE: csv_text(SENSITIVITY, (row for own in found for row in sensitivity_elements(own, name))),
+        ACCELERATION_FILE: csv_text(PHASORS, moved),
+        LOAD_FILE: csv_text(PHASORS, [] if load is None else _phasors(load, "load", "fused", name)),
+    }
+    return {**texts, **{f"motion-{stereo.name}.csv": csv_text(MOTION, poses(stereo)) for stereo in evaluation.stereo}}
+
+
+def sensitivity_elements(found: Sensitivity, recording: str) -> Iterator[ResultElement]:
+    """One entry per line and element that could be determined, of a `recording` or of a campaign of this name."""
+    for k, c, j in np.argwhere(np.isfinite(found.value)).tolist():
+        unit, component = sensitivity_unit(found.unit, found.components[j]), found.components[j]
+        value = tables.sensitivity_element(found, k, c, j)
+        yield ResultElement(
+            float(found.frequency_hz[k]), found.channels[c], component, value, unit, found.kind[k], recording
+        )
+
+
+def row_element(row: Mapping[str, str]) -> Polar:
+    """One element of a sensitivity.csv, from the texts of its row."""
+    return Polar(**{field.name: float(row[field.name]) for field in fields(Polar)})
+
+
+def _phasors(result: Acceleration | LoadResult, body: str, source: str, recording: str) -> Iterator[ResultElement]:
+    """One entry per line and component that is observed."""
+    phasors = result.phasors
+    for k, row in enumerate(result.polar):
+        for c, value in enumerate(row):
+            if value is not None:
+                frequency, component = float(phasors.frequency_hz[k]), phasors.channels[c]
+                yield ResultElement(frequency, body, component, value, phasors.unit[c], source, recording)
+
+
+def poses(stereo: StereoResult) -> Iterator[Pose]:
+    """One entry per frame: the motion from the first frame's pose; a failed frame has `nan` and no points."""
+    motion, unknown = stereo.motion, np.full(6, np.nan)
+    u_pose = np.sqrt(motion.covariance.diagonal(axis1=1, axis2=2))
+    frames = zip(stereo.time_s, motion.pose, u_pose, motion.residual_m, motion.points, strict=True)
+    for time, pose, u, residual, points in frames:
+        failed = not np.isfinite(pose).all()
+        numbers = (unknown, unknown, np.nan, 0) if failed else (pose, u, float(residual), int(points))
+        yield Pose(float(time), *numbers)
+
+
+def merged_table(name: str, folders: Sequence[Path]) -> Iterator[str]:
+    """Yield one of the tables of `MERGED_FILES` joined of the recordings' by rows: its first line, then each body.
+
+    `folders`: the recordings' results folders, in the order of the rows. A folder without the table is left out. Raises
+    `ValueError` for a table of other columns.
+    """
+    head = ",".join(column.name for column in MERGED_FILES[name])
+    yield f"{head}\n"
+    for path in (folder / name for folder in folders):
+        if path.is_file():
+            first, _, body = path.read_text(encoding="utf-8").partition("\n")
+            if first != head:
+                raise ValueError(f"{path}: expected the columns {head}, found {first}")
+            yield body if body.endswith("\n") or not body else f"{body}\n"
+
+
+# Which figures the report of one recording holds.
+
+
+def draw_all(evaluation: Evaluation) -> dict[str, list[Figure]]:
+    """All figures of a recording, by the section of the report that shows them."""
+    return {
+        "sensitivity": sensitivity_figures(evaluation),
+        "acceleration": acceleration_figures(evaluation),
+        "points": point_figures(evaluation),
+        "budget": [picture for picture in [draw_budget(evaluation)] if picture],
+        "motion": [picture for stereo in evaluation.stereo for picture in pair_motion_figures(stereo)],
+        "subsets": subset_figures(evaluation),
+        "channels": channel_figures(evaluation),
+        "trigger": trigger_figures(evaluation),
+    }
+
+
+# report.html: one self-contained page with results, figures and origin of one recording.
+
+
+REPORT_FILE = "report.html"
+
+
+def render_report(evaluation: Evaluation) -> str:
+    """HTML text of the report; style and figures are inside, nothing is fetched from elsewhere."""
+    context = {
+        "name": evaluation.manifest.name,
+        "subject": _subject(evaluation),
+        "missing": [capitalise(notice.text) for notice in evaluation.notices if notice.where == NO_RESULT],
+        "headlines": tables.headlines(evaluation),
+        "rig": scene_page(evaluation_scene(evaluation)),
+        "pictures": draw_all(evaluation),
+        "sensitivity": tables.sensitivity_table(evaluation),
+        "sources": tables.source_tables(evaluation),
+        "load": tables.load_table(evaluation),
+        "points": uncertainty_tables.point_tables(evaluation),
+        "consistency": uncertainty_tables.consistency_tables(evaluation),
+        "others": uncertainty_tables.other_loads_table(evaluation),
+        "budgets": uncertainty_tables.budget_tables(evaluation),
+        "monte_carlo": uncertainty_tables.monte_carlo_tables(evaluation),
+        "stereo": tables.stereo_table(evaluation.stereo),
+        "shapes": tables.shape_tables(evaluation),
+        "lines": tables.lines_table(evaluation),
+        "channels": tables.channels_table(evaluation),
+        "drift": tables.drift_table(evaluation),
+        "takes": tables.takes_table(evaluation),
+        "supports": tables.supports_table(evaluation),
+        "clocks": tables.clocks_table(evaluation),
+        "stated": uncertainty_tables.inputs_table(evaluation.manifest.inputs),
+        **origin_frame(evaluation, evaluation.notices),
+        "duration_s": evaluation.duration_s,
+    }
+    return render_page("report.html", context)
+
+
+def _subject(evaluation: Evaluation) -> list[tuple[str, str]]:
+    """What was measured: rig, sensor, load mass, excitation, surroundings."""
+    rig, excitation = evaluation.manifest.rig, evaluation.manifest.excitation
+    facts = [("Rig", rig.name)]
+    if rig.sensor is not None:
+        serial = f", serial number {rig.sensor.serial}" if rig.sensor.serial else ""
+        facts.append(("Sensor", f"{rig.sensor.name}{serial}"))
+    if rig.load is not None:
+        stated = quantity_html(rig.load.mass, 2.0 * rig.load.mass_uncertainty, "kg").striptags()
+        facts.append(("Load mass", f"{stated}, k = 2"))
+    nominal = ", ".join(f"{frequency:g} Hz" for frequency in excitation.frequencies or ())
+    direction = ", ".join(f"{element:g}" for element in excitation.direction or ())
+    told = [excitation.kind, nominal, f"direction ({direction})" if direction else ""]
+    facts.append(("Excitation", ", ".join(filter(None, told))))
+    manifest, around = evaluation.manifest, rig.surroundings
+    parts = moving_parts(rig, manifest.part)
+    if parts:
+        mass, u = sum(part.mass_kg for part in parts), np.linalg.norm([part.u_mass_kg for part in parts])
+        moved = quantity_html(mass, 2.0 * float(u), "kg").striptags()
+        facts.append(("Moving mass", f"{moved}, k = 2, with what moves in the sensor"))
+    if around.temperature is not None:
+        facts.append(("Temperature of the air", f"{around.temperature:g} °C"))
+    if around.sensor_temperature is not None:
+        felt = quantity_html(around.sensor_temperature, 2.0 * around.sensor_temperature_uncertainty, "°C").striptags()
+        facts.append(("Sensor temperature", f"{felt}, k = 2" if around.sensor_temperature_uncertainty else felt))
+    day = (("Date", manifest.date), ("Operator", manifest.operator), ("Procedure", manifest.procedure))
+    return [*facts, *((name, str(value)) for name, value in day if value is not None)]
+
+
+# The results folder: tables, HDF5 file and report, whole or not at all.
+
+
+CROSSTALK_FILE = "crosstalk.csv"
+CAMPAIGN_FILES = (*MERGED_FILES, CURVE_FILE, CROSSTALK_FILE, REPORT_FILE, CAMPAIGN_FILE)
+"""Files at the top of a campaign's results."""
+OWN_FILE = re.compile(
+    r"(sensitivity|acceleration|load|motion-.+)\.csv|points-.+\.(csv|pvd|vtp)|result\.h5|report\.html"
+)
+
+
+def write_results(
+    evaluation: Evaluation, folder: Path, inputs: InputFiles | None = None, *, force: bool = False
+) -> list[Path]:
+    """Write every result file of one recording and return their paths, as `write_folder` does."""
+
+    def make(temporary: Path) -> list[str]:
+        names = write_files(temporary, {**result_tables(evaluation), REPORT_FILE: render_report(evaluation)})
+        if "save_points" in evaluation.settings:
+            names += [name for stereo in evaluation.stereo for name in save_points(temporary, stereo)]
+        names.append(RESULT_FILE)
+        write_h5(temporary / RESULT_FILE, evaluation, names)
+        return names
+
+    inputs = InputFiles(evaluation.input_hashes) if inputs is None else inputs
+    return write_folder(folder, inputs, make, force=force, marker=RESULT_FILE, replaceable=OWN_FILE)
+
+
+def check_campaign_folder(top: Path, recordings: Sequence[str], *, force: bool) -> None:
+    """Refuse a place for a campaign's results that holds something else, or joint files without their recordings.
+
+    `recordings`: names of the recordings' folders, each of which is checked when its turn comes. Hidden files are
+    none of the program's business.
+    """
+    check_folder(top, {}, force=True)
+    taken = next((name for name in recordings if name in CAMPAIGN_FILES), None)
+    if taken is not None:
+        raise InputError(top / taken, "", found="a recording of that name", expected="this file of the whole campaign")
+    names = {entry.name for entry in top.iterdir()} if top.exists() and not force else set()
+    known = set(recordings)
+    ours = {name for name in names if name in known or read_provenance(top / name) is not None}
+    other = {name for name in names - ours if not name.startswith(".") and not (ours and name in CAMPAIGN_FILES)}
+    if other:
+        expected = "results of this campaign only (--force writes beside them and replaces only result files)"
+        raise InputError(top, "", found=f"other files, for example {min(other)}", expected=expected)
+
+
+SENSOR = [
+    "name",
+    "serial",
+    "channels",
+    "unit",
+    "sense",
+    "capacity",
+    "static_sensitivity",
+    "static_sensitivity_uncertainty",
+    "cross_talk",
+    "cross_talk_uncertainty",
+]
+"""What a campaign has to know of the sensor that was tested."""
+
+
+def write_h5(path: Path, evaluation: Evaluation, files: Sequence[str]) -> None:
+    """Write the evaluation and its provenance to a new HDF5 file; `files` are the names of all result files."""
+    manifest = evaluation.manifest
+
+    def fill(file: Group) -> None:
+        file.attrs["format"] = RESULT_FORMAT
+        file.attrs["recording"] = manifest.name
+        file.attrs["rig"] = manifest.rig.name
+        file.attrs["phasors"] = "x(t) = Re{X exp(+j omega t)}; covariances of [all Re, all Im]; k = 1"
+        write_provenance(file, evaluation, files)
+        file.attrs["mounting"] = manifest.mounting
+        if manifest.date is not None:
+            file.attrs["date"] = manifest.date.isoformat()
+        parts = (evaluation.load, evaluation.outputs, evaluation.sensitivity, evaluation.element)
+        influences = [influence for part in parts if part is not None for influence in part.uncertainty.influences]
+        evidence = find_evidence(manifest, influences, evaluation.input_hashes)
+        if evidence:
+            write_value(file, EVIDENCE, evidence)
+        driven = file.create_group("excitation")
+        for name in ("kind", "direction", "frequencies"):
+            write_value(driven, name, getattr(manifest.excitation, name))
+        if manifest.rig.sensor is not None:
+            sensor = file.create_group("sensor")
+            for name in SENSOR:
+                write_value(sensor, name, getattr(manifest.rig.sensor, name))
+        write_fields(file, evaluation)
+        for name in ("sensitivity/budget", "element/budget"):
+            if name in file:
+                file[name].attrs["not_assessed"] = ", ".join(NOT_SHOWN)
+
+    write_file(path, h5_content(fill))

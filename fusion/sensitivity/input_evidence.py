@@ -1,0 +1,105 @@
+"""Which unknowns of a result rest on which certificates and files, so that results can tell what they share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fusion.estimation.uncertainty import Influence
+from fusion.instruments.transducer import chain_name
+from fusion.recording.toml import UncertainInput, quote_key
+from fusion.recording.values import is_number
+from fusion.sensitivity.moving_body import moving_parts
+
+if TYPE_CHECKING:
+    from fusion.recording.load import Manifest
+
+
+@dataclass(frozen=True)
+class InputEvidence:
+    """An unknown of the rig, and what states it: a certificate by its number, a file by its SHA-256, both or neither.
+
+    `unknown`: its name; `of`: what it is of, whatever its part or channel is called, such as `mass`; `value` as
+    stated, NaN where no one number is; `u` in `unit`: its standard uncertainty; `certificate`, `laboratory`, `sha256`:
+    empty where there is none; `input`: file and key that name it.
+    """
+
+    unknown: str
+    of: str
+    value: float
+    u: float
+    unit: str
+    certificate: str
+    laboratory: str
+    sha256: str
+    input: str
+
+    @property
+    def proven(self) -> bool:
+        """Whether anything but a name says which input it is."""
+        return bool(self.certificate or self.sha256)
+
+
+def find_evidence(
+    manifest: Manifest, influences: Iterable[Influence], hashes: Mapping[str, str]
+) -> tuple[InputEvidence, ...]:
+    """Return what the manifests say of the inputs that hold as long as the rig; `hashes`: of all input files.
+
+    What is mounted or recorded anew is no other result's, whatever certificate it has. An input without any evidence
+    has a row that says so.
+    """
+    unknowns = {influence.name: influence for influence in influences if influence.scope == "rig"}
+    inputs = {item.key.removesuffix("_uncertainty"): item for item in manifest.inputs}
+    found: dict[tuple[str, ...], InputEvidence] = {}
+    for key, stem, what, path in _stems(manifest):
+        item = inputs.get(key)
+        if item is None and path is None:
+            continue
+        number, laboratory = _source(item)
+        digest = "" if path is None else _digest(manifest, path, hashes)
+        value = item.value if item is not None and is_number(item.value) else np.nan
+        file = path if item is None else item.file
+        for name in (name for name in unknowns if name == stem or name.startswith(f"{stem} ")):
+            own = unknowns[name]
+            of, where = what + name[len(stem) :], f"{file.name if file else ''}: {key}"
+            row = InputEvidence(name, of, float(value), own.u, own.unit, number, laboratory, digest, where)
+            found.setdefault((name, number, laboratory, digest), row)
+    proven = {row.unknown for row in found.values() if row.proven}
+    return tuple(row for row in found.values() if row.proven or row.unknown not in proven)
+
+
+def _source(item: UncertainInput | None) -> tuple[str, str]:
+    """Number of the certificate and laboratory of an input, empty where they are not stated."""
+    stated = None if item is None else item.stated
+    return ("", "") if stated is None else (" ".join(stated.certificate.split()), stated.laboratory)
+
+
+def _digest(manifest: Manifest, path: Path, hashes: Mapping[str, str]) -> str:
+    """SHA-256 of an input file by its path, empty where it is not known."""
+    whole = path.resolve()
+    inside = whole.relative_to(manifest.root) if whole.is_relative_to(manifest.root) else whole
+    return hashes.get(inside.as_posix(), "")
+
+
+def _stems(manifest: Manifest) -> Iterator[tuple[str, str, str, Path | None]]:
+    """Yield the key of an input, how names of its unknowns begin, what they are of, and the file that states them."""
+    rig, keys = manifest.rig, {"load": "load.", "internal mass": "sensor.internal_"}
+    for part in moving_parts(rig, manifest.part):
+        key = keys.get(part.name, f"part.{quote_key(part.name)}.")
+        for what in ("mass", "inertia"):
+            yield key + what, f"{part.name} {part.mass_kg:.9g} kg: {what}", what, None
+    yield "environment.gravity", "gravity", "gravity", None
+    yield "sensor.static_sensitivity", "static sensitivity", "static sensitivity", None
+    for name, pair in rig.stereo.items():
+        for what, file in (("scale", None), ("delay", None), ("calibration", pair.calibration), ("surface", None)):
+            yield f"stereo.{quote_key(name)}.{what}", f"stereo {name}: {what}", f"{what} of cameras", file
+    for prefix, block in manifest.set_ups:
+        for daq in block.daq:
+            for entry in daq.channel:
+                key, chain = f"{prefix}daq.{quote_key(daq.name)}.channel.{quote_key(entry.name)}", chain_name(entry)
+                for what, file in (("scale", None), ("delay", None), ("response", entry.response)):
+                    yield f"{key}.{what}", f"{chain}: {what}", f"{what} of {entry.quantity}", file

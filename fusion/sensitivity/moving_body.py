@@ -1,0 +1,536 @@
+"""Mass matrix, lever arms and gravity tilt of the load, and what is elastic of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fusion.errors import ComputeError, InputError
+from fusion.estimation.uncertainty import Scope, Unknown
+from fusion.sensitivity.elastic import (
+    ONLY_NAMED,
+    ElasticPart,
+    InstrumentPosition,
+    NaturalModes,
+    Plate,
+    Rod,
+    Variant,
+    join_modes,
+)
+from photogram.geometry import skew
+from shaker.arrays import ComplexArray, FloatArray, check_shapes
+from shaker.identification.measured_curves import InertiaError
+from shaker.labels import MOTION_COMPONENTS
+
+if TYPE_CHECKING:
+    from fusion.estimation.measurement_model import Deviates
+    from fusion.recording.load import Manifest
+    from fusion.recording.rig import Elastic, ElasticMode, Rig, RigLoad
+    from fusion.recording.rig import RigPart as PartTable
+
+# The elastic joint: the load itself stays rigid, so all its places move alike, and the fused motion is the load's own.
+
+
+@dataclass(frozen=True)
+class MountingJoint:
+    """The joint on which a load sits, with the instruments on the load.
+
+    `frequency_hz` (6,): at which the load would resonate on the joint if the lower side stood still, component by
+    component; `u_frequency_hz` (6,): its standard uncertainty, 0 where the joint is only named: then nothing is
+    corrected, and what a correction would change is uncertain as a whole; `damping`: damping ratio of that resonance.
+    """
+
+    frequency_hz: FloatArray
+    u_frequency_hz: FloatArray
+    damping: float
+
+    def follow(self, frequency_hz: FloatArray) -> ComplexArray:
+        """Return (K, 6): motion of the lower side over that of the load, 1/(1 + G) = 1 - r²/(1 + 2jζr).
+
+        The joint carries the load's inertia, -ω²·m·x_load = (k + jωb)·(x_below - x_load).
+        """
+        stated = self.u_frequency_hz > 0.0
+        return np.asarray(np.where(stated, 1.0 - self._stretch(frequency_hz), 1.0))
+
+    def change(self, frequency_hz: FloatArray) -> ComplexArray:
+        """Return (K, 6): change of `follow` for one standard uncertainty of the joint.
+
+        Where it is corrected the derivative by f_e times its uncertainty; where it is only named the root mean square,
+        1/√3 of the whole, of an error anywhere between nothing and a joint as elastic as that.
+        """
+        r = frequency_hz[:, None] / self.frequency_hz
+        damped = 1.0 + 2j * self.damping * r
+        slope = r * r * (1.0 + damped) / damped**2 / self.frequency_hz
+        stated = self.u_frequency_hz > 0.0
+        named = -self._stretch(frequency_hz) * ONLY_NAMED
+        return np.asarray(np.where(stated, slope * self.u_frequency_hz, named))
+
+    def _stretch(self, frequency_hz: FloatArray) -> ComplexArray:
+        """Share (K, 6) of the load's motion that the joint takes up: G/(1 + G), finite at the resonance too."""
+        r = frequency_hz[:, None] / self.frequency_hz
+        return np.asarray(r * r / (1.0 + 2j * self.damping * r))
+
+
+JOINT = "joint of the load"
+"""Label of its unknowns."""
+
+
+def joint_unknown(frequency_hz: float, axis: str) -> str:
+    """Return the name of the unknown of a joint along an axis (x … rz)."""
+    return f"{JOINT} {frequency_hz:.9g} Hz: {axis}"
+
+
+def make_joint(frequency_hz: ArrayLike, u_frequency_hz: ArrayLike = 0.0, damping: float = 0.0) -> MountingJoint:
+    """Return a joint; one number stands for all six components."""
+    frequency = np.broadcast_to(np.asarray(frequency_hz, dtype=np.float64), (6,)).copy()
+    u_frequency = np.broadcast_to(np.asarray(u_frequency_hz, dtype=np.float64), (6,)).copy()
+    return MountingJoint(frequency, u_frequency, float(damping))
+
+
+# Bodies about the sensor origin: mass matrix, tilt of the weight in air, and what their uncertain parameters do.
+
+
+INERTIA_ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+AIR_MOVED_ALONG = 0.5
+"""Mass of the air that a body takes along, in masses of the air it displaces: a sphere's (Lamb 1932, Art. 92)."""
+U_AIR_MOVED_ALONG = 0.5 / np.sqrt(3.0)
+"""Its standard uncertainty: anything from none to once the displaced air, which a long cylinder takes across."""
+
+
+@dataclass(frozen=True)
+class MovingPart:
+    """A rigid part in the sensor frame, with standard uncertainties.
+
+    `mass_kg`; `centre_of_mass_m` (3,); `inertia_kgm2` (3, 3) about its centre of mass; `u_mass_kg`;
+    `u_centre_of_mass_m` (3,); `u_inertia_kgm2` (3, 3), one per entry. `air_share`: mass of the displaced air over the
+    part's own, 0 where it is not known. `below_joint`: on the sensor's side of the load's elastic joint.
+    """
+
+    name: str
+    mass_kg: float
+    centre_of_mass_m: FloatArray
+    inertia_kgm2: FloatArray
+    u_mass_kg: float
+    u_centre_of_mass_m: FloatArray
+    u_inertia_kgm2: FloatArray
+    air_share: float = 0.0
+    below_joint: bool = False
+
+    def __post_init__(self) -> None:
+        check_shapes(self, (3,), "centre_of_mass_m", "u_centre_of_mass_m")
+        check_shapes(self, (3, 3), "inertia_kgm2", "u_inertia_kgm2")
+        if not np.allclose(self.inertia_kgm2, self.inertia_kgm2.T, rtol=0.0, atol=1e-12):
+            raise ValueError(f"inertia_kgm2: expected a symmetric matrix, found {self.inertia_kgm2.tolist()}")
+
+    @property
+    def terms(self) -> InertialTerms:
+        """What the part contributes to the equations of motion."""
+        return InertialTerms.of(self.mass_kg, self.centre_of_mass_m, self.inertia_kgm2, self.air_share)
+
+
+def make_moving_part(
+    name: str,
+    mass_kg: float,
+    centre_of_mass_m: ArrayLike,
+    inertia_kgm2: ArrayLike,
+    uncertainties: tuple[float, ArrayLike, ArrayLike] = (0.0, 0.0, 0.0),
+    air_share: float = 0.0,
+    below_joint: bool = False,
+) -> MovingPart:
+    """Return a part from plain lists; one number as an uncertainty (mass, centre of mass, inertia) holds for all."""
+    u_mass, u_centre, u_inertia = uncertainties
+    return MovingPart(
+        name=name,
+        mass_kg=float(mass_kg),
+        centre_of_mass_m=np.array(centre_of_mass_m, dtype=np.float64),
+        inertia_kgm2=np.array(inertia_kgm2, dtype=np.float64),
+        u_mass_kg=float(u_mass),
+        u_centre_of_mass_m=np.broadcast_to(np.asarray(u_centre, dtype=np.float64), (3,)).copy(),
+        u_inertia_kgm2=np.broadcast_to(np.asarray(u_inertia, dtype=np.float64), (3, 3)).copy(),
+        air_share=float(air_share),
+        below_joint=below_joint,
+    )
+
+
+@dataclass(frozen=True)
+class InertialTerms:
+    """What a part, or the change of one, contributes to the equations of motion about the sensor origin.
+
+    `mass_matrix` (..., 6, 6): wrench = mass_matrix · [a, alpha] of the origin. `weight_kg` (...) and
+    `weight_moment_kgm` (..., 3): mass and mass times centre of mass less those of the displaced air, which gravity acts
+    on.
+    """
+
+    mass_matrix: FloatArray
+    weight_kg: FloatArray
+    weight_moment_kgm: FloatArray
+
+    @classmethod
+    def of(
+        cls, mass_kg: ArrayLike, centre_of_mass_m: FloatArray, inertia_kgm2: FloatArray, air_share: float = 0.0
+    ) -> InertialTerms:
+        """Return the terms of masses (...); the air that they take along has inertia but no weight."""
+        stated = np.asarray(mass_kg, dtype=np.float64)
+        mass, weight = stated * (1.0 + AIR_MOVED_ALONG * air_share), stated * (1.0 - air_share)
+        lever, moving = skew(centre_of_mass_m), mass[..., None, None]
+        matrix = np.zeros((*mass.shape, 6, 6))
+        matrix[..., :3, :3] = moving * np.eye(3)
+        matrix[..., :3, 3:] = -moving * lever
+        matrix[..., 3:, :3] = moving * lever
+        matrix[..., 3:, 3:] = inertia_kgm2 - moving * lever @ lever
+        return cls(matrix, weight, weight[..., None] * centre_of_mass_m)
+
+    def load_matrix(self, frequency_hz: FloatArray, gravity_mps2: ArrayLike | None) -> FloatArray:
+        """Return (..., K, 6, 6): wrench = matrix · acceleration phasors, in body axes, with the tilt of gravity.
+
+        With theta = -alpha/omega^2 the weight turns in body axes: F = m (theta × g), M = c × m (theta × g).
+        """
+        matrix = np.repeat(self.mass_matrix[..., None, :, :], len(frequency_hz), axis=-3)
+        if gravity_mps2 is not None:
+            pull = skew(np.asarray(gravity_mps2, dtype=np.float64))
+            tilt = np.concatenate(
+                [self.weight_kg[..., None, None] * pull, skew(self.weight_moment_kgm) @ pull], axis=-2
+            )
+            matrix[..., 3:] += tilt[..., None, :, :] / (2.0 * np.pi * frequency_hz[:, None, None]) ** 2
+        return matrix
+
+
+@dataclass(frozen=True)
+class Body:
+    """Parts that move as one, or, where the load's `joint` is known, as one above and one below it.
+
+    `gravity_mps2` (3,) in sensor axes, None where it is not known, with its standard uncertainty. `sense`: whether
+    wrenches are positive as they act on the load or on the sensor. `elastic`: what bends of the load; accelerations are
+    then those of its foot. `first_frequency_hz` (6,): at which the load first resonates with its foot held, of which
+    nothing else is known, so that nothing is corrected for it. `cable_npm` (3,) with `u_cable_npm`: stiffness of cables
+    between the load and the room, which carry k·x = -k·a/ω² of the force along each axis.
+    """
+
+    parts: tuple[MovingPart, ...]
+    joint: MountingJoint | None = None
+    gravity_mps2: ArrayLike | None = None
+    u_gravity_mps2: ArrayLike = (0.0, 0.0, 0.0)
+    sense: Literal["on_load", "on_sensor"] = "on_load"
+    elastic: tuple[ElasticPart, ...] = ()
+    first_frequency_hz: FloatArray | None = None
+    cable_npm: ArrayLike = (0.0, 0.0, 0.0)
+    u_cable_npm: ArrayLike = (0.0, 0.0, 0.0)
+
+    @property
+    def rigid(self) -> Body:
+        """The body without anything elastic."""
+        return replace(self, joint=None, elastic=(), first_frequency_hz=None)
+
+    @property
+    def weightless(self) -> Body:
+        """The body without the weight that turns with it."""
+        return replace(self, gravity_mps2=None, u_gravity_mps2=np.zeros(3))
+
+    @property
+    def mass_matrix(self) -> FloatArray:
+        """Mass matrix (6, 6) about the sensor origin, all being rigid: F = m (a + alpha × c), M = c × F + J alpha."""
+        return np.asarray(np.sum([part.terms.mass_matrix for part in self.parts], axis=0))
+
+    def load_matrix(self, frequency_hz: FloatArray) -> ComplexArray:
+        """Return (K, 6, 6): wrench = matrix · acceleration of the load; parts below its joint follow it."""
+        rigid = np.sum([self._carried(frequency_hz, part, part.terms) for part in self.parts], axis=0)
+        rigid = rigid + self._tied(frequency_hz, self.cable_npm)
+        return np.asarray(rigid + sum(part.act(partial(self._wrench, frequency_hz)) for part in self.elastic))
+
+    def _tied(self, frequency_hz: FloatArray, stiffness_npm: ArrayLike) -> ComplexArray:
+        """Load matrix (K, 6, 6) of cables to the room, at the sensor origin."""
+        sign = -1.0 if self.sense == "on_load" else 1.0
+        stiffness = np.diag(np.concatenate([np.asarray(stiffness_npm, dtype=np.complex128), np.zeros(3)]))
+        return np.asarray(sign * stiffness / (2.0 * np.pi * frequency_hz[:, None, None]) ** 2)
+
+    def _wrench(self, frequency_hz: FloatArray, modes: NaturalModes) -> ComplexArray:
+        """Load matrix (K, 6, 6) of modes of what bends, whose weight turns as that of the rigid body."""
+        return modes.wrench(frequency_hz) if self.sense == "on_load" else -modes.wrench(frequency_hz)
+
+    def _carried(self, frequency_hz: FloatArray, part: MovingPart, terms: InertialTerms) -> ComplexArray:
+        """Load matrices (..., K, 6, 6) by terms of a part, which may lie below the joint."""
+        sign = 1.0 if self.sense == "on_load" else -1.0
+        matrix = sign * terms.load_matrix(frequency_hz, self.gravity_mps2).astype(np.complex128)
+        if self.joint is None or not part.below_joint:
+            return matrix
+        return matrix * self.joint.follow(frequency_hz)[:, None, :]
+
+    def matrix_changes(self, frequency_hz: FloatArray) -> tuple[Unknown[ComplexArray], ...]:
+        """Return what every uncertain number does to the load matrix (K, 6, 6): parts, joint, modes, cable, gravity."""
+        changes: list[Unknown[ComplexArray]] = []
+        for part in self.parts:
+            changes += _parameters(part, partial(self._carried, frequency_hz, part))
+        below = tuple(part for part in self.parts if part.below_joint)
+        if self.joint is not None and below:
+            # The joint holds until it is screwed together anew: one unknown per component.
+            lower = replace(self, parts=below, joint=None, cable_npm=np.zeros(3)).load_matrix(frequency_hz)
+            by_joint = self.joint.change(frequency_hz)
+            for place, axis in enumerate(MOTION_COMPONENTS):
+                stated, u = float(self.joint.frequency_hz[place]), float(self.joint.u_frequency_hz[place])
+                own = np.zeros_like(lower)
+                own[:, :, place] = lower[:, :, place] * by_joint[:, None, place]
+                unknown = joint_unknown(stated, axis), JOINT, u or 1.0, "Hz" if u else "1"
+                changes.append(Unknown(*unknown, own, "mounting"))
+        for bending in self.elastic:
+            changes += bending.changes(partial(self._wrench, frequency_hz))
+        if self.first_frequency_hz is not None:
+            above = replace(self.rigid, parts=tuple(part for part in self.parts if not part.below_joint))
+            # r²/(1 - r²) of a mass on a spring, which moves and pulls more than what is spread out; 2r² from r² = ½ on.
+            square = (frequency_hz[:, None] / self.first_frequency_hz) ** 2
+            bound = square / np.maximum(1.0 - square, 0.5) * ONLY_NAMED
+            for place, axis in enumerate(MOTION_COMPONENTS):
+                own = np.zeros((len(frequency_hz), 6, 6), np.complex128)
+                own[:, :, place] = above.load_matrix(frequency_hz)[:, :, place] * bound[:, None, place]
+                name, label = f"{self.first_frequency_hz[place]:.9g} Hz: {axis}", "first natural frequency of the load"
+                changes.append(Unknown(f"{label} {name}", label, 1.0, "1", own, "mounting"))
+        for axis, tied in zip("xyz", np.diag(np.asarray(self.u_cable_npm, dtype=np.float64)), strict=True):
+            if np.any(tied):
+                own, label = self._tied(frequency_hz, tied), "stiffness of cables"
+                changes.append(Unknown(f"{label} {axis}", label, float(tied.sum()), "N/m", own, "mounting"))
+        # Of the vector of gravity only the tilt of the weight knows.
+        still = self.weightless.load_matrix(frequency_hz)
+        for axis, along, u in zip("xyz", np.eye(3), np.asarray(self.u_gravity_mps2).tolist(), strict=True):
+            if u > 0.0:
+                change = replace(self, gravity_mps2=along * u).load_matrix(frequency_hz) - still
+                changes.append(Unknown(f"gravity {axis}", "gravity", u, "m/s^2", change, "rig"))
+        return tuple(changes)
+
+    def draw_load_matrices(self, frequency_hz: FloatArray, deviates: Deviates) -> ComplexArray:
+        """Return N load matrices (N, K, 6, 6) of drawn masses, centres of mass and inertias, and of whatever else errs.
+
+        The parts' own numbers enter exactly; gravity, joint, modes and the air by their first-order changes.
+        """
+        drawn = []
+        for part in self.parts:
+            heavier = part.u_mass_kg * deviates.normal(f"{part.name}: mass")
+            moved = part.u_centre_of_mass_m * deviates.normal(f"{part.name}: centre of mass", 3)
+            turned = part.u_inertia_kgm2 * _symmetric(deviates.normal(f"{part.name}: inertia", 6))
+            centre, inertia = part.centre_of_mass_m + moved, part.inertia_kgm2 + turned
+            terms = InertialTerms.of(part.mass_kg + heavier, centre, inertia, part.air_share)
+            drawn.append(self._carried(frequency_hz, part, terms))
+        drawn += [part.act(partial(self._wrench, frequency_hz)) for part in self.elastic]
+        total = np.asarray(sum(drawn))
+        own = {f"{part.name}: {what}" for part in self.parts for what in ("mass", "centre of mass", "inertia")}
+        for change in self.matrix_changes(frequency_hz):
+            if change.label not in own:
+                # What instruments read errs by the same draws: the truth is the estimate less its error.
+                total = total - deviates.normal(change.name)[:, None, None, None] * change.effect
+        return total
+
+
+def _symmetric(entries: FloatArray) -> FloatArray:
+    """Symmetric matrices (..., 3, 3) of their entries (..., 6)."""
+    return entries[..., [[0, 3, 4], [3, 1, 5], [4, 5, 2]]]
+
+
+def _parameters(part: MovingPart, matrix: Callable[[InertialTerms], ComplexArray]) -> Iterator[Unknown[ComplexArray]]:
+    """Yield every uncertain number of a part with its effect on the load matrix, the `matrix` of a change of the terms.
+
+    The name contains what was stated, so that another part or another place is another unknown.
+    """
+    centre, rigid = part.centre_of_mass_m, np.zeros((3, 3))
+
+    def unknown(what: str, stated: str, u: float, unit: str, change: InertialTerms) -> Unknown[ComplexArray]:
+        scope: Scope = "mounting" if what == "centre of mass" else "rig"
+        name = f"{part.name} {part.mass_kg:.9g} kg: {what}{stated}"
+        return Unknown(name, f"{part.name}: {what}", u, unit, matrix(change), scope)
+
+    if part.u_mass_kg > 0.0:
+        heavier = InertialTerms.of(part.u_mass_kg, centre, rigid, part.air_share)
+        yield unknown("mass", "", part.u_mass_kg, "kg", heavier)
+    place = ", ".join(f"{x:.9g}" for x in centre.tolist())
+    for letter, step in zip("xyz", np.diag(part.u_centre_of_mass_m), strict=True):
+        if np.any(step > 0.0):
+            # The terms are of second order in the place: half their difference is the derivative.
+            ahead, behind = (InertialTerms.of(part.mass_kg, centre + s, rigid, part.air_share) for s in (step, -step))
+            matrix_change = (ahead.mass_matrix - behind.mass_matrix) / 2.0
+            moment_change = (ahead.weight_moment_kgm - behind.weight_moment_kgm) / 2.0
+            moved = InertialTerms(matrix_change, np.zeros(()), moment_change)
+            yield unknown("centre of mass", f" [{place}] {letter}", float(step.sum()), "m", moved)
+    for entry, (row, column) in zip(np.eye(6), INERTIA_ENTRIES, strict=True):
+        u = float(part.u_inertia_kgm2[row, column])
+        if u > 0.0:
+            stated = f" {part.inertia_kgm2[row, column]:.9g} {'xyz'[row]}{'xyz'[column]}"
+            change = InertialTerms.of(0.0, np.zeros(3), u * _symmetric(entry))
+            yield unknown("inertia", stated, u, "kg.m^2", change)
+    if part.air_share > 0.0:
+        u = U_AIR_MOVED_ALONG * part.air_share * part.mass_kg
+        air = InertialTerms(InertialTerms.of(u, centre, rigid).mass_matrix, np.zeros(()), np.zeros(3))
+        yield unknown("air moved along", "", u, "kg", air)
+
+
+# What rig.toml states of an elastic load as modes with their unknowns.
+
+
+UNCERTAIN: Mapping[str, tuple[str, Scope]] = {
+    "young_modulus": ("Pa", "rig"),
+    "density": ("kg/m^3", "rig"),
+    "poisson_ratio": ("1", "rig"),
+    "length": ("m", "rig"),
+    "diameter": ("m", "rig"),
+    "inner_diameter": ("m", "rig"),
+    "thickness": ("m", "rig"),
+    "clamped_diameter": ("m", "rig"),
+    "tip_mass": ("kg", "rig"),
+    "axial_frequency": ("Hz", "mounting"),
+    "bending_frequency": ("Hz", "mounting"),
+    "damping": ("1", "mounting"),
+    "frequencies": ("1", "rig"),
+    "participation": ("1", "rig"),
+}
+"""Keys of `[[load.elastic]]` that have an uncertainty, with the unit of that and how long they keep their value."""
+FACTORS = ("frequencies", "participation")
+"""Of all modes together: 1, with a relative uncertainty."""
+
+
+def elastic_part(table: Elastic) -> ElasticPart:
+    """Return the modes that a block `[[load.elastic]]` states, and what each of its uncertain numbers does to them."""
+    title, variants = f"elastic {table.name}", []
+
+    def add(
+        what: str, stated: float, u: float, unit: str, scope: Scope, changed: Callable[[float], NaturalModes]
+    ) -> None:
+        if u > 0.0:
+            name, label = f"{title}: {what} {stated:.9g}", f"{title}: {what}"
+            variants.append(Variant(name, label, u, unit, scope, changed(stated + u), changed(stated - u)))
+
+    for key, (unit, scope) in UNCERTAIN.items():
+        stated, u = 1.0 if key in FACTORS else getattr(table, key), getattr(table, f"{key}_uncertainty")
+
+        def other(value: float, key: str = key) -> NaturalModes:
+            return stated_modes(table, {key: value})
+
+        if stated is not None:
+            add(key.replace("_", " "), stated, u, unit, scope, other)
+    for place, mode in enumerate(table.mode):
+
+        def shifted(frequency: float, place: int = place, mode: ElasticMode = mode) -> NaturalModes:
+            moved = mode.model_copy(update={"frequency": frequency})
+            return stated_modes(table, {"mode": (*table.mode[:place], moved, *table.mode[place + 1 :])})
+
+        add("frequency", mode.frequency, mode.frequency_uncertainty, "Hz", "rig", shifted)
+    mass = None if table.shape == "modes" else elastic_body(table).mass_kg
+    return ElasticPart(table.name, stated_modes(table, {}), tuple(variants), mass)
+
+
+def elastic_body(table: Elastic) -> Rod | Plate:
+    """Return the rod or plate of a block."""
+    foot, axis = np.array(table.foot), np.array(table.axis or (0.0, 0.0, 1.0))
+    material = table.young_modulus or 0.0, table.density or 0.0, table.poisson_ratio
+    across_it = table.diameter or 0.0
+    if table.shape == "rod":
+        return Rod(foot, axis, table.length or 0.0, across_it, table.inner_diameter, *material, table.tip_mass)
+    return Plate(foot, axis, table.thickness or 0.0, across_it, table.clamped_diameter or 0.0, *material)
+
+
+def stated_modes(table: Elastic, change: Mapping[str, Any]) -> NaturalModes:
+    """Return the modes of a block of which some values are others."""
+    table = table.model_copy(update={key: value for key, value in change.items() if key not in FACTORS})
+    if table.shape == "modes":
+        modes = _tabled(table)
+    else:
+        families = elastic_body(table).families()
+        for kind, tapped in (("axial", table.axial_frequency), ("bending", table.bending_frequency)):
+            if tapped is not None:
+                natural = families[kind].frequency_hz
+                families[kind] = replace(families[kind], frequency_hz=natural * (tapped / natural.min()))
+        modes = join_modes(list(families.values()))
+        modes = replace(modes, damping=np.full(len(modes.damping), table.damping))
+    return replace(
+        modes,
+        frequency_hz=modes.frequency_hz * change.get("frequencies", 1.0),
+        participation=modes.participation * change.get("participation", 1.0),
+    )
+
+
+def _tabled(table: Elastic) -> NaturalModes:
+    """Return the modes that a finite element program told, brought to a modal mass of 1."""
+    root = np.sqrt([mode.modal_mass for mode in table.mode])
+
+    def motion(place: InstrumentPosition) -> FloatArray:
+        # A channel of a later set-up is named by that, too.
+        names = [name for name in (place.name, place.name.rpartition(": ")[2]) if name in table.mode[0].displacement]
+        if not names:
+            told = f"the load is elastic ({table.name}), but load.elastic.mode.displacement does not tell how"
+            raise ComputeError(f"{told} {place.name} moves; add its place to every mode")
+        rows = [mode.displacement[names[0]] for mode in table.mode]
+        return np.array([[*row, *[0.0] * (6 - len(row))] for row in rows]) / root[:, None]
+
+    return NaturalModes(
+        np.array([mode.frequency for mode in table.mode]),
+        np.array([table.damping if mode.damping is None else mode.damping for mode in table.mode]),
+        np.array([mode.participation for mode in table.mode]) / root[:, None],
+        motion,
+    )
+
+
+# The body from the tables of rig.toml and recording.toml.
+
+
+def moving_parts(rig: Rig, parts: Sequence[PartTable]) -> tuple[MovingPart, ...]:
+    """Return all that moves above the elastic element, none without a `[load]`: load, parts and internal mass.
+
+    Masses are true ones, in air of the density that the rig states, or that follows from its pressure, temperature,
+    humidity and height. The sensor's own mass lies below the load's joint, where there is one.
+    """
+    load, sensor = rig.load, rig.sensor
+    if load is None:
+        return ()
+    moving, air_density = [], rig.surroundings.air.value
+    tables: list[tuple[str, RigLoad | PartTable, bool]] = [("load", load, False)]
+    tables += [(part.name, part, part.below_joint) for part in parts if part.body == "load"]
+    for name, table, below in tables:
+        u = (table.mass_uncertainty, table.centre_of_mass_uncertainty, table.inertia_uncertainty)
+        share = 0.0 if table.density is None else air_density / table.density
+        moving.append(make_moving_part(name, table.true_mass, table.centre_of_mass, table.inertia, u, share, below))
+    if sensor is not None and sensor.internal_mass > 0.0:
+        u = (
+            sensor.internal_mass_uncertainty,
+            sensor.internal_centre_of_mass_uncertainty,
+            sensor.internal_inertia_uncertainty,
+        )
+        centre, inertia = sensor.internal_centre_of_mass, sensor.internal_inertia
+        moving.append(make_moving_part("internal mass", sensor.internal_mass, centre, inertia, u, below_joint=True))
+    return tuple(moving)
+
+
+def load_body(rig: Rig, parts: Sequence[PartTable]) -> Body | None:
+    """Return the `moving_parts`, with what is elastic and what else pulls; None without a `[load]`."""
+    load = rig.load
+    if load is None:
+        return None
+    joint = None
+    if load.elastic_frequency is not None:
+        joint = make_joint(load.elastic_frequency, load.elastic_frequency_uncertainty, load.elastic_damping)
+    sense = "on_load" if rig.sensor is None else rig.sensor.sense
+    elastic = tuple(elastic_part(table) for table in load.elastic)
+    first = None if load.first_frequency is None else np.array(load.first_frequency)
+    tied = (load.cable_stiffness or np.zeros(3), load.cable_stiffness_uncertainty)
+    gravity = rig.surroundings.free_fall_mps2
+    return Body(moving_parts(rig, parts), joint, *gravity, sense, elastic, first, *tied)
+
+
+def rigid_load(manifest: Manifest) -> Body:
+    """Return load and parts without what moves inside the sensor; `InputError` without a load."""
+    parts = moving_parts(manifest.rig.model_copy(update={"sensor": None}), manifest.part)
+    if not parts:
+        expected = "[load] with the mass, centre of mass and inertia of what is mounted on the sensor"
+        raise InputError(manifest.rig_path, "load", found="nothing", expected=expected)
+    return Body(parts)
+
+
+def inertia_errors(manifest: Manifest, body: Body) -> tuple[InertiaError, ...]:
+    """Return what every uncertain number of load and parts does to the mass matrix, by names that hold everywhere.
+
+    What holds until something is mounted anew is another unknown in every mounting.
+    """
+    errors = []
+    for change in body.matrix_changes(np.ones(1)):
+        suffix = "" if change.scope == "rig" else f" [{manifest.mounting}]"
+        errors.append(InertiaError(f"{change.name}{suffix}", change.effect[0].real))
+    return tuple(errors)

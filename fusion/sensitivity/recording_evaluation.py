@@ -1,0 +1,131 @@
+"""The path on one page: from a recording folder to the complex sensitivity."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from fusion.base import CheckpointStore, Executor, ProgressCallback, Settings, no_progress, versions
+from fusion.instruments.channel import sensor_outputs
+from fusion.instruments.vibrometer import beam_notices, point_spreads
+from fusion.phasors.set_up import MeasuredSetUp, measure_set_ups, prepare_set_ups
+from fusion.phasors.set_up_merging import join_set_ups
+from fusion.phasors.stereo_phasors import unresolved_fundamentals
+from fusion.recording.load import Manifest, find_single_recording, load_manifest
+from fusion.recording.plausibility import plausibility_notices
+from fusion.sensitivity.analyse import Evaluation, Inputs, analyse, elastic_rows, missing_result
+from fusion.sensitivity.disturbances import (
+    at_reference_temperature,
+    not_assessed,
+    unstated_chain,
+    with_base_strain,
+)
+from fusion.sensitivity.mode_shapes import with_measured_modes
+from fusion.sensitivity.monte_carlo import propagate
+from fusion.sensitivity.moving_body import load_body
+from fusion.sensitivity.ratio import driven_component, with_ratios
+from fusion.sensitivity.supports import carried_by, without_supports
+
+
+def evaluate_recording(
+    recording: Manifest | str | Path,
+    settings: Settings | None = None,
+    input_hashes: Mapping[str, str] | None = None,
+    progress: ProgressCallback = no_progress,
+    executor: Executor | None = None,
+    checkpoints: CheckpointStore | None = None,
+) -> Evaluation:
+    """Evaluate one sinusoidal recording: files → phasors → acceleration of load and base → load → sensitivity.
+
+    `recording`: its manifest or its folder. What was recorded in sequential set-ups is referred to the first before the
+    instruments are fused. An `executor` follows the images, to the same digits; `kept`: where blocks of frames that
+    were followed are found again when this did not end. `settings`: by default `Settings()`. `input_hashes` (file →
+    SHA-256) are carried into the result. Raises `InputError` for what the user can mend in the files, `ComputeError`
+    for what these files do not allow.
+
+    >>> from fusion import evaluate_recording
+    >>> evaluation = evaluate_recording("sample_images/demo/Fz-0080")  # doctest: +SKIP
+    >>> evaluation.sensitivity.value[:, 2, 2]  # Fz output per Fz load, line by line  # doctest: +SKIP
+    """
+    started, settings, manifest = time.monotonic(), settings or Settings(), _checked(recording)
+    set_ups = measure_set_ups(prepare_set_ups(manifest), settings, progress, executor, checkpoints)
+    evaluation = evaluate_set_ups(manifest, set_ups, settings, progress)
+    return replace(evaluation, input_hashes=dict(input_hashes or {}), duration_s=time.monotonic() - started)
+
+
+def evaluate_set_ups(
+    manifest: Manifest,
+    set_ups: Sequence[MeasuredSetUp],
+    settings: Settings,
+    progress: ProgressCallback = no_progress,
+) -> Evaluation:
+    """Evaluate a recording whose instruments have phasors: fuse, apply the mass matrix, divide the outputs."""
+    joined = join_set_ups(set_ups)
+    sensor, surroundings, body = manifest.rig.sensor, manifest.rig.surroundings, load_body(manifest.rig, manifest.part)
+    observations = joined.observed(surroundings.free_fall_mps2[0])
+    observations, supports, shaken = without_supports(observations, surroundings.support_motion)
+    unseen = unresolved_fundamentals(observations, joined.lines, joined.aliased)
+    body, measured = with_measured_modes(body, manifest.rig.load, joined.stereo)
+    rows = observations if body is None else elastic_rows(observations, body.elastic)
+    outputs = None if sensor is None else sensor_outputs(joined.readings, sensor.channels)
+    if sensor is not None and outputs is not None:
+        outputs = at_reference_temperature(with_base_strain(outputs, sensor, surroundings), sensor, surroundings)
+    direction, limits = manifest.excitation.direction, manifest.shaker.unobserved_motion
+    inputs = Inputs(joined.lines, rows, outputs, body, sensor, direction, limits)
+    analysis = analyse(inputs)
+    drawn = propagate(inputs, analysis, settings.monte_carlo, settings.seed, progress) if settings.monte_carlo else None
+    points = point_spreads(observations, analysis.accelerations)
+    if body is not None and analysis.outputs is not None and analysis.sensitivity is not None:
+        points = tuple(with_ratios(spread, analysis.outputs, analysis.sensitivity, body) for spread in points)
+    parallel = beam_notices([reading.entry for reading in joined.readings])
+    folded = [text for set_up in set_ups for text in set_up.not_assessed]
+    lowest_hz = float(np.min(joined.lines.frequency_hz))
+    missing = [*not_assessed(manifest.rig, observations, body, lowest_hz, folded, carried_by(supports))]
+    if sensor is not None and direction is not None:
+        entries = [reading.entry for reading in joined.readings]
+        found = analysis.element or analysis.sensitivity
+        missing += unstated_chain(
+            found,
+            entries,
+            driven_component(direction, sensor.capacity),
+            signed=sensor.static_sensitivity is not None,
+        )
+    told = [
+        *missing_result(inputs, analysis),
+        *manifest.certificate_notices,
+        *plausibility_notices(manifest),
+        *joined.notices,
+        *shaken,
+    ]
+    told += [*parallel, *unseen, *measured, *analysis.notices, *missing, *(drawn.notices if drawn else ())]
+    return Evaluation(
+        manifest=manifest,
+        lines=joined.lines,
+        clocks=joined.clocks,
+        channels=joined.channels,
+        stereo=joined.stereo,
+        accelerations=analysis.accelerations,
+        load=analysis.load,
+        outputs=analysis.outputs,
+        sensitivity=analysis.sensitivity,
+        notices=tuple(dict.fromkeys(told)),
+        settings=settings.as_dict(),
+        versions=versions(),
+        input_hashes={},
+        set_ups=joined.set_ups,
+        points=points,
+        monte_carlo=drawn,
+        element=analysis.element,
+        supports=supports,
+    )
+
+
+def _checked(recording: Manifest | str | Path) -> Manifest:
+    """Return the manifest of a recording that `run` evaluates."""
+    manifest = recording if isinstance(recording, Manifest) else load_manifest(find_single_recording(recording))
+    manifest.check_command("run")
+    return manifest

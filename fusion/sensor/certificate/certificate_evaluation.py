@@ -1,0 +1,414 @@
+"""What a certificate states: results of a campaign or a recording beside the laboratory's own statements."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from datetime import date as Date
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+from fusion.campaign.curve import CurvePoint
+from fusion.campaign.joint_evaluation import best_points, curve_points, evaluate_campaign, main_channel
+from fusion.campaign.recording_results import RecordingResults, SensorFacts, read_recorded
+from fusion.errors import InputError
+from fusion.estimation.coverage import COVERAGE, Polar
+from fusion.recording.excitation import kinds_of
+from fusion.recording.load import RECORDING_NAME, Manifest, find_recordings, load_manifest, select_kinds
+from fusion.recording.toml import UncertainInput
+from fusion.report.folder import hash_files, sha256
+from fusion.report.table import has_phase
+from fusion.sensor.certificate.certificate_form import FORM_FILE, Conformity, Form, read_form
+from fusion.sensor.certificate.certified_numbers import (
+    CERTIFIED_COMMANDS,
+    NumberList,
+    find_command,
+    find_results_folder,
+    read_certified_numbers,
+    read_results_origin,
+    select_recordings,
+)
+from shaker.labels import LOAD_COMPONENTS
+from shakercal._common.notices import Notice
+
+Verdict = Literal["pass", "fail"]
+SCOPE = (
+    "The results relate only to the item calibrated, in the condition and under the conditions stated. This "
+    "certificate may be reproduced in full only, unless the laboratory agrees in writing."
+)
+UNCERTAINTY = (
+    f"U is the standard uncertainty times a coverage factor k for a probability of {100 * COVERAGE:g} %, after the GUM "
+    "(JCGM 100, JCGM 102). It rests on the stated uncertainties of all inputs and holds under the assumptions of the "
+    "evaluation: rigid bodies, linear instruments, loads through the sensor alone. k is "
+)
+
+
+@dataclass(frozen=True)
+class CertifiedValue:
+    """One value of a certificate: frequency (Hz), the value as it came out, and U of magnitude and phase (rad).
+
+    U is k·u, `k` and `k_phase` as the form asks for them, and no less than the laboratory may state. `has_phase`:
+    whether magnitude and phase are determined; else the complex value and its region are all there is.
+    """
+
+    frequency_hz: float
+    element: Polar
+    expanded_magnitude: float
+    expanded_phase_rad: float
+    k: float
+    k_phase: float
+    has_phase: bool
+
+
+@dataclass(frozen=True)
+class CertifiedElement:
+    """An element of the sensor's sensitivity over frequency: output `channel` per load `component`.
+
+    `unit`: of the output; `kind`: element, matrix, or ratio (output over load, other loads not taken off); `main`: the
+    output that belongs to the load; `verdicts`: of every value, none without a limit or a static sensitivity.
+    """
+
+    channel: str
+    component: str
+    unit: str
+    kind: str
+    main: bool
+    values: tuple[CertifiedValue, ...]
+    deviation: tuple[tuple[float, float], ...] = ()
+    verdicts: tuple[Verdict, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Return what it is in words."""
+        if self.kind == "ratio":
+            return f"Ratio of output {self.channel} to driven load {self.component}"
+        return f"Sensitivity {self.channel} per {self.component}"
+
+
+@dataclass(frozen=True)
+class UnderlyingCertificate:
+    """Certificate that a result rests on: the inputs it was stated for, by file and key, its name, who issued it."""
+
+    inputs: tuple[str, ...]
+    certificate: str
+    laboratory: str
+    day: str
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """Everything that a certificate states, for XML and page alike.
+
+    `elements`: of the sensitivity, or `figures`: lists of single numbers; `begin`, `end`: days of the calibration;
+    `conditions`: name, D-SI unit, least and largest value; `warnings`: of the evaluation, which the authoriser has
+    reviewed; `not_assessed`: what no U holds; `versions`: of what computed the results.
+    """
+
+    form: Form
+    title: str
+    rig_path: Path
+    sensor: SensorFacts
+    recordings: tuple[str, ...]
+    begin: Date
+    end: Date
+    procedure: str
+    conditions: tuple[tuple[str, str, float, float], ...]
+    sources: tuple[UnderlyingCertificate, ...]
+    elements: tuple[CertifiedElement, ...]
+    numbers: tuple[NumberList, ...]
+    warnings: tuple[str, ...]
+    not_assessed: tuple[str, ...]
+    versions: dict[str, str]
+
+    def statements(self) -> Iterator[tuple[str, str]]:
+        """Yield name and text of everything that a certificate has to say in words."""
+        own, least, limit = self.form.administration, self.form.laboratory.cmc, self.form.conformity
+        yield "Scope", SCOPE
+        yield (
+            "Uncertainty",
+            UNCERTAINTY + ("that of the effective degrees of freedom." if self.form.k == "effective" else "2."),
+        )
+        if self.elements and (least.magnitude or least.phase):
+            sizes = f"{100 * least.magnitude:g} % of the magnitude and {least.phase:g} rad of the phase"
+            yield "Capability", f"No U is stated below {sizes}."
+        if self.sources:
+            yield "Traceability", "To the SI through the certificates listed with the inputs that they were stated for."
+        if own.traceability:
+            yield "Traceability", own.traceability
+        if self.elements and limit is not None:
+            rule = "|deviation| + U" if limit.rule == "guarded" else "|deviation|"
+            yield (
+                "Decision rule",
+                f"A main element conforms where {rule} of its magnitude from the static sensitivity is within "
+                f"{100 * limit.tolerance:g} % (ILAC-G8:09/2019, {limit.rule} acceptance).",
+            )
+        if self.not_assessed:
+            yield "Not in U", "; ".join(self.not_assessed)
+        if self.warnings:
+            count = f"{len(self.warnings)} warning{'s' * (len(self.warnings) > 1)}"
+            yield "Warnings", f"The evaluation gave {count}, which {own.authoriser} has reviewed."
+        if own.remarks:
+            yield "Remarks", own.remarks
+
+
+def evaluate_certificate(
+    path: Path, results: Path | None = None, form_path: Path | None = None, *, allow_outside: bool = False
+) -> Certificate:
+    """Gather what a certificate of a campaign, or of a recording, states.
+
+    `results`: where `run`, `rotate`, `identify` or `step` left them, by default in the folder itself
+    (`figures_folder`); `form_path`: certificate.toml, by default beside them. Refused, each with all that is wrong of
+    its kind at once: results that are not there or not of these inputs, empty keys, recordings without a date, inputs
+    whose certificates had expired, warnings nobody has reviewed.
+    """
+    recordings = find_recordings(path)
+    alone = not path.is_dir() or (path / RECORDING_NAME).is_file()
+    own = recordings[0].parent if alone else path
+    top = find_results_folder(own, results)
+    command = find_command(top)
+    if command is not None:
+        recordings = select_recordings(recordings, top, command)
+    elif not alone:
+        recordings = select_kinds(recordings, kinds_of("run"))
+    form_path = own / FORM_FILE if form_path is None else form_path
+    manifests = [load_manifest(recording, allow_outside=allow_outside) for recording in recordings]
+    form = _named(read_form(form_path), manifests[0])
+    _refuse_gaps(form, form_path, manifests)
+    if command is None:
+        folders = [top] if alone else [top / manifest.folder.name for manifest in manifests]
+        found = _sensitivities(own.resolve().name, manifests, folders, top, form)
+    else:
+        found = _figures(command, manifests, top, form)
+    warnings = list(dict.fromkeys(found.warnings))
+    if warnings and not form.administration.warnings_reviewed:
+        expected = "true, once the authoriser has reviewed them, or results without warnings"
+        told = f"{len(warnings)} warnings, the first: {warnings[0]}"
+        raise InputError(form_path, "administration.warnings_reviewed", found=told, expected=expected)
+    days = _days(form, manifests)
+    return Certificate(
+        form=form,
+        title=found.title,
+        rig_path=manifests[0].rig_path,
+        sensor=found.sensor,
+        recordings=tuple(manifest.name for manifest in manifests),
+        begin=min(days),
+        end=max(days),
+        procedure=form.administration.procedure or ", ".join(sorted({m.procedure or "" for m in manifests} - {""})),
+        conditions=tuple(_conditions(manifests)),
+        sources=_sources([item for manifest in manifests for item in manifest.inputs]),
+        elements=found.elements,
+        numbers=found.figures,
+        warnings=tuple(warnings),
+        not_assessed=tuple(found.not_assessed),
+        versions=found.versions,
+    )
+
+
+class CertificateContent(NamedTuple):
+    """What results say: the title of their certificate, what was calibrated, values, warnings, what no U holds."""
+
+    title: str
+    sensor: SensorFacts
+    elements: tuple[CertifiedElement, ...]
+    figures: tuple[NumberList, ...]
+    warnings: list[str]
+    not_assessed: list[str]
+    versions: dict[str, str]
+
+
+def _sensitivities(
+    name: str, manifests: Sequence[Manifest], folders: Sequence[Path], top: Path, form: Form
+) -> CertificateContent:
+    """Return the sensitivities of a campaign `name`, or of a recording, that `run` left in some folders."""
+    recorded = [_results_of(manifest, folder) for manifest, folder in zip(manifests, folders, strict=True)]
+    evaluation = evaluate_campaign(name, recorded, {})
+    sensor = evaluation.sensor
+    if sensor is None:
+        raise _no_sensor(manifests)
+    points = curve_points(evaluation)
+    mains = {
+        component: sensor.channels[main_channel(evaluation, sensor.channels, place)]
+        for place, component in enumerate(LOAD_COMPONENTS)
+    }
+    elements = tuple(_elements(points, mains, sensor.unit, form))
+    if not elements:
+        raise InputError(top, "", found="no sensitivity", expected="results with outputs over a driven load")
+    ratios = all(element.kind == "ratio" for element in elements)
+    return CertificateContent(
+        title="Output over driven load" if ratios else "Dynamic sensitivity",
+        sensor=sensor,
+        elements=elements,
+        figures=(),
+        warnings=list(_warnings(recorded, evaluation.notices)),
+        not_assessed=_not_assessed(
+            [*(notice for entry in recorded for notice in entry.joint_notices), *evaluation.notices]
+        ),
+        versions=recorded[0].origin.versions,
+    )
+
+
+def _figures(command: str, manifests: Sequence[Manifest], folder: Path, form: Form) -> CertificateContent:
+    """Return the numbers that another command left in a folder, which must be those of the files as they are now."""
+    origin, notices, scopes = read_results_origin(folder, command)
+    for name, digest in origin.input_hashes.items():
+        path = manifests[0].root / name
+        if not path.is_file() or sha256(path) != digest:
+            found = f"results of other input files ({name} is not what it was)"
+            raise InputError(folder, "", found=found, expected=f"the results of these files (shakercal {command})")
+    tested = {(m.rig.sensor.name, m.rig.sensor.serial) for m in manifests if m.rig.sensor is not None}
+    sensor = manifests[0].rig.sensor
+    if len(tested) != 1 or sensor is None:
+        raise _no_sensor(manifests)
+    own = SensorFacts(sensor.name, sensor.serial, sensor.channels, sensor.unit, sensor.sense, None, None, 0.0)
+    return CertificateContent(
+        title=CERTIFIED_COMMANDS[command].title,
+        sensor=own,
+        elements=(),
+        figures=read_certified_numbers(folder, command, k=None if form.k == "effective" else 2.0),
+        warnings=[f"{n.where}: {n.text}" if n.where else n.text for n in notices if n.severity == "warning"],
+        not_assessed=[*scopes, *_not_assessed(notices)],
+        versions=origin.versions,
+    )
+
+
+def _no_sensor(manifests: Sequence[Manifest]) -> InputError:
+    found = "no sensor, or several" if manifests[0].rig.sensor else "no sensor"
+    return InputError(manifests[0].rig_path, "sensor", found=found, expected="the one sensor that was calibrated")
+
+
+def _named(form: Form, manifest: Manifest) -> Form:
+    """Return the form with the laboratory that rig.toml names where it names none."""
+    known = manifest.rig.administration
+    if form.laboratory.name or known is None or not known.laboratory:
+        return form
+    return form.model_copy(update={"laboratory": form.laboratory.model_copy(update={"name": known.laboratory})})
+
+
+def _refuse_gaps(form: Form, path: Path, manifests: Sequence[Manifest]) -> None:
+    """Refuse what is missing, every gap in one list, and inputs whose certificates had expired."""
+    gaps = list(form.missing())
+    if not _days(form, manifests):
+        gaps.append("administration.begun, or the date of every recording")
+    if not form.administration.traceability and not any(_sources(m.inputs) for m in manifests):
+        gaps.append("administration.traceability, or the certificate of an input in rig.toml or recording.toml")
+    if not form.item.customer_number and not any(m.rig.sensor and m.rig.sensor.serial for m in manifests):
+        gaps.append("item.customer_number, or the serial number of the sensor in rig.toml")
+    if gaps:
+        raise InputError(path, ", ".join(gaps), found="nothing", expected="what a certificate has to state")
+    expired = [(manifest.path, notice) for manifest in manifests for notice in manifest.expiry_notices]
+    if expired:
+        told = "; ".join(dict.fromkeys(notice.text for _, notice in expired))
+        raise InputError(
+            expired[0][0], "", found=told, expected="inputs whose certificates were valid when it was recorded"
+        )
+    issued, last = form.administration.issued, max(_days(form, manifests))
+    if issued is not None and issued < last:
+        expected = f"a day from {last} on, the last of the calibration"
+        raise InputError(path, "administration.issued", found=str(issued), expected=expected)
+
+
+def _days(form: Form, manifests: Sequence[Manifest]) -> list[Date]:
+    """Return days of the calibration, as the form states them or else as the recordings do; none where one lacks it."""
+    own = form.administration
+    if own.begun is not None:
+        return [own.begun, own.ended or own.begun]
+    days = [manifest.date for manifest in manifests if manifest.date is not None]
+    return days if len(days) == len(manifests) else []
+
+
+def _results_of(manifest: Manifest, folder: Path) -> RecordingResults:
+    """Read the results of a recording, which must be those of its files as they are now."""
+    recorded = read_recorded(folder)
+    now, then = hash_files(manifest.files, manifest.root, manifest.file_identities).hashes, recorded.origin.input_hashes
+    if now != then:
+        changed = min(name for name in {*now, *then} if now.get(name) != then.get(name))
+        found = f"results of other input files ({changed} is not what it was)"
+        raise InputError(folder, "", found=found, expected=f"the results of {manifest.path} (shakercal run)")
+    return recorded
+
+
+def _elements(points: Sequence[CurvePoint], mains: dict[str, str], unit: str, form: Form) -> Iterator[CertifiedElement]:
+    """Yield every element of which something is stated, the main ones first.
+
+    Of the outputs beside the main one only elements are sensitivities; their ratios are responses of one recording.
+    """
+    names = list(dict.fromkeys((point.channel, point.component) for point in points))
+    for channel, component in sorted(names, key=lambda name: name[0] != mains[name[1]]):
+        own = best_points([point for point in points if (point.channel, point.component) == (channel, component)])
+        main = mains[component] == channel
+        if not main and own[0].kind == "ratio":
+            continue
+        values = tuple(_stated(point, form) for point in own)
+        deviation, verdicts = _judged(own, form.conformity) if main else ((), ())
+        yield CertifiedElement(channel, component, unit, own[0].kind, main, values, deviation, verdicts)
+
+
+def _stated(point: CurvePoint, form: Form) -> CertifiedValue:
+    """Return a value with its U: k·u, and no less than the laboratory may state."""
+    element, least = point.element, form.laboratory.cmc
+    k, k_phase = (element.k, element.k_phase) if form.k == "effective" else (2.0, 2.0)
+    return CertifiedValue(
+        frequency_hz=point.frequency_hz,
+        element=element,
+        expanded_magnitude=max(k * element.u_magnitude, least.magnitude * element.magnitude),
+        expanded_phase_rad=max(k_phase * element.u_phase_rad, least.phase),
+        k=k,
+        k_phase=k_phase,
+        has_phase=has_phase(element),
+    )
+
+
+def _judged(
+    points: Sequence[CurvePoint], limit: Conformity | None
+) -> tuple[tuple[tuple[float, float], ...], tuple[Verdict, ...]]:
+    """Return the deviations from the static sensitivity with U, relative, and whether they are within the limit.
+
+    ISO/IEC 17025:2017, 7.8.6; ILAC-G8:09/2019: "simple" accepts up to the limit, "guarded" up to the limit less U.
+    """
+    if limit is None or any(point.relative is None for point in points):
+        return (), ()
+    found = [(p.relative.magnitude - 1.0, p.relative.expanded_magnitude) for p in points if p.relative is not None]
+    guard = 1.0 if limit.rule == "guarded" else 0.0
+    inside = [abs(value) + guard * expanded <= limit.tolerance for value, expanded in found]
+    return tuple(found), tuple("pass" if good else "fail" for good in inside)
+
+
+def _warnings(recorded: Iterable[RecordingResults], joint: Iterable[Notice]) -> Iterator[str]:
+    """Yield what evaluations of recordings and campaign warn of."""
+    for entry in recorded:
+        yield from (f"{entry.name}: {notice.text}" for notice in entry.notices if notice.severity == "warning")
+    yield from (notice.text for notice in joint if notice.severity == "warning")
+
+
+def _not_assessed(notices: Iterable[Notice]) -> list[str]:
+    """Return what evaluations say is in no U: of several that differ in numbers alone the first."""
+    found: dict[str, str] = {}
+    for text in (notice.text for notice in notices if "not assessed" in notice.text or "not in U" in notice.text):
+        found.setdefault(re.sub(r"[\d.]+", "#", text), text)
+    return list(found.values())
+
+
+def _conditions(manifests: Sequence[Manifest]) -> Iterator[tuple[str, str, float, float]]:
+    """Yield name, D-SI unit, least and largest value of what is stated of the surroundings."""
+    around = [manifest.rig.surroundings for manifest in manifests]
+    for name, unit, values, factor in (
+        ("Temperature of the air", r"\degreecelsius", [e.temperature for e in around], 1.0),
+        ("Temperature of the sensor", r"\degreecelsius", [e.sensor_temperature for e in around], 1.0),
+        ("Relative humidity of the air", r"\percent", [e.humidity for e in around], 100.0),
+        ("Pressure of the air", r"\hecto\pascal", [e.pressure for e in around], 0.01),
+    ):
+        known = [factor * value for value in values if value is not None]
+        if known:
+            yield name, unit, min(known), max(known)
+
+
+def _sources(inputs: Sequence[UncertainInput]) -> tuple[UnderlyingCertificate, ...]:
+    """Return the certificates behind the inputs, each once with the inputs that it was named for."""
+    named: dict[tuple[str, str, str], dict[str, None]] = {}
+    for item in inputs:
+        own = item.stated
+        if own is not None and (own.certificate or own.laboratory):
+            key = own.certificate, own.laboratory, str(own.date or "")
+            named.setdefault(key, {})[f"{item.file.name}: {item.key.removesuffix('_uncertainty')}"] = None
+    return tuple(UnderlyingCertificate(tuple(keys), *about) for about, keys in named.items())

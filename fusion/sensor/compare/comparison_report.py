@@ -1,0 +1,297 @@
+"""The comparison's table, page and command."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from datetime import date as Date
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import h5py
+import numpy as np
+
+from fusion.errors import InputError
+from fusion.report.figure import COLOURS, GREY, Figure, empty_figure, frequency_axis, padded_limits
+from fusion.report.folder import CommandReport, hash_files
+from fusion.report.h5 import write_value
+from fusion.report.table import (
+    TableColumn,
+    csv_text,
+    finite_or_none,
+    page_column,
+    quantity_html,
+    signed_text,
+    small,
+    table,
+    text_column,
+)
+from fusion.sensor.compare.comparison_evaluation import ComparedQuantity, ComparisonEvaluation, evaluate_comparison
+from fusion.sensor.compare.comparison_inputs import read_result, result_files
+from fusion.sensor.compare.shared_inputs import SharedInput, list_titles
+
+
+class Row(NamedTuple):
+    """One result in one comparison."""
+
+    of: ComparedQuantity
+    place: int
+
+
+def rows(evaluation: ComparisonEvaluation) -> Iterator[Row]:
+    """Yield every result of every comparison."""
+    yield from (Row(found, place) for found in evaluation.quantities for place in range(len(found.names)))
+
+
+def _complex_largest(found: ComparedQuantity, place: int) -> float | None:
+    """Return the largest E_n of the complex values of a result's pairs, None where there is none."""
+    pairs = None if found.complex_normalised is None else np.delete(found.complex_normalised[place], place)
+    return None if pairs is None or not np.isfinite(pairs).any() else float(np.nanmax(pairs))
+
+
+COMPARISON: list[TableColumn[Row]] = [
+    TableColumn("frequency_hz", lambda row: row.of.frequency_hz),
+    text_column("channel", lambda row: row.of.channel),
+    text_column("component", lambda row: row.of.component),
+    text_column("quantity", lambda row: row.of.quantity),
+    text_column("result", lambda row: row.of.names[row.place]),
+    TableColumn("value", lambda row: row.of.value[row.place]),
+    TableColumn("u", lambda row: row.of.u[row.place]),
+    text_column("unit", lambda row: row.of.unit),
+    TableColumn("reference", lambda row: finite_or_none(row.of.reference.value)),
+    TableColumn("u_reference", lambda row: finite_or_none(row.of.reference.u)),
+    TableColumn("deviation", lambda row: finite_or_none(row.of.reference.deviation[row.place])),
+    TableColumn("U_deviation", lambda row: finite_or_none(row.of.reference.expanded[row.place])),
+    TableColumn("E_n", lambda row: finite_or_none(row.of.reference.normalised[row.place])),
+    TableColumn("E_n_largest_pair", lambda row: np.abs(row.of.normalised[row.place]).max()),
+    text_column("in_reference", lambda row: "yes" if row.of.reference.used[row.place] else "no"),
+    TableColumn("chi_squared", lambda row: finite_or_none(row.of.reference.chi_squared)),
+    TableColumn("chi_squared_dof", lambda row: row.of.reference.dof),
+    TableColumn("p", lambda row: row.of.reference.p),
+    TableColumn("per_year", lambda row: row.of.per_year),
+    TableColumn("u_per_year", lambda row: row.of.u_per_year),
+    TableColumn("E_n_complex_largest_pair", lambda row: _complex_largest(row.of, row.place)),
+    text_column(
+        "shared", lambda row: "; ".join(list_titles(s for s in row.of.shared if row.of.names[row.place] in s.unknowns))
+    ),
+]
+
+
+def _main(evaluation: ComparisonEvaluation) -> list[ComparedQuantity]:
+    return [found for found in evaluation.quantities if found.channel == found.component] or list(evaluation.quantities)
+
+
+def draw_normalised(evaluation: ComparisonEvaluation) -> Figure:
+    """E_n against the reference value over frequency, of every result."""
+    drawn = empty_figure("normalised", 4.6, 2)
+    ends = np.array([found.frequency_hz for found in _main(evaluation)])
+    for panel, quantity in zip(drawn.panels, ("magnitude", "phase"), strict=True):
+        own = [found for found in _main(evaluation) if found.quantity == quantity]
+        panel.span(-1.0, 1.0, "covered by U", colour=GREY)
+        for place, result in enumerate(evaluation.results):
+            shown = [
+                (f.frequency_hz, f.reference.normalised[f.names.index(result.name)])
+                for f in own
+                if result.name in f.names
+            ]
+            if shown:
+                x, y = np.array(shown).T
+                panel.points(x, y, result.name, colour=COLOURS[place % len(COLOURS)], size=4.0)
+        panel.y.label = f"E_n of {quantity}"
+        frequency_axis(panel.x, np.array([0.95 * ends.min(), 1.05 * ends.max()]))
+    drawn.panels[0].x.label = ""
+    text = "Deviation from the reference value over its expanded uncertainty; within the band it is covered."
+    return drawn.with_title("Deviations from the reference value", text, main=True)
+
+
+def _largest_text(found: ComparedQuantity) -> str:
+    every = [own for own in (_complex_largest(found, n) for n in range(len(found.names))) if own is not None]
+    return signed_text(max(every)) if every else "–"
+
+
+IN_FILE = ("frequency_hz", "channel", "component", "quantity", "unit", "names", "value", "u")
+MOST_CHARTS, MOST_LINES = 6, 6
+"""Elements of which the page has a chart, and frequencies in one of them."""
+
+
+def draw_charts(evaluation: ComparisonEvaluation) -> list[Figure]:
+    """Control charts, element by element: deviations from the reference values over the years, with U."""
+    dated: dict[tuple[str, str], list[ComparedQuantity]] = {}
+    for found in _main(evaluation):
+        if len(np.unique(found.year[np.isfinite(found.year)])) > 1:
+            dated.setdefault((found.channel, found.component), []).append(found)
+    return [_chart(element, own) for element, own in list(dated.items())[:MOST_CHARTS]]
+
+
+def _chart(element: tuple[str, str], own: Sequence[ComparedQuantity]) -> Figure:
+    """Magnitude and phase of one element over the years."""
+    channel, component = element
+    span = float(np.ptp([year for found in own for year in found.year[np.isfinite(found.year)]]))
+    drawn = empty_figure(f"chart-{channel}-{component}", 4.6, 2)
+    for panel, quantity in zip(drawn.panels, ("magnitude", "phase"), strict=True):
+        lines = [found for found in own if found.quantity == quantity]
+        chosen = np.unique(np.linspace(0, len(lines) - 1, min(len(lines), MOST_LINES)).astype(int))
+        reach = []
+        for place, line in enumerate([lines[n] for n in chosen]):
+            factor = 100.0 / abs(line.centre) if quantity == "magnitude" else 1e3
+            label, colour = f"{line.frequency_hz:.5g} Hz", COLOURS[place % len(COLOURS)]
+            dates = line.year + 0.006 * place * span
+            deviation, expanded = factor * (line.value - line.centre), 2.0 * factor * line.u
+            if line.reference.used.any():
+                band = 2.0 * factor * line.reference.u
+                panel.span(-band, band, label, colour=colour, opacity=0.08)  # they lie over each other
+            panel.points(dates, deviation, label, half_y=expanded, colour=colour, size=4.0, names=tuple(line.names))
+            reach += [deviation + expanded, deviation - expanded]
+        panel.rule(0.0, colour=GREY)
+        panel.y.label = "magnitude / %" if quantity == "magnitude" else "phase / mrad"
+        if reach:
+            panel.y.limits = padded_limits(
+                float(np.nanmin(np.concatenate(reach))), float(np.nanmax(np.concatenate(reach)))
+            )
+    drawn.panels[-1].x.label = "year"
+    text = (
+        "Deviation of every dated result from the reference value with its U (k = 2), in relative terms of the "
+        "magnitude; the bands are U of the reference values. Where there is none, since results contradict each "
+        "other, deviations are from their weighted mean. Frequencies stand side by side for legibility."
+    )
+    return drawn.with_title(f"Control chart of {channel} per {component}", text, main=True)
+
+
+def largest_share(evaluation: ComparisonEvaluation, title: str) -> float:
+    """Return the largest share of a variance that shared inputs of a title have, of any value that is compared."""
+    shares = [
+        (found.effects[[item.title == title for item in found.shared]] / found.u) ** 2
+        for found in evaluation.quantities
+    ]
+    return float(max(share.sum(axis=0).max() for share in shares))
+
+
+def _named(items: Sequence[SharedInput]) -> str:
+    """Return what results call an input, the first of several components and how many there are."""
+    told = "; ".join(f"{name}: {unknown}" for name, unknown in items[0].unknowns.items())
+    return told if len(items) == 1 else f"{told} and {len(items) - 1} more"
+
+
+def _context(evaluation: ComparisonEvaluation) -> dict[str, Any]:
+    columns: list[TableColumn[ComparedQuantity]] = [
+        page_column("element", lambda f: f"{f.channel} per {f.component}", "l"),
+        page_column("quantity", lambda f: f.quantity, "l"),
+        page_column("frequency / Hz", lambda f: f"{f.frequency_hz:.4f}"),
+        page_column("results", lambda f: str(len(f.names))),
+        page_column(
+            "reference ± U",
+            lambda f: (
+                quantity_html(f.reference.value, 2.0 * f.reference.u, f.unit)
+                if f.reference.used.any()
+                else "none, they contradict each other"
+            ),
+        ),
+        page_column("p of consistency", lambda f: f"{f.reference.p:.3f}"),
+        page_column(
+            "left out",
+            lambda f: ", ".join(n for n, u in zip(f.names, f.reference.used, strict=True) if not u) or "none",
+            "l",
+        ),
+        page_column("largest E_n of a pair", lambda f: signed_text(f.largest)),
+        page_column("of complex values", _largest_text),
+    ]
+    changes: list[TableColumn[ComparedQuantity]] = [
+        *columns[:3],
+        page_column(
+            "drift per year ± U", lambda f: quantity_html(f.per_year or 0.0, 2.0 * (f.u_per_year or 0.0), f.unit)
+        ),
+    ]
+    titles = {
+        title: [item for item in evaluation.shared if item.title == title] for title in list_titles(evaluation.shared)
+    }
+    common: list[TableColumn[str]] = [
+        page_column("input (evidence)", lambda title: title, "l"),
+        page_column("unknown in each result", lambda title: _named(titles[title]), "l"),
+        page_column("largest share of a variance / %", lambda title: small(100.0 * largest_share(evaluation, title))),
+    ]
+    single: list[TableColumn[Any]] = [
+        page_column("result", lambda entry: entry[0], "l"),
+        page_column("element", lambda entry: f"{entry[1].channel} per {entry[1].component}", "l"),
+        page_column("frequency / Hz", lambda entry: f"{entry[1].frequency_hz:.4f}"),
+    ]
+    dated = [found for found in evaluation.quantities if found.per_year is not None]
+    return {
+        "subject": [("Results", ", ".join(f"{result.name} ({result.file})" for result in evaluation.results))],
+        "reference": table("Reference values, U: k = 2", columns, evaluation.quantities),
+        "figures": [draw_normalised(evaluation)],
+        "charts": draw_charts(evaluation),
+        "shared": table("Inputs taken as shared", common, list(titles)),
+        "drift": table("Drift, U: k = 2", changes, dated),
+        "alone": table("Not compared", single, evaluation.unmatched),
+    }
+
+
+def printed(evaluation: ComparisonEvaluation) -> Iterator[str]:
+    """Lines for the terminal."""
+    for quantity in ("magnitude", "phase"):
+        own = [found for found in evaluation.quantities if found.quantity == quantity]
+        if own:
+            above = sum(found.largest > 1.0 for found in own)
+            left = sum(not found.reference.used.all() for found in own)
+            counts = f"|E_n| of a pair above 1 at {above}, not consistent at {left}"
+            yield f"{quantity}: {len(own)} values compared, {counts}"
+    if evaluation.shared:
+        yield f"taken as shared: {'; '.join(list_titles(evaluation.shared))}"
+    if evaluation.unmatched:
+        yield f"{len(evaluation.unmatched)} values without a partner"
+
+
+def _fill(file: h5py.File, evaluation: ComparisonEvaluation) -> None:
+    """Every comparison with E_n of every pair."""
+    for number, found in enumerate(evaluation.quantities):
+        group = file.create_group(f"comparison/{number}")
+        for name in (*IN_FILE, "covariance", "normalised", "year"):
+            write_value(group, name, getattr(found, name))
+        write_value(group, "shared", list_titles(found.shared))
+        if found.complex_normalised is not None:
+            write_value(group, "complex_normalised", found.complex_normalised)
+
+
+COMPARE = CommandReport(
+    "compare",
+    "comparison",
+    ("comparison.csv",),
+    lambda evaluation: {"comparison.csv": csv_text(COMPARISON, rows(evaluation))},
+    _fill,
+    _context,
+    printed,
+)
+
+
+def run_compare(
+    inputs: Sequence[str],
+    output: Path | None,
+    dates: Sequence[str] = (),
+    tolerance: float = 1e-3,
+    *,
+    force: bool = False,
+) -> None:
+    """Compare results, each `PATH` or `NAME=PATH`, dated by `NAME=YYYY-MM-DD`; write results and print the summary."""
+    named: dict[str, Path] = {}
+    for text in inputs:
+        first, equals, rest = text.partition("=")
+        path = Path(rest if equals else text)
+        name = first if equals else path.stem
+        if not name or name in named:
+            raise InputError(path, "", found=f'the name "{name}" twice', expected="NAME=PATH with names of their own")
+        named[name] = path
+    days: dict[str, Date] = {}
+    for text in dates:
+        name, _, day = text.partition("=")
+        if name not in named:
+            raise InputError("--date", name, found=text, expected=f"one of the names {', '.join(named)}")
+        try:
+            days[name] = Date.fromisoformat(day)
+        except ValueError as error:
+            raise InputError("--date", name, found=f'"{day}"', expected="a day as YYYY-MM-DD") from error
+    results = [read_result(name, path) for name, path in named.items()]
+    days = {result.name: result.date for result in results if result.date is not None} | days
+    root = Path(os.path.commonpath([result.file.resolve().parent for result in results]))
+    files = hash_files([file for path in named.values() for file in result_files(path)], root)
+    folder = Path("comparison") if output is None else output
+    COMPARE.run(files, folder, lambda hashes: evaluate_comparison(results, days, tolerance, hashes), force=force)

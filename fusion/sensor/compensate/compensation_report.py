@@ -1,0 +1,530 @@
+"""What compensation filters leave: files for a program and in C, tables, page, and the lines of the terminal."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from itertools import chain
+from operator import itemgetter
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import h5py
+import numpy as np
+from markupsafe import Markup
+
+from fusion.base import DASH, GRAM, MILLI, PERCENT, round_to_uncertainty
+from fusion.errors import InputError
+from fusion.estimation.coverage import coverage_factor
+from fusion.report.folder import CommandReport, hash_files
+from fusion.report.h5 import write_value
+from fusion.report.table import (
+    Headline,
+    Table,
+    TableColumn,
+    capitalise,
+    columns_of,
+    csv_text,
+    finite_or_none,
+    number,
+    page_column,
+    quantity_html,
+    signed_text,
+    table,
+)
+from fusion.sensor.compensate.compensation_evaluation import (
+    HAND_DAMPING,
+    HAND_STIFFNESS,
+    HANDLE_MASS,
+    PUSH_M,
+    PUSH_S,
+    CompensateEvaluation,
+    HapticCase,
+    add_recorded_load,
+    evaluate_compensation,
+    read_outputs,
+)
+from fusion.sensor.compensate.compensation_figures import (
+    draw_bode,
+    draw_channel,
+    draw_force_feedback,
+    draw_mismatch,
+    draw_noise,
+    draw_step,
+    frequencies,
+)
+from fusion.sensor.compensate.compensation_subjects import (
+    COMMAND,
+    CompensationSettings,
+    IndexEstimates,
+    LoadFilter,
+    SubjectResult,
+    read_sources,
+    stated_sensor,
+)
+from fusion.sensor.model_files import FORMAT, read_model_file
+from shaker.compensation.effects import gain_band
+from shaker.compensation.filter import Sections, band_ratio, best_damping
+from shaker.lti.indices import LABELS, unit_of
+
+JSON_FILE, HEADER_FILE = "compensation.json", "compensation.h"
+HEADER = files("fusion.report").joinpath("templates", HEADER_FILE)
+"""Start, step and switch in C, between the places for the program, the size and the tables."""
+CONVENTIONS = (
+    "y = gain * product of sections; a section is (b0 + b1/z + b2/z^2)/(1 + a1/z + a2/z^2), sos rows b0 b1 b2 1 a1 a2, "
+    "each of static gain 1; continuous: gain * product (s - zero)/(s - pole), rad/s; numbers are exact doubles"
+)
+SHOWN = (
+    "natural_hz",
+    "damping_ratio",
+    "peak_hz",
+    "peak_gain",
+    "band_5_hz",
+    "band_10_hz",
+    "half_power_hz",
+    "overshoot",
+    "rise_s",
+    "settling_5_s",
+    "settling_2_s",
+)
+SCALE = {"s": (MILLI, "ms"), "Hz": (1.0, "Hz"), "": (1.0, "")}
+PRINTED = {"band_10_hz": "±10 % band", "overshoot": "overshoot", "settling_2_s": "2 % settling"}
+ERRORS = (0.01, 0.02, 0.05, 0.1, 0.2)
+LOOP = (
+    f"A hand ({HAND_STIFFNESS:g} N/m, {HAND_DAMPING:g} N·s/m) pushes a handle of {HANDLE_MASS:g} kg by "
+    f"{MILLI * PUSH_M:g} mm in {PUSH_S:g} s against a virtual ball of {{:g}} N/m. The device "
+    "pushes back with the force of the ball and K times its difference to what the sensor tells, one sample late. "
+    "Tracking error: rms of applied less fed-back force over rms of the latter while the ball is touched."
+)
+"""The loop of the force-feedback check, by the stiffness of the ball."""
+
+
+# Filters as JSON and C.
+
+
+@dataclass(frozen=True)
+class StoredFilter:
+    """A filter read back from compensation.json: for a channel and a load in kg, None where it is not modelled."""
+
+    channel: str
+    component: str
+    load_mass: float | None
+    sections: Sections
+
+
+def json_text(evaluation: CompensateEvaluation) -> str:
+    """Return the content of compensation.json."""
+    content = {
+        "format": FORMAT,
+        "name": evaluation.name,
+        "program": evaluation.versions.get("shakercal", ""),
+        "conventions": CONVENTIONS,
+        "filters": [_entry(made) for made in evaluation.filters],
+    }
+    return json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def read_compensation_filters(path: str | Path) -> tuple[StoredFilter, ...]:
+    """Read compensation.json, or the one in a folder, to the last bit; `InputError` names what cannot be read.
+
+    >>> from fusion import read_compensation_filters
+    >>> filters = read_compensation_filters("my-steps/step/compensate")  # doctest: +SKIP
+    """
+
+    def stored(item: dict[str, Any]) -> StoredFilter:
+        sos, mass = np.array(item["sos"], dtype=np.float64), item["load_mass_kg"]
+        sections = Sections(sos, float(item["gain"]), float(item["sample_rate_hz"]))
+        load_mass = None if mass is None else float(mass)
+        return StoredFilter(str(item["channel"]), str(item["component"]), load_mass, sections)
+
+    def parsed(content: dict[str, Any]) -> tuple[StoredFilter, ...]:
+        return tuple(stored(item) for item in content["filters"])
+
+    return read_model_file(Path(path), JSON_FILE, "compensate", parsed, "filters")
+
+
+def _entry(made: LoadFilter) -> dict[str, Any]:
+    """One filter as nested dictionaries."""
+    design, sections, subject = made.compensation, made.sections, made.subject
+    sensor, target, system = design.sensor, design.target, design.system
+    return {
+        "channel": subject.channel,
+        "component": subject.component,
+        "input_unit": subject.unit,
+        "output_unit": made.output_unit,
+        "load_mass_kg": made.load_mass,
+        "sensor": {
+            **{name: getattr(sensor, name).tolist() for name in ("frequency_hz", "damping_ratio", "real_hz")},
+            "static_gain": sensor.static_gain,
+            "u": [finite_or_none(u) for u in sensor.u],
+        },
+        "target": {name: getattr(target, name) for name in ("frequency_hz", "damping_ratio", "real_hz", "low_pass_hz")},
+        "continuous": {
+            "zeros": [[zero.real, zero.imag] for zero in system.zeros.tolist()],
+            "poles": [[pole.real, pole.imag] for pole in system.poles.tolist()],
+            "gain": system.gain,
+        },
+        "sample_rate_hz": sections.sample_rate_hz,
+        "gain": sections.gain,
+        "sos": sections.sos.tolist(),
+        "white_noise_gain": made.noise_gain,
+        "discretisation_error": made.discretisation_error,
+    }
+
+
+def header_text(evaluation: CompensateEvaluation) -> str:
+    """Return the C header: tables of all filters, and start, step and switch as the program runs them."""
+    most = max(len(result.filters[0].sections.sos) for result in evaluation.subjects)
+    tables = "\n".join(line for result in evaluation.subjects for line in _table(result))
+    program = f"shakercal {evaluation.versions.get('shakercal', '')}".strip()
+    frame = HEADER.read_text(encoding="utf-8")
+    return frame.replace("@PROGRAM@", program).replace("@MOST@", str(most)).replace("@TABLES@", tables)
+
+
+def _table(result: SubjectResult) -> Iterator[str]:
+    """The coefficients of a channel, load by load."""
+    first, subject, loads = result.filters[0], result.subject, result.filters
+    name = "compensate_" + re.sub(r"\W", "_", subject.name.replace(" for ", "_"), flags=re.ASCII)
+    count, rate, target = len(first.sections.sos), first.sections.sample_rate_hz, first.compensation.target
+    told = (
+        f"{subject.name}: {subject.unit} to {first.output_unit}, {rate:.12g} Hz, to "
+        f"{target.frequency_hz:.6g} Hz, damping ratio {target.damping_ratio:.4g}"
+    )
+    yield f"/* {told.replace('*/', '* /')} */"  # without what would end a comment
+    rows = [row for made in loads for row in made.sections.sos.tolist()]
+    yield from _array(f"{name}_sos", [value for row in rows for value in (*row[:3], *row[4:])], 5)
+    yield from _array(f"{name}_gain", [made.sections.gain for made in loads], 1)
+    yield from _array(f"{name}_load_mass", [made.load_mass or 0.0 for made in loads], 1)
+    yield f"static const shakercal_table {name} = {{{count}, {len(loads)}, {rate.hex()},"
+    yield f"    {name}_load_mass, {name}_gain, {name}_sos}};"
+    yield ""
+
+
+def _array(name: str, values: Sequence[float], per_line: int) -> Iterator[str]:
+    """An array of doubles, each to the last bit, with its decimal form beside it."""
+    yield f"static const double {name}[{len(values)}] = {{"
+    for start in range(0, len(values), per_line):
+        part = values[start : start + per_line]
+        told = ", ".join(f"{value:.6g}" for value in part)
+        yield f"    {', '.join(value.hex() for value in part)}, /* {told} */"
+    yield "};"
+
+
+# Numbers of all filters, and the page.
+
+
+class NumberRow(NamedTuple):
+    """One number of one filter in compensate.csv; what does not apply is empty."""
+
+    channel: str
+    component: str
+    load_mass_kg: float | None
+    name: str
+    value: float | None
+    u: float | None
+    unit: str
+    U: float | None
+    k: float | None
+    dof: float | None
+
+
+def over(top: str, bottom: str) -> str:
+    """One unit over another; 1 where they are the same."""
+    if top == bottom:
+        return "1"
+    parts = [f"({unit})" if "/" in unit or "." in unit else unit for unit in (top, bottom)]
+    return "/".join(parts)
+
+
+def number_rows(made: LoadFilter) -> Iterator[NumberRow]:
+    """One row per number of one filter."""
+    sensor, target = made.compensation.sensor, made.compensation.target
+
+    def row(name: str, value: float | None, unit: str, u: float | None = None, dof: float = np.inf) -> NumberRow:
+        k = None if u is None else coverage_factor(dof)
+        of_u = (None, None, None) if u is None or k is None else (k * u, k, dof)
+        return NumberRow(made.subject.channel, made.subject.component, made.load_mass, name, value, u, unit, *of_u)
+
+    modes = len(sensor.frequency_hz)
+    names = [f"sensor_{name}_{m + 1}" for name in ("frequency_hz", "damping_ratio") for m in range(modes)]
+    names += [f"sensor_real_hz_{q + 1}" for q in range(len(sensor.real_hz))] + ["sensor_static_gain"]
+    gain_unit = over(made.subject.unit, made.subject.load_unit)
+    for name, value, u, dof in zip(names, sensor.vector, sensor.u, made.sensor_dof.tolist(), strict=True):
+        unit = "Hz" if "_hz" in name else gain_unit if name == "sensor_static_gain" else "1"
+        yield row(name, float(value), unit, finite_or_none(u), dof)
+    yield row("target_frequency_hz", target.frequency_hz, "Hz")
+    yield row("target_damping_ratio", target.damping_ratio, "1")
+    after_unit = over(made.output_unit, made.subject.load_unit)
+    for when, figures, of_gain in (("before", made.before, gain_unit), ("after", made.after, after_unit)):
+        for name, value in figures.indices.figures().items():
+            unit = of_gain if name == "static_gain" else unit_of(name) or "1"
+            yield row(f"{when}_{name}", value, unit, figures.u[name], figures.dof[name])
+    yield row("white_noise_gain", made.noise_gain, over(made.output_unit, made.subject.unit))
+    yield row("noise", made.noise, made.output_unit)
+    yield row("discretisation_error", made.discretisation_error, "1")
+    for off, ringing in zip(made.off_frequency, made.off_ringing, strict=True):
+        yield row(f"ringing_frequency_{off:+g}", float(ringing), "1")
+    for load, ringing in zip(made.off_load, made.load_ringing, strict=True):
+        yield row(f"ringing_load_{load:.12g}_kg", float(ringing), "1")
+
+
+def headlines(evaluation: CompensateEvaluation) -> list[Headline]:
+    """Of the first filter: band, overshoot, settling, each before and after, and noise."""
+    made = evaluation.filters[0]
+    labels = {
+        "band_10_hz": "±10 % of the static gain up to",
+        "overshoot": "Overshoot",
+        "settling_2_s": "2 % settling",
+    }
+    told = [
+        Headline(text, cell(made.after, name), f"before: {cell(made.before, name)}; {made.name}")
+        for name, text in labels.items()
+    ]
+    remark = f"white noise at {made.sections.sample_rate_hz:g} Hz; {made.name}"
+    return [*told, Headline("Noise", f"× {made.noise_factor:.3g}", remark)]
+
+
+def cell(figures: IndexEstimates, name: str, *, plain: bool = False) -> str:
+    """A figure with U and unit, as HTML or as `plain` text for the terminal."""
+    value, u = figures.indices.figures()[name], figures.expanded(name)
+    if value is None or not np.isfinite(value):
+        return "no end" if value is not None else "none" if plain else DASH
+    scale, unit = (PERCENT, "%") if name == "overshoot" else SCALE[unit_of(name)]
+    expanded = 0.0 if u is None else scale * u
+    if plain:
+        return f"{round_to_uncertainty(scale * value, expanded).text} {unit}".strip()
+    return f"{scale * value:.5g} {unit}".strip() if u is None else quantity_html(scale * value, expanded, unit)
+
+
+def index_table(made: LoadFilter) -> Table | None:
+    """Figures of one filter before and after."""
+    columns: list[TableColumn[str]] = [
+        page_column("figure", lambda name: capitalise(LABELS[name]), "l"),
+        page_column("sensor", lambda name: cell(made.before, name)),
+        page_column("compensated", lambda name: cell(made.after, name)),
+    ]
+    told = "" if made.compensation.sensor.covariance is None else f", with U (95 %) {made.subject.scope}".rstrip()
+    return table(f"{made.name}: before and after{told}", columns, SHOWN)
+
+
+def _poles(made: LoadFilter) -> Markup:
+    """Frequencies in Hz that a filter takes out of the sensor."""
+    sensor = made.compensation.sensor
+    told = zip(sensor.frequency_hz, sensor.u, made.sensor_dof, strict=False)
+    modes = [quantity_html(hertz, 0.0 if np.isnan(u) else coverage_factor(float(dof)) * u) for hertz, u, dof in told]
+    return Markup("; ").join([*modes, *(f"real {hertz:.5g}" for hertz in sensor.real_hz)])
+
+
+FILTERS: list[TableColumn[LoadFilter]] = [
+    page_column("filter", lambda made: made.name, "l"),
+    page_column("from / Hz", _poles),
+    page_column("ζ", lambda made: "; ".join(f"{zeta:.4g}" for zeta in made.compensation.sensor.damping_ratio) or DASH),
+    page_column("to / Hz", lambda made: f"{made.compensation.target.frequency_hz:.6g}"),
+    page_column("to ζ", lambda made: f"{made.compensation.target.damping_ratio:.4g}"),
+    page_column("rate / Hz", lambda made: f"{made.sections.sample_rate_hz:g}"),
+    page_column("noise ×", lambda made: f"{made.noise_factor:.3g}"),
+    page_column("noise after", lambda made: DASH if made.noise is None else f"{number(made.noise)} {made.output_unit}"),
+    page_column("sampling / %", lambda made: f"{PERCENT * made.discretisation_error:.2g}"),
+]
+"""What every filter cancels, what it puts there, what it costs."""
+
+
+def mismatch_tables(evaluation: CompensateEvaluation) -> list[Table]:
+    """Residual ringing with other loads, one row per filter; else with a frequency that is off."""
+    tables = []
+    for result in evaluation.subjects:
+        first, subject = result.filters[0], result.subject
+        loads = len(first.off_load) > 1
+        if loads:
+            head, what = [subject.load_text(float(load)) for load in first.off_load], "with other loads"
+        else:
+            head = [f"{signed_text(PERCENT * off, '+g')} %" if off else "0 %" for off in first.off_frequency]
+            what = "with a sensor whose frequency is off"
+        rows = [
+            (made.name, *(f"{PERCENT * r:.3g}" for r in (made.load_ringing if loads else made.off_ringing)))
+            for made in result.filters
+        ]
+        caption = f"{subject.name}: residual ringing {what}, % of the step after {MILLI * first.after_s:.3g} ms"
+        if head:
+            tables.append(Table(caption, ("filter for", *head), "l" + "r" * len(head), tuple(rows)))
+    return tables
+
+
+def haptics_table(evaluation: CompensateEvaluation) -> Table | None:
+    """How stiff the force feedback may be made with each treatment of the signal, and how well it then tracks."""
+    check = evaluation.haptics
+    if check is None:
+        return None
+
+    def at_shared(case: HapticCase) -> str:
+        error = case.run.tracking_error
+        return f"{PERCENT * error:.3g} %" if np.isfinite(error) and case.run.stable else "runs away"
+
+    columns: list[TableColumn[HapticCase]] = [
+        page_column("signal", lambda case: case.name, "l"),
+        page_column("largest stable K", lambda case: f"{case.largest_gain:.4g}"),
+        page_column("tracking error at half of it", lambda case: f"{PERCENT * case.own_error:.3g} %"),
+        page_column(f"at K = {check.gain:.3g}", at_shared),
+    ]
+    caption = f"{check.channel}: force feedback with a load of {GRAM * check.load_mass:.4g} g"
+    return table(caption, columns, check.cases)
+
+
+def damping_table(evaluation: CompensateEvaluation) -> Table | None:
+    """The damping ratio with the widest band for a permitted error, and that band over the natural frequency."""
+    own = evaluation.filters[0].compensation.target.damping_ratio
+    columns: list[TableColumn[float]] = [
+        page_column("permitted error", lambda error: f"±{PERCENT * error:g} %", "l"),
+        page_column("best ζ", lambda error: f"{best_damping(error):.4f}"),
+        page_column("band / fn", lambda error: f"{band_ratio(best_damping(error) * (1 + 1e-12), error):.4f}"),
+        page_column(f"band / fn with ζ = {own:.4g}", lambda error: f"{band_ratio(own, error):.4f}"),
+    ]
+    ratios = sorted({*ERRORS, evaluation.target_settings.permitted_error})
+    return table("One mode: the damping ratio with the widest band", columns, ratios)
+
+
+def printed(evaluation: CompensateEvaluation) -> Iterator[str]:
+    """Lines for the terminal, with U (95 %) where it is known."""
+    for made in evaluation.filters:
+        target = made.compensation.target
+        yield f"{made.name}{f', U {made.subject.scope}' if made.subject.scope else ''}"
+        yield f"  natural frequency: {cell(made.before, 'natural_hz', plain=True)} -> {target.frequency_hz:.6g} Hz"
+        yield f"  damping ratio: {cell(made.before, 'damping_ratio', plain=True)} -> {target.damping_ratio:.4g}"
+        for name, text in PRINTED.items():
+            yield f"  {text}: {cell(made.before, name, plain=True)} -> {cell(made.after, name, plain=True)}"
+        yield f"  white noise at {made.sections.sample_rate_hz:g} Hz: × {made.noise_factor:.3g}"
+
+
+def _context(evaluation: CompensateEvaluation) -> dict[str, Any]:
+    """Everything the template shows."""
+    wish, applied, haptics = evaluation.target_settings, evaluation.applied, evaluation.haptics
+    error, aim = wish.permitted_error, f"{wish.frequency_hz or 0.0:g} Hz"
+    if wish.bandwidth_hz is not None:
+        aim = f"±{PERCENT * error:g} % to {wish.bandwidth_hz:g} Hz"
+    kind = "matched poles and zeros" if wish.discretisation == "matched" else "Tustin, prewarped at each mode"
+    models = [(f"Model of {one.subject.name}", one.subject.source) for one in evaluation.subjects]
+    recording = [] if applied is None else [("Recording", applied.name)]
+    mismatches = [draw_mismatch(f"mismatch-{n}", result) for n, result in enumerate(evaluation.subjects)]
+    return {
+        "subject": [("Wanted", aim), ("For samples", kind), *models, *recording],
+        "filters": table("Filters, with U (95 %) where it is known", FILTERS, evaluation.filters),
+        "damping": damping_table(evaluation),
+        "parts": [
+            (made.name, [draw_bode(f"bode-{n}", made, error), draw_step(f"step-{n}", made)], index_table(made))
+            for n, made in enumerate(evaluation.filters)
+        ],
+        "noise": [draw_noise(evaluation)],
+        "mismatch": [picture for picture in mismatches if picture is not None],
+        "mismatches": mismatch_tables(evaluation),
+        "applied": [] if applied is None else [draw_channel(applied, one) for one in applied.channels],
+        "haptics": haptics_table(evaluation),
+        "haptics_pictures": [picture for picture in [draw_force_feedback(evaluation)] if picture is not None],
+        "loop": LOOP.format(0.0 if haptics is None else haptics.ball_stiffness),
+    }
+
+
+# The result folder.
+
+
+def _fill(file: h5py.File, evaluation: CompensateEvaluation) -> None:
+    """Fill the HDF5 file: every filter, then the filtered channels with their standard uncertainty."""
+    file.attrs["name"] = evaluation.name
+    write_value(file, "filters", {made.name: _stored(made) for made in evaluation.filters})
+    applied = evaluation.applied
+    if applied is not None:
+        channels = {
+            one.channel: {name: getattr(one, name) for name in ("unit", "u_noise", "value", "u", "k")}
+            for one in applied.channels
+        }
+        origin = {"recording": applied.name, "sample_rate_hz": applied.sample_rate_hz, "start_s": applied.start_s}
+        write_value(file, "compensated", channels)
+        file["compensated"].attrs.update(origin)
+
+
+def _stored(made: LoadFilter) -> dict[str, Any]:
+    """Coefficients, the sensor's parameters with covariance, and curves over frequency of one filter."""
+    design, sections, subject, hertz = made.compensation, made.sections, made.subject, frequencies(made)
+    names = ("output_unit", "load_mass", "noise_gain", "noise", "band_hz", "discretisation_error", "after_s")
+    curves = ("off_frequency", "off_ringing", "off_load", "load_ringing")
+    band = None if design.sensor.covariance is None else gain_band(design, hertz)
+    return {
+        "channel": subject.channel,
+        "component": subject.component,
+        "scope": subject.scope,
+        "input_unit": subject.unit,
+        **{name: getattr(made, name) for name in (*names, *curves)},
+        **vars(sections),
+        "sensor": design.sensor.vector,
+        "covariance": design.sensor.covariance,
+        "covariance_of_scatter": design.sensor.scatter,
+        "dof": subject.basis.dof,
+        **({} if band is None else {"u_gain": band.u_gain, "u_phase_rad": band.u_phase_rad}),
+        "frequency_hz": hertz,
+        "before": design.sensor.system.response(hertz),
+        "filter": design.system.response(hertz),
+        "filter_for_samples": sections.response(hertz),
+    }
+
+
+def _texts(evaluation: CompensateEvaluation) -> dict[str, str | bytes]:
+    """Filters, numbers, and the filtered recording with U (95 %) of every sample."""
+    texts: dict[str, str | bytes] = {
+        JSON_FILE: json_text(evaluation),
+        HEADER_FILE: header_text(evaluation),
+        "compensate.csv": csv_text(columns_of(NumberRow), chain.from_iterable(map(number_rows, evaluation.filters))),
+    }
+    applied = evaluation.applied
+    if applied is not None:
+        names = ["time_s", *(name for one in applied.channels for name in (one.channel, f"U_{one.channel}"))]
+        samples = [applied.time_s, *(part for one in applied.channels for part in (one.value, one.expanded))]
+        columns: list[TableColumn[list[float]]] = [
+            TableColumn(name, itemgetter(place)) for place, name in enumerate(names)
+        ]
+        texts["compensated.csv"] = csv_text(columns, np.stack(samples, axis=1).tolist())
+    return texts
+
+
+FILES = (JSON_FILE, HEADER_FILE, "compensate.csv", "compensated.csv")
+COMPENSATE = CommandReport("compensate", "compensate", FILES, _texts, _fill, _context, printed, headlines)
+
+
+def run_compensate(
+    models: Sequence[Path],
+    sensor: tuple[float | None, float | None],
+    settings: CompensationSettings,
+    output: Path | None,
+    *,
+    recording: Path | None = None,
+    force: bool = False,
+    allow_outside: bool = False,
+) -> None:
+    """Make the filters of some models or of a stated `sensor` (Hz, damping ratio), write them and print the summary.
+
+    Results stand in folder `compensate` beside the first model, or in the working folder, or in `output`.
+    """
+    frequency, damping = sensor
+    if models and sensor != (None, None):
+        expected = "either models or --sensor-frequency with --sensor-damping"
+        raise InputError(COMMAND, "", found="both", expected=expected)
+    if not models and (frequency is None or damping is None):
+        expected = "models.json, load.json, a folder with one, or --sensor-frequency with --sensor-damping"
+        raise InputError(COMMAND, "", found="nothing of it", expected=expected)
+    sources = read_sources(models) if frequency is None or damping is None else stated_sensor(frequency, damping)
+    record = None if recording is None else read_outputs(recording, allow_outside=allow_outside)
+    beside = sources.files[0].parent if sources.files else Path.cwd()
+    if settings.load_masses and not any(subject.is_scheduled for subject in sources.subjects):
+        found = ", ".join(f"{mass:g} kg" for mass in settings.load_masses)
+        raise InputError(COMMAND, "--load-mass", found=found, expected="a model over the load (load.json) for it")
+
+    def evaluate(hashes: dict[str, str]) -> CompensateEvaluation:
+        return evaluate_compensation(sources, add_recorded_load(settings, sources, record), record, hashes)
+
+    files, read = ((), {}) if record is None else (record.manifest.files, record.manifest.file_identities)
+    inputs = hash_files([*sources.files, *files], beside, read)
+    if sources.files:
+        sources = read_sources(models)  # as they are hashed
+    folder = beside / COMPENSATE.name if output is None else output
+    COMPENSATE.run(inputs, folder, evaluate, force=force)

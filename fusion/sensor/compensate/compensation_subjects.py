@@ -1,0 +1,419 @@
+"""What a compensation filter is made from and for, and what it is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fusion.errors import InputError
+from fusion.estimation.coverage import coverage_factor
+from fusion.recording.values import repeated_name
+from fusion.sensor.model_files import (
+    LOAD_MODEL_FILE,
+    MODELS_FILE,
+    UncertaintyBasis,
+    read_loads,
+    read_model_file,
+    read_models,
+)
+from fusion.sensor.step.step_records import effective_dof
+from shaker.arrays import FloatArray
+from shaker.compensation.effects import target_for_bandwidth, target_for_frequency
+from shaker.compensation.filter import (
+    Compensation,
+    CompensationTarget,
+    Discretisation,
+    Sections,
+    SensorDynamics,
+    loaded_dynamics,
+    modal_dynamics,
+    single_mode,
+)
+from shaker.labels import load_unit, mechanical_units, typeset
+from shaker.lti.indices import Indices
+from shaker.lti.system import ModalModel
+from shaker.release.load_model import LoadModel
+from shakercal._common.notices import Notice
+
+# What the user wants of a compensation.
+
+COMMAND = "shakercal compensate"
+UNSTATED_BASIS = UncertaintyBasis(scope="")
+MOST_DOF = 1e6
+"""Degrees of freedom from which on scatter counts for nothing but rounding."""
+OPTIONS = {
+    "modes": "--modes",
+    "frequency_hz": "--frequency",
+    "damping_ratio": "--damping",
+    "bandwidth_hz": "--bandwidth",
+    "permitted_error": "--permitted-error",
+    "real_hz": "--real-pole",
+    "low_pass_hz": "--low-pass",
+    "load_mass": "--load-mass",
+    "sample_rate_hz": "--sample-rate",
+}
+"""By the arguments that the design refuses: what a user states."""
+STATED = "sensor"
+"""Channel of a sensor that is stated by numbers."""
+
+
+@dataclass(frozen=True)
+class CompensationSettings:
+    """The wanted dynamics and how the filter is made.
+
+    Either `frequency_hz`, with `damping_ratio` or else that with the widest band for `permitted_error`, or
+    `bandwidth_hz`: up to where the gain stays within ± `permitted_error` of the static one. `modes` are compensated,
+    and the real poles if `real_hz` says where to; `low_pass_hz` is the corner of a low-pass in the filter.
+    `calibrated`: the filter also divides by the static gain. `load_masses` in kg, those of a sensor whose load is
+    modelled. `channels`: which, none for all. `ball_stiffness` in N/m: that of the virtual ball of a force-feedback
+    check, None for no check.
+    """
+
+    frequency_hz: float | None = None
+    damping_ratio: float | None = None
+    bandwidth_hz: float | None = None
+    permitted_error: float = 0.1
+    real_hz: float | None = None
+    low_pass_hz: float | None = None
+    modes: int = 1
+    sample_rate_hz: float | None = None
+    discretisation: Discretisation = "matched"
+    calibrated: bool = False
+    load_masses: tuple[float, ...] = ()
+    channels: tuple[str, ...] = ()
+    ball_stiffness: float | None = None
+
+    def __post_init__(self) -> None:
+        if (self.frequency_hz is None) == (self.bandwidth_hz is None):
+            found = "none" if self.frequency_hz is None else "both"
+            raise InputError(COMMAND, "", found=found, expected="either --frequency or --bandwidth")
+        if self.bandwidth_hz is not None and self.damping_ratio is not None:
+            expected = "no --damping beside --bandwidth, which finds it"
+            raise InputError(COMMAND, "--damping", found=f"{self.damping_ratio:g}", expected=expected)
+        if not 0 < self.permitted_error < 1:
+            expected = "a permitted error above 0 and below 100 %"
+            raise InputError(COMMAND, "--permitted-error", found=f"{100 * self.permitted_error:g} %", expected=expected)
+
+    def target(self, sensor: SensorDynamics) -> CompensationTarget:
+        """Return the target for a sensor."""
+        more = (self.permitted_error, self.real_hz, self.low_pass_hz)
+        if self.bandwidth_hz is not None:
+            return target_for_bandwidth(sensor, self.bandwidth_hz, *more)
+        frequency = float(self.frequency_hz or 0.0)
+        if self.damping_ratio is None:
+            return target_for_frequency(sensor, frequency, *more)
+        return CompensationTarget(frequency, self.damping_ratio, self.real_hz, self.low_pass_hz)
+
+    @property
+    def settings(self) -> dict[str, str | float | int]:
+        """What was chosen, for the origin of the results."""
+        given = {name: getattr(self, name) for name in ("permitted_error", "modes", "discretisation")}
+        optional = ("frequency_hz", "damping_ratio", "bandwidth_hz", "real_hz", "low_pass_hz", "sample_rate_hz")
+        stated = {name: getattr(self, name) for name in (*optional, "ball_stiffness")}
+        lists = {"load_masses_kg": [f"{mass:.12g}" for mass in self.load_masses], "channels": self.channels}
+        return {
+            **given,
+            "calibrated": int(self.calibrated),
+            **{name: value for name, value in stated.items() if value is not None},
+            **{name: ", ".join(values) for name, values in lists.items() if values},
+        }
+
+
+# What is compensated: models of step responses, models over the load, or a frequency and a damping ratio.
+
+
+@dataclass(frozen=True)
+class CompensationSubject:
+    """An output channel for a load component (Fx … Mz), in output `unit`, with what is known of its dynamics.
+
+    `component`: empty of a sensor that is stated. `model`: fitted to releases, over the load, or stated. `noise`:
+    standard deviation of the output at `sample_rate_hz`, None where they are not known. `source`: in words; `rests`:
+    what its U rests on, with `scatter` (P, P) the part of the covariance that has these degrees of freedom, None: all.
+    `file`: that holds the model, None of a sensor stated by numbers.
+    """
+
+    channel: str
+    component: str
+    unit: str
+    model: ModalModel | LoadModel | SensorDynamics
+    source: str
+    sample_rate_hz: float | None = None
+    noise: float | None = None
+    basis: UncertaintyBasis = UNSTATED_BASIS
+    scatter: FloatArray | None = None
+    file: Path | None = None
+
+    @property
+    def scope(self) -> str:
+        """Over what U of the model holds, in words."""
+        return self.basis.scope
+
+    @property
+    def name(self) -> str:
+        """Channel, and the component where that is another."""
+        return self.channel if self.component in (self.channel, "") else f"{self.channel} for {self.component}"
+
+    @property
+    def load_unit(self) -> str:
+        """Unit of the load."""
+        return load_unit(self.component) if self.component else "1"
+
+    @property
+    def is_scheduled(self) -> bool:
+        """Whether the filter depends on the load."""
+        return isinstance(self.model, LoadModel)
+
+    def load_text(self, load: float) -> str:
+        """Return a load in g, of a moment in kg·m²."""
+        if self.load_unit == "N":
+            return f"{1e3 * load:.4g} g"
+        return f"{load:.4g} {typeset(mechanical_units(self.component).inertia)}"
+
+    @property
+    def scatter_covariance(self) -> FloatArray | None:
+        """The part of the model's covariance (P, P) that rests on what records scatter by, None without."""
+        if isinstance(self.model, SensorDynamics) or not np.isfinite(self.basis.dof):
+            return None
+        whole = self.model.total_covariance if isinstance(self.model, LoadModel) else self.model.covariance
+        return whole if self.scatter is None else self.scatter
+
+    def factors(self, u: FloatArray, u_scatter: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return degrees of freedom and k for 95 % (Q,) of numbers of u (Q,), of which `u_scatter` (Q,) is scatter."""
+        from scipy.special import stdtrit
+
+        if not np.isfinite(self.basis.dof):
+            return np.full(u.shape, np.inf), np.full(u.shape, coverage_factor(np.inf))
+        dof = effective_dof(u**2, np.minimum(u, u_scatter) ** 2, self.basis.dof)
+        dof = np.where(dof < MOST_DOF, dof, np.inf)
+        return dof, np.asarray(np.where(dof < MOST_DOF, stdtrit(dof, 0.975), coverage_factor(np.inf)))
+
+    def dynamics(self, load_mass: float | None, modes: int, real_poles: bool) -> SensorDynamics:
+        """Return what a filter takes out of the sensor with a load."""
+        if isinstance(self.model, LoadModel):
+            made = loaded_dynamics(self.model, load_mass or 0.0, modes=modes)
+            return replace(made, scatter=made.covariance if np.isfinite(self.basis.dof) else None)
+        if isinstance(self.model, ModalModel):
+            made = modal_dynamics(self.model, modes=modes, real_poles=real_poles)
+            if self.scatter_covariance is None:
+                return made
+            part = modal_dynamics(
+                replace(self.model, covariance=self.scatter_covariance), modes=modes, real_poles=real_poles
+            )
+            return replace(made, scatter=part.covariance)
+        if modes != 1:
+            raise ValueError(f"modes: expected 1 of a sensor stated by frequency and damping, found {modes}")
+        return self.model
+
+
+@dataclass(frozen=True)
+class CompensationSources:
+    """All subjects with the files they come from, and what is to be said of them."""
+
+    name: str
+    subjects: tuple[CompensationSubject, ...]
+    files: tuple[Path, ...]
+    notices: tuple[Notice, ...] = ()
+
+
+def read_sources(paths: Sequence[Path]) -> CompensationSources:
+    """Read models.json, load.json, or the one that a folder of results holds; of both in a folder load.json."""
+    sources = [_read(path) for path in paths]
+    subjects = tuple(subject for one in sources for subject in one.subjects)
+    twice = repeated_name([subject.name for subject in subjects])
+    if twice is not None:
+        expected = "one model per channel; leave a file out"
+        raise InputError(paths[-1], "", found=f"a second model of {twice}", expected=expected)
+    files, notices = (sum((getattr(one, name) for one in sources), ()) for name in ("files", "notices"))
+    return CompensationSources(sources[0].name, subjects, files, notices)
+
+
+def stated_sensor(frequency_hz: float, damping_ratio: float) -> CompensationSources:
+    """Return a sensor of one mode that is stated by numbers."""
+    if not damping_ratio < 1.0:
+        expected = "a damping ratio below 1, of a sensor that oscillates"
+        raise InputError(COMMAND, "--sensor-damping", found=f"{damping_ratio:g}", expected=expected)
+    told = f"stated: {frequency_hz:g} Hz, ζ = {damping_ratio:g}"
+    return CompensationSources(
+        "stated sensor", (CompensationSubject(STATED, "", "1", single_mode(frequency_hz, damping_ratio), told),), ()
+    )
+
+
+def select_subjects(sources: CompensationSources, channels: Sequence[str]) -> tuple[CompensationSubject, ...]:
+    """Return the subjects of some channels, of all where none is named; unknown names raise `InputError`."""
+    known = [subject.channel for subject in sources.subjects]
+    for name in channels:
+        if name not in known:
+            raise InputError(COMMAND, "--channel", found=name, expected=f"one of {', '.join(dict.fromkeys(known))}")
+    return tuple(subject for subject in sources.subjects if not channels or subject.channel in channels)
+
+
+def _read(path: Path) -> CompensationSources:
+    """The subjects of one file or folder."""
+    file = path
+    if path.is_dir():
+        file = next((path / name for name in (LOAD_MODEL_FILE, MODELS_FILE) if (path / name).is_file()), path)
+        if file == path:
+            expected = f"{MODELS_FILE} of shakercal step or {LOAD_MODEL_FILE} of shakercal load in it"
+            raise InputError(path, "", found="none of them", expected=expected)
+
+    def over_loads(content: dict[str, Any]) -> bool:
+        return bool(content["models"]) and "moving_mass" in content["models"][0]
+
+    return _of_loads(file) if read_model_file(file, "", "step or shakercal load", over_loads) else _of_steps(file)
+
+
+def _of_steps(file: Path) -> CompensationSources:
+    """One subject per channel: its own component, or else the one it answers to most."""
+    models = read_models(file)
+    if not models.entries:
+        raise InputError(file, "models", found="none", expected="at least one model")
+    subjects = []
+    for channel in dict.fromkeys(entry.channel for entry in models):
+        offered = [entry for entry in models if entry.channel == channel]
+        one = max(offered, key=lambda entry: (entry.component == entry.channel, abs(entry.model.static_gain)))
+        told = f"{one.method}, {one.recording}"
+        rests = UncertaintyBasis(one.dof, one.scope or UncertaintyBasis().scope, one.outside)
+        known = one.sample_rate_hz, one.noise, rests, one.scatter
+        subjects.append(CompensationSubject(channel, one.component, one.unit, one.model, told, *known, file))
+    return CompensationSources(models.name, tuple(subjects), (file,))
+
+
+def _of_loads(file: Path) -> CompensationSources:
+    """One subject per component; of solutions that the data cannot tell apart the first, told in a notice."""
+    subjects, notices = [], []
+    for model, rests in read_loads(file):
+        if model.solution > 1:
+            continue
+        if model.solutions > 1:
+            text = (
+                f"{model.solutions} solutions fit the records equally well; filters follow the first, and differ from "
+                "the others with loads that were not measured"
+            )
+            notices.append(Notice("warning", text, model.channel))
+        told = "two masses" if model.is_rigid else "three masses"
+        subject = CompensationSubject(model.channel, model.component, model.unit, model, told, basis=rests, file=file)
+        if model.load_masses:
+            loads = ", ".join(subject.load_text(load) for load in model.load_masses)
+            subject = replace(subject, source=f"{told}, fitted to loads of {loads}")
+        subjects.append(subject)
+    return CompensationSources(file.parent.resolve().name, tuple(subjects), (file,), tuple(notices))
+
+
+# What a compensation consists of.
+
+
+@dataclass(frozen=True)
+class IndexEstimates:
+    """Indices of a system with their standard uncertainties and degrees of freedom by name, None where not known.
+
+    `notices`: of which of them first order does not hold.
+    """
+
+    indices: Indices
+    u: dict[str, float | None]
+    dof: dict[str, float]
+    notices: tuple[Notice, ...] = ()
+
+    def expanded(self, name: str) -> float | None:
+        """Return U for 95 % of an index, None where it is not known."""
+        u = self.u[name]
+        return None if u is None else coverage_factor(self.dof[name]) * u
+
+
+@dataclass(frozen=True)
+class LoadFilter:
+    """The filter of a `subject` with one load: continuous, for samples, and what it does.
+
+    `load_mass` in kg, None where the load is not modelled. `noise_gain`: of white noise at the sampling rate;
+    `noise`: standard deviation after the filter in the filter's output unit, None where that of the output is not
+    known. `discretisation_error`: largest |G_d/G_c - 1| up to `band_hz`. `off_frequency` (K,) relative, `off_ringing`
+    (K,): residual ringing where the sensor's frequency is off by so much; `off_load` (L,) kg and `load_ringing` (L,)
+    likewise with other loads, empty where the load is not modelled. Ringing from `after_s` on.
+    """
+
+    subject: CompensationSubject
+    load_mass: float | None
+    compensation: Compensation
+    sections: Sections
+    before: IndexEstimates
+    after: IndexEstimates
+    noise_gain: float
+    noise: float | None
+    band_hz: float
+    discretisation_error: float
+    after_s: float
+    off_frequency: FloatArray
+    off_ringing: FloatArray
+    off_load: FloatArray
+    load_ringing: FloatArray
+
+    @property
+    def name(self) -> str:
+        """Channel and load."""
+        load = "" if self.load_mass is None else f", load {self.subject.load_text(self.load_mass)}"
+        return f"{self.subject.name}{load}"
+
+    @property
+    def sensor_dof(self) -> FloatArray:
+        """Degrees of freedom (P,) of the standard uncertainties of what the filter cancels."""
+        sensor = self.compensation.sensor
+        part = np.zeros_like(sensor.u) if sensor.scatter is None else np.sqrt(np.diag(sensor.scatter))
+        return self.subject.factors(sensor.u, part)[0]
+
+    @property
+    def output_unit(self) -> str:
+        """Unit of what the filter puts out: that of the load where it is calibrated."""
+        return self.subject.load_unit if self.compensation.calibrated else self.subject.unit
+
+    @property
+    def noise_factor(self) -> float:
+        """Standard deviation of white noise out over in, for a filter of static gain 1."""
+        return self.noise_gain / abs(self.sections.gain)
+
+
+@dataclass(frozen=True)
+class SubjectResult:
+    """The filters of one channel, one per load."""
+
+    subject: CompensationSubject
+    filters: tuple[LoadFilter, ...]
+
+
+@dataclass(frozen=True)
+class CompensatedChannel:
+    """A channel of a recording after its filter: `value`, standard uncertainty `u` (N,), and `u_noise` in it.
+
+    `raw` (N,): before it, times the static gain of the filter. `k` (N,): coverage factors for 95 %.
+    """
+
+    channel: str
+    unit: str
+    raw: FloatArray
+    value: FloatArray
+    u: FloatArray
+    u_noise: float
+    k: FloatArray
+
+    @property
+    def expanded(self) -> FloatArray:
+        """Expanded uncertainty U (N,) for 95 %."""
+        return np.asarray(self.k * self.u)
+
+
+@dataclass(frozen=True)
+class CompensatedRecording:
+    """The compensated channels of a recording at `start_s` + n/`sample_rate_hz`."""
+
+    name: str
+    sample_rate_hz: float
+    start_s: float
+    channels: tuple[CompensatedChannel, ...]
+
+    @property
+    def time_s(self) -> FloatArray:
+        """Time of every sample (N,) in s."""
+        return np.asarray(self.start_s + np.arange(len(self.channels[0].value)) / self.sample_rate_hz)

@@ -1,0 +1,313 @@
+"""Several outputs at once: dynamic cross-talk, and the filter that undoes it."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.base import CommandEvaluation
+from fusion.errors import ComputeError, InputError
+from fusion.recording.load import Manifest, check_one_rig
+from fusion.sensor.model_files import FORMAT, read_model_file
+from fusion.sensor.step.step_records import StepInput, read_step
+from fusion.sensor.unmodelled_effects import ModelInfluences, describe_coverage, stated_influences
+from shaker.arrays import FloatArray
+from shaker.decoupling.common_pole_fit import MultiFit, fit_steps
+from shaker.decoupling.filter import (
+    Crosstalk,
+    DecouplingFilter,
+    DecouplingTarget,
+    SignalLevels,
+    crosstalks,
+    design_decoupling,
+    static_inverse,
+)
+from shaker.decoupling.model import MultiModel, missing_loads
+from shaker.labels import LOAD_COMPONENTS
+from shakercal._common.notices import Notice
+
+# What an evaluated decoupling consists of, and what a user may choose about it.
+
+
+@dataclass(frozen=True)
+class DecoupleSettings:
+    """Choices that change results: wanted frequency in Hz (None: half that of the lowest mode) and damping ratio of the
+    loads behind the filter; `seed` of what is drawn.
+
+    >>> from fusion import DecoupleSettings
+    >>> DecoupleSettings(frequency_hz=400.0).damping_ratio
+    0.6
+    """
+
+    frequency_hz: float | None = None
+    damping_ratio: float = 0.6
+    seed: int = 1
+
+    def as_dict(self) -> dict[str, str | float | int]:
+        """Return the settings as plain values for the result files."""
+        wanted = "half that of the lowest mode" if self.frequency_hz is None else self.frequency_hz
+        return {"frequency_hz": wanted, "damping_ratio": self.damping_ratio, "seed": self.seed}
+
+
+@dataclass(frozen=True)
+class DecoupleEvaluation(CommandEvaluation):
+    """Records of all loads, the model of all outputs, the filter, and cross-talk at every stage.
+
+    `capacity` (D,): rated loads of the model's components, None where rig.toml states none; `noise_gain` (D,): noise of
+    each load behind the filter over that with the static matrix alone, `noise` (D,) behind the filter in N or N·m;
+    `beside`: what is known of the model beside the records, in its covariance;
+    `deviation` (K,): largest |D·H - T| over all elements, in rated loads, at the frequencies of the cross-talk.
+    """
+
+    manifests: tuple[Manifest, ...]
+    fit: MultiFit
+    influences: ModelInfluences
+    decoupler: DecouplingFilter
+    stages: tuple[Crosstalk, ...]
+    capacity: FloatArray | None
+    noise: FloatArray
+    noise_gain: FloatArray
+    deviation: FloatArray
+
+    @property
+    def frequency_hz(self) -> FloatArray:
+        """Return the frequencies (K,) of the cross-talk."""
+        return self.stages[0].frequency_hz
+
+    @property
+    def scale(self) -> FloatArray:
+        """Return what loads (D,) are compared in: rated loads, without them 1 N and 1 N·m."""
+        return np.ones(len(self.fit.model.components)) if self.capacity is None else self.capacity
+
+    @property
+    def ratio(self) -> FloatArray:
+        """Return what turns readings over loads (D, D) into shares of these; NaN of those without rated loads that have
+        different units."""
+        kind = np.array([name[0] for name in self.fit.model.components])
+        apart = (self.capacity is None) & (kind[:, None] != kind)
+        return np.where(apart, np.nan, self.scale / self.scale[:, None])
+
+
+# From releases of several loads to a model of all outputs and a filter against cross-talk.
+
+DRAWS = 30
+LINES = 150
+FARTHEST = 1.5
+"""Cross-talk is shown up to this multiple of the highest mode or of the target, whichever is higher."""
+DEVIATES = 0.05
+
+
+def evaluate_decoupling(
+    name: str, manifests: Sequence[Manifest], settings: DecoupleSettings, input_hashes: dict[str, str]
+) -> DecoupleEvaluation:
+    """Return model, filter and cross-talk of one sensor: records of releases → fit → filter → before and after.
+
+    Raises `InputError` for what the user can mend in the files, such as a load that no recording releases.
+
+    >>> from fusion import DecoupleSettings, evaluate_decoupling, load_for_command
+    >>> releases = load_for_command(["steps"], "step")  # doctest: +SKIP
+    >>> evaluation = evaluate_decoupling("steps", releases, DecoupleSettings(), {})  # doctest: +SKIP
+    """
+    started = time.monotonic()
+    inputs = _read(manifests)
+    try:
+        fit = fit_steps([item.record for item in inputs])
+    except ValueError as error:
+        raise _unexplained(error, manifests[0]) from error
+    known = stated_influences(manifests[0].rig, [manifest.mounting for manifest in manifests], mounting_scatter=False)
+    fit = replace(fit, model=known.on_outputs(fit.model))
+    target = _target(fit, settings)
+    try:
+        decoupler = design_decoupling(fit.model, target, SignalLevels(fit.sample_rate_hz, fit.noise, fit.amplitude))
+    except (ValueError, np.linalg.LinAlgError) as error:
+        raise ComputeError(f"no filter was found: {error}") from error
+    modes_hz = fit.model.frequency_hz
+    highest = max(float(modes_hz.max()), float(target.frequency_hz.max()))
+    spaced = np.geomspace(float(modes_hz.min()) / 100.0, min(FARTHEST * highest, 0.45 * fit.sample_rate_hz), LINES)
+    frequency_hz = np.unique(np.concatenate([spaced, modes_hz]))
+    stages = crosstalks(fit.model, decoupler, fit.noise, frequency_hz, np.random.default_rng(settings.seed), DRAWS)
+    sensor, names = manifests[0].rig.sensor, fit.model.components
+    stated = (None if sensor is None else sensor.capacity) or (0.0,) * len(LOAD_COMPONENTS)
+    rated = np.array([dict(zip(LOAD_COMPONENTS, stated, strict=True)).get(name, 0.0) for name in names])
+    capacity = rated if np.all(rated > 0) else None
+    difference = np.abs(stages[-1].value - decoupler.target(frequency_hz)[:, :, None] * np.eye(len(names)))
+    if capacity is None:  # loads with themselves alone
+        deviation = np.einsum("kii->ki", difference).max(axis=1)
+    else:
+        deviation = (difference * (capacity / capacity[:, None])).max(axis=(1, 2))
+    static = np.sqrt(static_inverse(fit.model, fit.noise) ** 2 @ fit.noise**2)
+    noise = decoupler.noise(fit.noise)
+    notices = [notice for item in inputs for notice in item.notices]
+    notices.append(Notice("note", describe_coverage(known.scope, known.outside), "models"))
+    notices += [*fit.notices, *_notices(fit, target, deviation, frequency_hz, capacity)]
+    return DecoupleEvaluation(
+        name=name,
+        manifests=tuple(manifests),
+        fit=fit,
+        influences=known,
+        decoupler=decoupler,
+        stages=stages,
+        capacity=capacity,
+        noise=noise,
+        noise_gain=noise / static,
+        deviation=deviation,
+        notices=tuple(dict.fromkeys(notices)),
+        settings=settings.as_dict(),
+        input_hashes=input_hashes,
+        duration_s=time.monotonic() - started,
+    )
+
+
+def _read(manifests: Sequence[Manifest]) -> list[StepInput]:
+    """All records, of one rig, with the same outputs at one rate, and of every load that the sensor measures."""
+    first = manifests[0]
+    check_one_rig(manifests)
+    inputs = [read_step(manifest) for manifest in manifests]
+    record = inputs[0].record
+    for item in inputs[1:]:
+        for key in ("channels", "unit", "sample_rate_hz"):
+            found, expected = getattr(item.record, key), getattr(record, key)
+            if found != expected:
+                told = f"{expected} as in {first.folder.name}"
+                raise InputError(item.manifest.path, f"daq.channel ({key})", found=str(found), expected=told)
+    stated = None if first.rig.sensor is None else first.rig.sensor.static_sensitivity
+    static = None if stated is None else np.asarray(stated, dtype=np.float64)
+    released = list(dict.fromkeys(item.record.component for item in inputs))
+    missing = missing_loads(record.channels, released, static)
+    if missing:
+        expected = f"a release of every load that the sensor measures; missing: {', '.join(missing)}"
+        where = first.rig_path.parent
+        raise InputError(where, "excitation.component", found=", ".join(released), expected=expected)
+    return inputs
+
+
+def _unexplained(error: ValueError, manifest: Manifest) -> InputError | ComputeError:
+    """What is told where there is no model; what the loads do not tell apart is a matter of the files."""
+    key, _, rest = str(error).partition(": ")
+    if key not in ("channels", "components"):
+        return ComputeError(f"no model of the releases was found: {error}")
+    expected, _, found = rest.removeprefix("expected ").partition(", found ")
+    return InputError(manifest.rig_path.parent, key, found=found, expected=expected)
+
+
+def _target(fit: MultiFit, settings: DecoupleSettings) -> DecouplingTarget:
+    """The wanted dynamics, alike for all loads."""
+    count = len(fit.model.components)
+    wanted = 0.5 * float(fit.model.frequency_hz.min()) if settings.frequency_hz is None else settings.frequency_hz
+    if wanted >= 0.25 * fit.sample_rate_hz:
+        raise ComputeError(
+            f"wanted frequency {wanted:g} Hz: expected below a quarter of the sampling rate, {fit.sample_rate_hz:g} Hz"
+        )
+    return DecouplingTarget(np.full(count, wanted), np.full(count, settings.damping_ratio))
+
+
+def _notices(
+    fit: MultiFit,
+    target: DecouplingTarget,
+    deviation: FloatArray,
+    frequency_hz: FloatArray,
+    capacity: FloatArray | None,
+) -> list[Notice]:
+    """What the user should know of target and comparison."""
+    found = []
+    within = frequency_hz <= target.frequency_hz.max()
+    if deviation[within].max() > DEVIATES:
+        place = frequency_hz[within][deviation[within] > DEVIATES][0]
+        text = (
+            f"from {place:.0f} Hz on loads and wanted dynamics differ by more than {100 * DEVIATES:g} %: the outputs "
+            "tell too little there over their noise; a lower frequency is within reach"
+        )
+        found.append(Notice("warning", text, "filter"))
+    if capacity is None:
+        text = "no rated loads (sensor.capacity): cross-talk between forces and moments is not compared"
+        found.append(Notice("note", text, "sensor.capacity"))
+    unknown = [c for c, u in zip(fit.model.components, fit.u_amplitude, strict=True) if u == 0.0]
+    if unknown:
+        text = f"released loads of {', '.join(unknown)} count as exact: U holds noise and fit"
+        found.append(Notice("note", text, "excitation.step_amplitude"))
+    return found
+
+
+# decoupling.json: the filter with the model it comes from, at full precision.
+
+FILTER_FILE = "decoupling.json"
+KIND = "shakercal decoupling"
+RECURSION = (
+    "f[n] = sum_k taps[k] y[n-k] + Re sum_i shown[:,i] x_i[n-L]; x_i[n+1] = poles[i] x_i[n] + driven[i] y[n]; "
+    "L = len(taps)-1; complex numbers as [re, im]"
+)
+
+
+def filter_text(decoupler: DecouplingFilter, model: MultiModel) -> str:
+    """Return the text of decoupling.json, with the model and its standard uncertainties where they are known."""
+    names = ("frequency_hz", "damping_ratio", "real_hz", "real_residue")
+    known = {**{name: getattr(model, name).tolist() for name in names}, "residue": _pairs(model.residue)}
+    u: dict[str, Any] = {}
+    if model.covariance is not None:
+        u = {f"u_{name}": getattr(model.u, name).tolist() for name in names[:3]}
+        u |= {"u_residue": _pairs(model.u.residue), "u_real_residue": model.u.real_residue.tolist()}
+    content = {
+        "format": FORMAT,
+        "kind": KIND,
+        "recursion": RECURSION,
+        "channels": list(decoupler.channels),
+        "components": list(decoupler.components),
+        "unit": decoupler.unit,
+        "sample_rate_hz": decoupler.sample_rate_hz,
+        "delay_samples": decoupler.delay,
+        "target": {
+            "frequency_hz": decoupler.target_hz.tolist(),
+            "damping_ratio": decoupler.target_damping.tolist(),
+        },
+        "taps": decoupler.taps.tolist(),
+        "poles": _pairs(decoupler.poles),
+        "driven": _pairs(decoupler.driven),
+        "shown": _pairs(decoupler.shown),
+        "model": {**known, **u},
+    }
+    return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+
+
+def read_decoupling_filter(path: str | Path) -> DecouplingFilter:
+    """Return the filter of a decoupling.json, or of the one in a folder, to the last bit; raises `InputError`.
+
+    >>> from fusion import read_decoupling_filter
+    >>> decoupler = read_decoupling_filter("my-steps/decouple/decoupling.json")  # doctest: +SKIP
+    """
+
+    def parsed(content: dict[str, Any]) -> DecouplingFilter:
+        if content["kind"] != KIND:
+            raise ValueError(f"kind {content['kind']!r}")
+        target = {name: np.array(value, dtype=np.float64) for name, value in content["target"].items()}
+        return DecouplingFilter(
+            channels=tuple(content["channels"]),
+            components=tuple(content["components"]),
+            unit=content["unit"],
+            sample_rate_hz=float(content["sample_rate_hz"]),
+            taps=np.array(content["taps"], dtype=np.float64),
+            poles=_complex(content["poles"]),
+            driven=_complex(content["driven"]),
+            shown=_complex(content["shown"]),
+            target_hz=target["frequency_hz"],
+            target_damping=target["damping_ratio"],
+        )
+
+    return read_model_file(Path(path), FILTER_FILE, "decouple", parsed, "filters")
+
+
+def _pairs(values: NDArray[np.complex128]) -> Any:
+    """Complex numbers as [re, im]."""
+    return np.stack([values.real, values.imag], axis=-1).tolist()
+
+
+def _complex(pairs: Any) -> NDArray[np.complex128]:
+    """Complex numbers of [re, im]."""
+    both = np.array(pairs, dtype=np.float64)
+    return np.asarray(both[..., 0] + 1j * both[..., 1])

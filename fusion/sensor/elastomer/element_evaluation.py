@@ -1,0 +1,425 @@
+"""Geometry to natural frequencies and mode shapes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from fusion.base import CommandEvaluation, ProgressCallback, no_progress
+from fusion.errors import InputError, as_input_error
+from fusion.sensor.elastomer.element_definition import ElementDefinition
+from fusion.sensor.model_files import read_models
+from fusion.sensor.unmodelled_effects import describe_coverage
+from shaker.arrays import FloatArray
+from shaker.elastomer.frame import (
+    MODE_NAMES,
+    FrameModel,
+    PlatformFit,
+    platform_family,
+    rigid_motion,
+    sensitivities,
+    solve_frame,
+)
+from shaker.elastomer.geometry import PublishedStatics, Section, beam_stiffness, guided_stiffness
+from shaker.elastomer.solid import SolidModel, mesh_change, solve_solid
+from shaker.labels import LOAD_COMPONENTS
+from shaker.lti.system import ModalModel
+from shaker.mechanics import MassChain, oscillator_hz, required_stiffness
+from shakercal._common.notices import Notice
+
+# What is computed of an elastic element.
+
+
+class StaticsFact(NamedTuple):
+    """A number of the beam formulas: `printed` by the publication's formula, `right` by what stands in its place.
+
+    NaN where there is none.
+    """
+
+    name: str
+    label: str
+    printed: float
+    right: float
+    unit: str
+    remark: str
+
+
+@dataclass(frozen=True)
+class ComparedColumn:
+    """Natural frequencies by one model or measurement: `frequency_hz`, `u_hz` (6,), NaN where there is none.
+
+    `kind`: "formula", "frame", "solid", "measured" or "stated". `u_hz` 0 of what is computed or given without it.
+    """
+
+    name: str
+    kind: str
+    frequency_hz: FloatArray
+    u_hz: FloatArray
+
+
+@dataclass(frozen=True)
+class SolidStudy:
+    """The solid on meshes of growing refinement, and on the last but one of them with a platform that does not bend."""
+
+    refinements: tuple[int, ...]
+    meshes: tuple[SolidModel, ...]
+    rigid: SolidModel
+
+    @property
+    def finest(self) -> SolidModel:
+        """The solution that counts."""
+        return self.meshes[-1]
+
+
+@dataclass(frozen=True)
+class MountedElement:
+    """Sensor between hand and pedestal: modes (N,) of the chain, and over the hand's mass (H,) joined without spring.
+
+    `stiffness`, `mass`: of the sensor along the direction, as the frame has them.
+    """
+
+    direction: str
+    stiffness: float
+    mass: float
+    frequency_hz: FloatArray
+    damping_ratio: FloatArray
+    hand_mass: FloatArray
+    mounted_hz: FloatArray
+
+
+@dataclass(frozen=True)
+class ElementEvaluation(CommandEvaluation):
+    """An element with its models side by side; `sensitivity`: relative change of the six frequencies per change."""
+
+    definition: ElementDefinition
+    facts: tuple[StaticsFact, ...]
+    frame: FrameModel
+    sensitivity: dict[str, FloatArray]
+    solid: SolidStudy | None
+    columns: tuple[ComparedColumn, ...]
+    fits: tuple[PlatformFit, ...]
+    mounted: MountedElement | None
+
+
+def spread(columns: Sequence[ComparedColumn]) -> FloatArray:
+    """Return (max - min)/max (6,) over columns, NaN where fewer than two have a value: as the paper's Table 6."""
+    values = np.stack([column.frequency_hz for column in columns])
+    filled = np.isfinite(values)
+    highest = np.max(np.where(filled, values, -np.inf), axis=0)
+    lowest = np.min(np.where(filled, values, np.inf), axis=0)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.where(filled.sum(axis=0) > 1, (highest - lowest) / highest, np.nan))
+
+
+# The columns of the comparison: beam formulas, frame, solid, measured models, stated frequencies.
+
+MODE_OF = dict(zip(LOAD_COMPONENTS, MODE_NAMES, strict=True))
+"""Which mode a load component excites."""
+
+
+def measured_column(definition: ElementDefinition) -> tuple[ComparedColumn | None, list[Notice]]:
+    """Return the mode of every measured model that swings most after a step, with its standard uncertainty."""
+    path = definition.file.measured
+    if path is None:
+        return None, []
+    value, u, notices = np.full(6, np.nan), np.full(6, np.nan), []
+    for entry in read_models(path).driven:
+        name = MODE_OF.get(entry.component)
+        if name is None or not len(entry.model.frequency_hz):
+            text = f"{entry.component}: no oscillating mode in {path.name}"
+            notices.append(Notice("note", text, "measured"))
+            continue
+        place = MODE_NAMES.index(name)
+        value[place], u[place] = dominant(entry.model)
+        if entry.scope and np.isfinite(u[place]):
+            notices.append(
+                Notice("note", describe_coverage(entry.scope, entry.outside or ""), f"measured, {entry.component}")
+            )
+    return ComparedColumn("measured", "measured", value, u), notices
+
+
+def dominant(model: ModalModel) -> tuple[float, float]:
+    """Return frequency in Hz and u of the oscillating mode with the largest |r/p|; u is NaN without covariance."""
+    count = len(model.frequency_hz)
+    place = int(np.argmax(np.abs(model.residue / model.poles[:count])))
+    u = np.nan if model.covariance is None else float(np.sqrt(model.covariance[place, place]))
+    return float(model.frequency_hz[place]), u
+
+
+def _exact(name: str, kind: str, frequency_hz: FloatArray | Mapping[str, float]) -> ComparedColumn:
+    """A column of numbers (6,), or by the name of their mode, without uncertainty."""
+    if isinstance(frequency_hz, Mapping):
+        frequency_hz = np.array([frequency_hz.get(mode, np.nan) for mode in MODE_NAMES])
+    return ComparedColumn(name, kind, frequency_hz, np.zeros(6))
+
+
+# The numbers of the beam formulas: as the publication's formulas give them, and as mechanics does.
+
+PRINTED_SHARE = 0.4
+"""F_Q/F of equation 10."""
+
+
+def statics_facts(definition: ElementDefinition, frame: FrameModel) -> tuple[StaticsFact, ...]:
+    """Return shear modulus, force shares, stiffnesses and frequencies, printed formula beside the right one."""
+    beams, mass = definition.beams, definition.platform.mass_kg
+    printed, closed = PublishedStatics(beams), beam_stiffness(beams, definition.file.platform.half_size)
+    point, first = guided_stiffness(beams), float(frame.modes.frequency_hz[0])
+    stiffness = printed.stiffness(PRINTED_SHARE)
+    ratio = printed.force_ratio / 4.0
+    guided, cantilever = "compliant beams guided at mid-span", "compliant beams as cantilevers"
+    shear, needed = beams.material.shear_modulus_pa, required_stiffness(first, mass)
+    point_hz = (oscillator_hz(stiffness, mass), oscillator_hz(point, mass))
+    told, same = f"platform and parts, {1e3 * mass:.4g} g", f"{first:.1f} Hz with the same mass"
+    return (
+        StaticsFact(
+            "shear_modulus", "shear modulus G", printed.shear_modulus_pa, shear, "Pa", "E/(1+μ) printed for E/2(1+μ)"
+        ),
+        StaticsFact(
+            "force_ratio", "F_Q/F_c, eq. 10", printed.force_ratio, ratio, "1", f"{cantilever}; printed value 8"
+        ),
+        StaticsFact(
+            "beam_share", "F_Q/F, eq. 10", printed.beam_share, ratio / (2 * ratio + 4), "1", "printed value 0.4"
+        ),
+        StaticsFact(
+            "stiffness_point", "k, platform a point, eq. 11", stiffness, point, "N/m", f"F_Q = 0.4 F; {guided}"
+        ),
+        StaticsFact(
+            "stiffness_x", "k along x, y with the platform", np.nan, closed.x, "N/m", "closed form, no turning"
+        ),
+        StaticsFact("stiffness_z", "k along z with the platform", np.nan, closed.z, "N/m", "closed form, no turning"),
+        StaticsFact("frequency_point", "f of k and the moving mass, eq. 17", *point_hz, "Hz", told),
+        StaticsFact("stiffness_needed", "k that the frame's Tx asks of one oscillator", np.nan, needed, "N/m", same),
+    )
+
+
+def mounted_chain(definition: ElementDefinition, frame: FrameModel) -> MountedElement | None:
+    """Return the sensor between hand and pedestal, with the frame's stiffness and the mass that its frequency means."""
+    told = definition.file.mounting
+    if told is None:
+        return None
+    place = MODE_NAMES.index(told.direction)
+    stiffness = float(frame.stiffness[place])
+    mass = stiffness / (2.0 * np.pi * float(frame.modes.frequency_hz[place])) ** 2
+    stages = {
+        "pedestal": (told.pedestal_mass, told.pedestal_stiffness, told.pedestal_damping),
+        "sensor": (mass, stiffness, told.sensor_damping),
+    }
+    if told.hand_mass > 0.0:
+        stages["hand"] = (told.hand_mass, told.hand_stiffness, told.hand_damping)
+    chain = MassChain(tuple(stages), *np.array(list(stages.values())).T)
+    frequency, damping = chain.modes()
+    top = told.hand_mass or mass
+    hands = np.linspace(0.0, 2.0 * top, 81)
+    rigid = np.array([oscillator_hz(stiffness, mass + hand) for hand in hands])
+    return MountedElement(told.direction, stiffness, mass, frequency, damping, hands, rigid)
+
+
+# Mode shapes as faces in space, for the pictures: beams and platform of the frame, the outside of the solid.
+
+SIDES = ((0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5), (0, 1, 3, 2), (4, 5, 7, 6))
+"""Faces of a box by its corners, numbered with the bits of x, y, z."""
+PLATFORM_PARTS = 4
+"""Tiles along each edge of the platform, so that its colours show how it turns."""
+REVERSED_X, REVERSED_Y = ("Tx", "Ry", "Rz"), ("Ty", "Rx", "Rz")
+"""Modes whose motion is mirrored with reversed sign in the planes x = 0 and y = 0."""
+
+
+@dataclass(frozen=True)
+class DrawnShape:
+    """One mode: `rest_m`, `motion` (P, 4, 3) of the corners of all faces, motion in arbitrary units."""
+
+    name: str
+    frequency_hz: float
+    rest_m: FloatArray
+    motion: FloatArray
+
+
+def frame_shapes(definition: ElementDefinition, model: FrameModel) -> list[DrawnShape]:
+    """Return the six modes of the frame, beams with their sections, the platform as a block."""
+    frame, platform = model.frame, definition.file.platform
+    thickness = platform.thickness or definition.beams.beam_height_m
+    centre = np.array([0.0, 0.0, platform.height])
+    part = platform.half_size / PLATFORM_PARTS
+    tiles = part * np.arange(1.0 - PLATFORM_PARTS, PLATFORM_PARTS, 2.0)
+    blocks = [centre + np.array([x, y, 0.0]) + _box(part, part, 0.5 * thickness) for x in tiles for y in tiles]
+    beams, shapes = list(zip(frame.beam, frame.section, strict=True)), []
+    for mode, name in enumerate(MODE_NAMES):
+        nodes, own = model.node_motion(mode), model.modes.shape[:6, mode]
+        solids = [_beam(frame.node_m[ends], nodes[ends], section) for ends, section in beams]
+        solids += [(block, np.stack([(rigid_motion(corner) @ own)[:3] for corner in block])) for block in blocks]
+        rest, motion = (np.stack(parts)[:, SIDES].reshape(-1, 4, 3) for parts in zip(*solids, strict=True))
+        shapes.append(DrawnShape(name, float(model.modes.frequency_hz[mode]), rest, motion))
+    return shapes
+
+
+def solid_shapes(drawn: SolidModel, finest: SolidModel) -> list[DrawnShape]:
+    """Return the six modes on the outside of one mesh, in all quarters, with the finest mesh's frequencies."""
+    faces, shapes = _outside(drawn), []
+    for mode, name in enumerate(MODE_NAMES):
+        rest, motion = [], []
+        for x, y in ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)):
+            mirror = np.array([x, y, 1.0])
+            sense = (x if name in REVERSED_X else 1.0) * (y if name in REVERSED_Y else 1.0)
+            rest.append(drawn.vertex_m[faces] * mirror)
+            motion.append(sense * drawn.motion[mode][faces] * mirror)
+        shapes.append(DrawnShape(name, float(finest.frequency_hz[mode]), np.concatenate(rest), np.concatenate(motion)))
+    return shapes
+
+
+def _beam(ends: FloatArray, motion: FloatArray, section: Section) -> tuple[FloatArray, FloatArray]:
+    """Corners (8, 3) of a beam of a section between two nodes (2, 3), and how they move with the nodes (2, 6)."""
+    along = ends[1] - ends[0]
+    across = np.cross([0.0, 0.0, 1.0], along / np.linalg.norm(along))
+    box = _box(1.0, 0.5 * section.width_m, 0.5 * section.height_m)
+    offset = box[:, 1:2] * across + box[:, 2:] * np.array([0.0, 0.0, 1.0])
+    end = (box[:, 0] > 0.0).astype(np.int64)
+    moves = [(rigid_motion(o) @ motion[e])[:3] for o, e in zip(offset, end, strict=True)]
+    return ends[end] + offset, np.stack(moves)
+
+
+def _box(x: float, y: float, z: float) -> FloatArray:
+    """Corners (8, 3) of a box about the origin."""
+    bits = np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)])
+    return np.asarray((2.0 * bits - 1.0) * np.array([x, y, z]))
+
+
+def _outside(model: SolidModel) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
+    """Vertex numbers (P, 4) of the faces that belong to one cell only, those in the planes of symmetry left out."""
+    corners = model.vertex_m[model.cell]
+    bits = (corners > corners.mean(axis=1, keepdims=True)).astype(np.int64) @ np.array([1, 2, 4])
+    ordered = np.take_along_axis(model.cell, np.argsort(bits, axis=1), axis=1)
+    faces = ordered[:, SIDES].reshape(-1, 4)
+    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    single = faces[first[count == 1]]
+    inner = np.any(np.all(np.abs(model.vertex_m[single][..., :2]) < 1e-9, axis=1), axis=1)
+    return np.asarray(single[~inner])
+
+
+# From an element's geometry to its modes: formulas, frame, solid, comparison.
+
+KEYS = {
+    "compliant_length_m": "compliant_beams.length",
+    "beam_width_m": "beams.width",
+    "half_size_m": "platform.half_size",
+    "height_m": "platform.height",
+}
+"""Keys of GEOMETRY.toml by the argument that a model refuses."""
+STIFF = 1e3
+"""Factor on the modulus of a platform that does not bend."""
+CONVERGED, FAR = 0.02, 0.10
+"""Change with the mesh, and distance between frame and solid, from which the user is told."""
+
+
+def evaluate_element(
+    definition: ElementDefinition, hashes: dict[str, str], *, solid: bool, progress: ProgressCallback = no_progress
+) -> ElementEvaluation:
+    """Return everything that GEOMETRY.toml asks for; the solid model only where wanted, since it takes a minute.
+
+    >>> from fusion import evaluate_element
+    >>> from fusion.sensor.elastomer.element_definition import read_definition
+    >>> definition = read_definition("elastomer.toml")  # doctest: +SKIP
+    >>> evaluation = evaluate_element(definition, {}, solid=False)  # doctest: +SKIP
+    """
+    started = time.monotonic()
+    file = definition.file
+    consistent = file.frame.mass_matrix == "consistent"
+    half_size = file.platform.half_size
+    fits: tuple[PlatformFit, ...] = ()
+    if file.fit is not None:
+        with as_input_error(definition.path, "fit.frequencies"):
+            fits = platform_family(definition.beams, file.fit.half_sizes, file.fit.frequencies.values_hz)
+    frame = solve_frame(definition.beams, half_size, definition.platform, file.frame.pieces, consistent)
+    study = _solid(definition, progress) if solid else None
+    stiffness, mass = beam_stiffness(definition.beams, half_size), definition.platform.mass_kg
+    along = oscillator_hz(stiffness.x, mass)
+    closed = {"Tx": along, "Ty": along, "Tz": oscillator_hz(stiffness.z, mass)}  # the closed form has no turns
+    columns = [_exact("beam formulas", "formula", closed), _exact("frame", "frame", frame.modes.frequency_hz)]
+    columns += [] if study is None else [_exact("solid", "solid", study.finest.frequency_hz)]
+    measured, notices = measured_column(definition)
+    columns += [] if measured is None else [measured]
+    columns += [_exact(item.name, "stated", item.values_hz) for item in file.stated]
+    remarks = [notice for fit in fits for notice in fit.notices]
+    texts = [notice.text for notice in remarks]  # what several fits say is said once
+    told = [replace(notice, where="fit") if texts.count(notice.text) > 1 else notice for notice in remarks]
+    notices += [*_of_frame(definition, frame), *_of_solid(frame, study), *dict.fromkeys(told)]
+    return ElementEvaluation(
+        name=file.name,
+        definition=definition,
+        facts=statics_facts(definition, frame),
+        frame=frame,
+        sensitivity=sensitivities(definition.beams, half_size, definition.platform),
+        solid=study,
+        columns=tuple(columns),
+        fits=fits,
+        mounted=mounted_chain(definition, frame),
+        notices=tuple(notices),
+        settings={"solid": int(solid), "pieces": file.frame.pieces, "mass_matrix": file.frame.mass_matrix},
+        input_hashes=hashes,
+        duration_s=time.monotonic() - started,
+    )
+
+
+def _solid(definition: ElementDefinition, progress: ProgressCallback) -> SolidStudy:
+    """The solid on all meshes; `InputError` where a key, or scikit-fem, is missing."""
+    block, refinements = definition.solid_block, definition.file.solid.refinements
+    if block is None:
+        expected = "the thickness of the block that --solid models"
+        raise InputError(definition.path, "platform.thickness", found="nothing", expected=expected)
+    stiff = replace(block, stiffening=STIFF)
+    wanted = [*((block, refinement) for refinement in refinements), (stiff, refinements[-2])]
+    models = []
+    for done, (model, refinement) in enumerate(wanted):
+        progress("solid", done, len(wanted))
+        try:
+            models.append(solve_solid(definition.beams, model, refinement))
+        except ImportError as error:
+            expected = 'the package that pip install "shakercal[solid]" brings'
+            raise InputError("--solid", "", found=f"none ({error})", expected=expected) from error
+        except ValueError as error:
+            key = KEYS.get(str(error).partition(":")[0], "")
+            raise InputError.from_exception(error, definition.path, key) from error
+    progress("solid", len(wanted), len(wanted))
+    return SolidStudy(refinements, tuple(models[:-1]), models[-1])
+
+
+def _of_frame(definition: ElementDefinition, frame: FrameModel) -> list[Notice]:
+    """Names that fit badly, modes between, and what rules the result."""
+    found = []
+    for name, share, highest in zip(
+        MODE_NAMES, np.diag(frame.modes.participation), frame.modes.participation.max(axis=0), strict=True
+    ):
+        if share < highest:
+            text = f"named after a motion of which {100.0 * share:.0f} % is in it, and more in another mode"
+            found.append(Notice("note", text, name))
+    if len(frame.modes.others_hz):
+        told = ", ".join(f"{value:.0f}" for value in frame.modes.others_hz)
+        found.append(Notice("note", f"further modes in between at {told} Hz: the beams' own", "frame"))
+    if definition.file.platform.mass is not None:
+        text = "mass, centre and inertia are taken as stated; every frequency stands and falls with them"
+        found.append(Notice("note", text, "platform"))
+    return found
+
+
+def _of_solid(frame: FrameModel, study: SolidStudy | None) -> list[Notice]:
+    """Whether the mesh suffices, and where frame and solid are far apart and why."""
+    if study is None:
+        return []
+    found, change = [], mesh_change(study.meshes)
+    worst = int(np.argmax(np.abs(change)))
+    if abs(change[worst]) > CONVERGED:
+        text = (
+            f"{MODE_NAMES[worst]} changed by {100.0 * change[worst]:.1f} % with the last mesh; refine [solid] further"
+        )
+        found.append(Notice("warning", text, "solid"))
+    for place, name in enumerate(MODE_NAMES):
+        one, other = frame.modes.frequency_hz[place], study.finest.frequency_hz[place]
+        if abs(one / other - 1.0) > FAR:
+            stiff = study.rigid.frequency_hz[place]
+            told = [f"{100.0 * (one / value - 1.0):+.0f} %" for value in (other, stiff)]
+            text = f"frame {told[0]} from the solid, {told[1]} from one whose platform does not bend"
+            found.append(Notice("note", text, name))
+    return found

@@ -1,0 +1,460 @@
+"""What an identification is fitted to: transfer functions of several loads and where transducers sit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+
+from fusion.errors import InputError
+from fusion.instruments.channel import geometry_errors
+from fusion.instruments.transducer import TRANSDUCERS, LaserBeams, measuring_point, unit_direction
+from fusion.phasors.timing import Grid
+from fusion.recording.load import Manifest, find_recordings, load_manifest
+from fusion.recording.manifest import ChannelEntry
+from fusion.report.folder import RESULT_FILE, InputFiles, hash_files, read_provenance
+from fusion.sensitivity.elastic import InstrumentPosition, NaturalModes
+from fusion.sensitivity.moving_body import JOINT, Body, inertia_errors, joint_unknown, load_body, rigid_load
+from fusion.sensor.transfer.transfer_evaluation import KINDS, evaluate_transfer
+from fusion.sensor.transfer.transfer_records import FoundResonance, ReferenceResult, TransferSettings
+from shaker.arrays import ComplexArray, FloatArray
+from shaker.identification.measured_curves import (
+    REFERENCE_INDEX,
+    Bending,
+    CurveError,
+    MeasuredTransfer,
+    Placement,
+    PlacementError,
+)
+from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, mechanical_units, typeset
+from shaker.sine.phasor import Phasors
+from shakercal._common.notices import Notice
+
+# What a user may choose of an identification.
+
+
+ModelChoice = Literal["auto", "translation", "pitching", "adapter"]
+DampingChoice = Literal["common", "each"]
+MassChoice = Literal["auto", "free", "stated"]
+
+
+@dataclass(frozen=True)
+class IdentifySettings:
+    """Choices that change results.
+
+    `model`, `damping` (one for all recordings or one for each), `internal_mass` (fitted, or as stated in rig.toml);
+    "auto" is decided from the recordings. `band_hz`: lines that are fitted, None for all. `load_masses_kg`: for which
+    corrections and usable bands are given, none for those of the recordings. `permitted`: error of the magnitude up to
+    which a band counts as usable.
+    """
+
+    model: ModelChoice = "auto"
+    damping: DampingChoice = "common"
+    internal_mass: MassChoice = "auto"
+    band_hz: tuple[float, float] | None = None
+    load_masses_kg: tuple[float, ...] = ()
+    permitted: float = 0.05
+
+    def __post_init__(self) -> None:
+        for name, choices in (("model", ModelChoice), ("damping", DampingChoice), ("internal_mass", MassChoice)):
+            if getattr(self, name) not in get_args(choices):
+                raise ValueError(f"{name}: expected {', '.join(get_args(choices))}, found {getattr(self, name)}")
+        if self.band_hz is not None and not 0.0 <= self.band_hz[0] < self.band_hz[1]:
+            raise ValueError(f"band_hz: expected the lower frequency first, found {self.band_hz}")
+        if any(not mass > 0.0 for mass in self.load_masses_kg):
+            raise ValueError(f"load_masses_kg: expected masses above 0, found {self.load_masses_kg}")
+        if not 0.0 < self.permitted < 1.0:
+            raise ValueError(f"permitted: expected a share between 0 and 1, found {self.permitted}")
+
+    def as_dict(self) -> dict[str, str | float | int]:
+        """Return the settings as plain values for the result files."""
+        masses = ", ".join(f"{mass:.12g}" for mass in self.load_masses_kg)
+        band = "all lines" if self.band_hz is None else f"{self.band_hz[0]:.12g} to {self.band_hz[1]:.12g}"
+        return {
+            "model": self.model,
+            "damping": self.damping,
+            "internal_mass": self.internal_mass,
+            "band_hz": band,
+            "load_masses_kg": masses or "those of the recordings",
+            "permitted": self.permitted,
+        }
+
+
+# Where the channels of a transfer recording measure, and what is uncertain of it, by names that hold everywhere.
+
+
+def transducer_placement(entry: ChannelEntry) -> Placement:
+    """Return where and along what a channel measures, of an angular velocity about what."""
+    turning = TRANSDUCERS[entry.quantity].rotational
+    return Placement(np.zeros(3) if turning else measuring_point(entry), unit_direction(entry), turning)
+
+
+def placement_errors(base: ChannelEntry, tops: Sequence[ChannelEntry], mounting: str) -> tuple[PlacementError, ...]:
+    """Return what is uncertain of the places and directions of reference and responses.
+
+    An unknown keeps its value as long as nothing is mounted anew: until then it is one in all recordings and, under its
+    name, in the results of sines.
+    """
+    beams = LaserBeams.of([base, *tops])
+    placed = [(base, REFERENCE_INDEX), *((entry, place) for place, entry in enumerate(tops))]
+    return tuple(
+        PlacementError(f"{error.name} [{mounting}]", place, error.effect)
+        for entry, place in placed
+        for error in geometry_errors(TRANSDUCERS[entry.quantity], entry, beams)
+    )
+
+
+# The recordings of a campaign sorted by what they say of the sensor.
+
+
+RESULTS = "results"
+
+
+@dataclass(frozen=True)
+class EvaluatedSines:
+    """A recording of sines, and the folder with its results."""
+
+    manifest: Manifest
+    results: Path
+
+
+@dataclass(frozen=True)
+class IdentificationInputs:
+    """What is there to be read: recordings with transfer functions, evaluated sines, and what is said of the others.
+
+    `inputs`: every file that is used, by its path seen from `folder`.
+    """
+
+    name: str
+    folder: Path
+    transfers: tuple[Manifest, ...]
+    sines: tuple[EvaluatedSines, ...]
+    inputs: InputFiles
+    notices: tuple[Notice, ...]
+
+
+def read_campaign(path: Path, *, allow_outside: bool = False) -> IdentificationInputs:
+    """Read the manifests of a campaign folder, or of one recording, and check that they tell of one sensor.
+
+    Sines count where they have results of these very files. Raises `InputError` where no recording has transfer
+    functions.
+    """
+    folder = (path.parent if path.is_file() else path).resolve()
+    manifests = [load_manifest(recording, allow_outside=allow_outside) for recording in find_recordings(path)]
+    transfers = tuple(manifest for manifest in manifests if manifest.excitation.kind in KINDS)
+    if not transfers:
+        kinds = ", ".join(dict.fromkeys(manifest.excitation.kind for manifest in manifests))
+        where = manifests[0].path if len(manifests) == 1 else path
+        expected = f"a recording of the kind {', '.join(KINDS[:-1])} or {KINDS[-1]}, which shows a transfer function"
+        raise InputError(where, "excitation.kind", found=f"only {kinds}", expected=expected)
+    results = [(manifest, _results(manifest)) for manifest in manifests if manifest.excitation.kind == "sine"]
+    sines = tuple(EvaluatedSines(manifest, place) for manifest, place in results if place is not None)
+    missing = [manifest.name for manifest, place in results if place is None]
+    notices = []
+    if len(missing) == 1:
+        text = "this recording of sines has no results of `shakercal run`, which would add its sensitivity"
+        notices.append(Notice("note", text, missing[0]))
+    elif missing:
+        text = "recordings of sines have no results of `shakercal run`, which would add their sensitivity"
+        notices.append(Notice("note", f"{len(missing)} {text}", "campaign"))
+    used = [*transfers, *(item.manifest for item in sines)]
+    check_sensor(used)
+    files = [file for manifest in used for file in manifest.files]
+    read = {path: seen for manifest in used for path, seen in manifest.file_identities.items()}
+    inputs = hash_files([*files, *(item.results / RESULT_FILE for item in sines)], folder, read)
+    return IdentificationInputs(folder.name, folder, transfers, sines, inputs, tuple(notices))
+
+
+def check_sensor(manifests: Sequence[Manifest]) -> None:
+    """Raise `InputError` where recordings are not all of one sensor."""
+    named = [(manifest, manifest.rig.sensor) for manifest in manifests if manifest.rig.sensor is not None]
+    for (manifest, sensor), key in product(named[1:], ("name", "serial")):
+        first, one, other = named[0][0], getattr(named[0][1], key), getattr(sensor, key)
+        if one != other:
+            expected = f'the sensor of {first.rig_path}, "{one}"'
+            raise InputError(manifest.rig_path, f"sensor.{key}", found=f'"{other}"', expected=expected)
+
+
+def _results(manifest: Manifest) -> Path | None:
+    """Return the folder with results of a recording, its own or the campaign's; results of other files are refused."""
+    places = (manifest.folder / RESULTS, manifest.folder.parent / RESULTS / manifest.folder.name)
+    found = [(place, read_provenance(place)) for place in places]
+    there = [(place, origin) for place, origin in found if origin is not None]
+    if not there:
+        return None
+    hashes = hash_files(manifest.files, manifest.root, manifest.file_identities).hashes
+    for place, origin in there:
+        if origin.input_hashes == hashes:
+            return place
+    expected = "the results of these very input files; shakercal run evaluates the recording anew"
+    raise InputError(there[0][0] / RESULT_FILE, "", found="results of other input files", expected=expected)
+
+
+# From an evaluated transfer recording and its rig to the curve that a model of the sensor is fitted to.
+
+
+SETTINGS = TransferSettings(quantity="acceleration")
+"""Every motion as an acceleration, so that a ratio has no unit."""
+CLOCK = "clock "
+"""How names of unknowns of a clock's tie begin."""
+_ALONG = 1e-3  # share of the drive that the reference must see
+
+
+@dataclass(frozen=True)
+class PreparedTransfer:
+    """A curve to be fitted, the recording it comes from, and the `resonances` found in its responses one by one.
+
+    `grids`: where trigger edges fall between the samples of every block, none where no clocks had to be tied.
+    """
+
+    manifest: Manifest
+    measured: MeasuredTransfer
+    resonances: tuple[FoundResonance, ...] = ()
+    grids: tuple[Grid, ...] = ()
+
+    @property
+    def component(self) -> int:
+        """Which of the six components is driven most."""
+        return component_of(self.measured.drive)
+
+    @property
+    def load_kg(self) -> float:
+        """Mass, or moment of inertia, along the driven component of what is mounted on the sensor."""
+        return float(self.measured.mass_matrix[self.component, self.component])
+
+    @property
+    def u_load_kg(self) -> float:
+        """Its standard uncertainty."""
+        changes = [error.change[self.component, self.component] for error in self.measured.inertia_errors]
+        return float(np.sqrt(np.sum(np.square(changes))))
+
+    def peaks_hz(self, response: str) -> tuple[float, ...]:
+        """Return the frequencies of the resonances of one response, ascending."""
+        return tuple(sorted(found.fit.frequency_hz for found in self.resonances if found.response == response))
+
+
+def prepare(
+    manifest: Manifest, name: str, band_hz: tuple[float, float] | None
+) -> tuple[PreparedTransfer, tuple[Notice, ...]]:
+    """Evaluate a recording and return its curves of load over base by the `name` that tells it from the others.
+
+    Of several references on the base the first is used; responses that are no translation of the load, or turn of one
+    that is turned, are left out.
+    What is said of one oscillator fitted to one response is left to the readings. Raises `InputError`.
+    """
+    entries = {entry.name: entry for daq in manifest.daq for entry in daq.channel if entry.quantity != "trigger"}
+    drive, body = drive_of(manifest), rigid_load(manifest)
+    base = _base_entry(manifest, entries, drive)
+    evaluation = evaluate_transfer(manifest, SETTINGS, {})
+    result = next(result for result in evaluation.references if result.name == base.name)
+    measured_by = [entries[channel] for channel in result.transfer.ratio.channels]
+    tops = [entry for entry in measured_by if entry.body == "load" and _shows_motion(entry, drive)]
+    if not tops:
+        expected = f'a {_wanted(drive)} with body = "load"'
+        raise InputError(manifest.path, "excitation.response", found="none on the load", expected=expected)
+    blocks = [daq for daq in manifest.daq if any(entry in daq.channel for entry in (base, *tops))]
+    clock = blocks[0] if len(blocks) == 1 else manifest.daq[0]
+    ratio, errors = _load_over_base(manifest, result, [entry.name for entry in tops], name, band_hz)
+    placed, bent = tuple(transducer_placement(entry) for entry in tops), FlexibleLoad.of(manifest, ratio.frequency_hz)
+    measured = MeasuredTransfer(
+        name=name,
+        ratio=ratio,
+        tops=placed,
+        base=transducer_placement(base),
+        drive=drive,
+        mass_matrix=body.mass_matrix,
+        errors=errors,
+        inertia_errors=inertia_errors(manifest, body),
+        line_correlation=result.transfer.line_correlation,
+        added_decay_per_s=result.transfer.added_decay_per_s,
+        clock=f"clock of {clock.name}",
+        u_clock=clock.clock_uncertainty,
+        placement_errors=placement_errors(base, tops, manifest.mounting),
+        bending=None if bent is None else bent.bending(placed, manifest.mounting, _on_load(manifest, tops)),
+    )
+    found = tuple(item for item in result.resonances if item.response in ratio.channels)
+    alone = {f"{channel}/{base.name}" for channel in result.transfer.ratio.channels}
+    notices = [
+        replace(notice, where=f"{name}: {notice.where}" if notice.where else name)
+        for notice in evaluation.notices
+        if notice.where not in alone
+    ]
+    others = [reference for reference in manifest.excitation.reference if reference != base.name]
+    if others:
+        text = f"of several references {base.name} is used, {', '.join(others)} left out"
+        notices.append(Notice("note", text, name))
+    stated = "" if bent is None else bent.stated
+    if stated:
+        text = f"{stated} of the load stated: in the model of its curves; readings of single curves take it as rigid"
+        notices.append(Notice("note", text, name))
+    grids = tuple(clock.grid for clock in evaluation.clocks if clock.grid is not None)
+    known = grids if len(grids) == len(evaluation.clocks) else ()
+    return PreparedTransfer(manifest, measured, found, known), tuple(notices)
+
+
+def add_clock_errors(item: PreparedTransfer, start: str) -> PreparedTransfer:
+    """Return a curve whose clock ties are unknowns of all recordings of one `start` (`fusion.campaign.excited_line`)."""
+    own, measured = f" [{item.measured.name}]", item.measured
+    errors = tuple(
+        replace(error, name=f"{error.name.removesuffix(own)} [{start}]") if error.name.startswith(CLOCK) else error
+        for error in measured.errors
+    )
+    return replace(item, measured=replace(measured, errors=errors))
+
+
+def _on_load(manifest: Manifest, tops: Sequence[ChannelEntry]) -> list[InstrumentPosition]:
+    """Return where channels sit on a load that bends; of a rigid one where they sit does not matter."""
+    if manifest.rig.load is None or not manifest.rig.load.elastic:
+        return []
+    for entry in tops:
+        if entry.point is None:
+            expected = f"where {entry.name} sits on the load, which is elastic (load.elastic of rig.toml)"
+            raise InputError(manifest.path, "daq.channel.point", found="nothing", expected=expected)
+    return [InstrumentPosition(entry.name, measuring_point(entry)) for entry in tops]
+
+
+@dataclass(frozen=True)
+class FlexibleLoad:
+    """Load and parts of a recording, not all rigid and free, at K lines, without what moves inside the sensor.
+
+    `inertia` (K, 6, 6): wrench that moves them, per acceleration of the foot of what bends, above the joint; `follow`
+    (K, 6): motion of what lies below the joint over that.
+    """
+
+    body: Body
+    frequency_hz: FloatArray
+    inertia: ComplexArray
+    follow: ComplexArray
+
+    @classmethod
+    def of(cls, manifest: Manifest, frequency_hz: FloatArray) -> FlexibleLoad | None:
+        """Return None of a load of which modes, joint, first natural frequency and cables are not stated."""
+        body = load_body(manifest.rig.model_copy(update={"sensor": None}), manifest.part)
+        if body is None:
+            return None
+        follow = np.ones((len(frequency_hz), 6), np.complex128)
+        if body.joint is not None:
+            follow = body.joint.follow(frequency_hz)
+        bent = cls(body.weightless, frequency_hz, body.weightless.load_matrix(frequency_hz), follow)
+        return bent if bent.stated else None
+
+    @property
+    def stated(self) -> str:
+        """Words for what is stated."""
+        body = self.body
+        cables = np.any(body.cable_npm) or np.any(body.u_cable_npm)
+        first = body.first_frequency_hz is not None
+        known = {"modes": body.elastic, "joint": body.joint, "first natural frequency": first, "cables": cables}
+        return ", ".join(word for word, there in known.items() if there)
+
+    def bending(self, tops: Sequence[Placement], mounting: str, places: Sequence[InstrumentPosition] = ()) -> Bending:
+        """Return what responses read and what pulls, per motion of what lies below the joint.
+
+        `places`: theirs on what bends, none where they tell the motion of its foot.
+        """
+        body, frequency, rows = self.body, self.frequency_hz, np.stack([top.row for top in tops])
+        nothing = np.zeros((len(frequency), *rows.shape), np.complex128)
+
+        def stretched(modes: NaturalModes) -> ComplexArray:
+            own = [row @ modes.stretch(frequency, place) for row, place in zip(rows, places, strict=False)]
+            return np.stack(own, axis=1) if own else nothing
+
+        seen = rows + sum((part.act(stretched) for part in body.elastic), nothing)
+        over = 1.0 / self.follow[:, None]
+        terms = {"": (self.inertia * over - body.mass_matrix, seen * over - rows)}
+        reads = {change.name: change.effect for part in body.elastic for change in part.changes(stretched)}
+        rigid = {change.name for change in Body(body.parts).matrix_changes(np.ones(1))}
+        for change in body.matrix_changes(frequency):
+            if change.name not in rigid and change.label != JOINT:
+                name = change.name if change.scope == "rig" else f"{change.name} [{mounting}]"
+                # As in the results of sines, one standard deviation is that of a number stated too high.
+                terms[name] = -change.effect * over, -reads.get(change.name, nothing) * over
+        if body.joint is not None:
+            parts = tuple(part for part in body.parts if not part.below_joint)
+            above = replace(body, parts=parts).load_matrix(frequency)
+            later = body.joint.change(frequency)[:, None] * over**2
+            for axis, natural, one in zip(MOTION_COMPONENTS, body.joint.frequency_hz, np.eye(6), strict=True):
+                terms[f"{joint_unknown(natural, axis)} [{mounting}]"] = above * later * one, seen * later * one
+        pulls, stretches = zip(*terms.values(), strict=True)
+        return Bending(tuple(terms)[1:], np.stack(pulls), np.stack(stretches))
+
+
+def drive_of(manifest: Manifest) -> FloatArray:
+    """Return the direction (6,) in which the base is driven."""
+    direction = manifest.excitation.direction or ()
+    return np.asarray([*direction, *[0.0] * (6 - len(direction))], dtype=np.float64)
+
+
+def component_of(drive: FloatArray) -> int:
+    """Return which of the six components is driven most."""
+    return int(np.argmax(np.abs(drive)))
+
+
+def load_along(manifest: Manifest, component: int) -> float:
+    """Return the mass, or moment of inertia, along a component of what is mounted on the sensor."""
+    return float(rigid_load(manifest).mass_matrix[component, component])
+
+
+def mass_unit(component: int) -> str:
+    """Return the printed unit of what resists an acceleration component."""
+    return typeset(mechanical_units(LOAD_COMPONENTS[component]).inertia)
+
+
+def _base_entry(manifest: Manifest, entries: dict[str, ChannelEntry], drive: FloatArray) -> ChannelEntry:
+    """Return the first reference that measures the base; the others are refused where there is none."""
+    named = [entries[name] for name in manifest.excitation.reference if name in entries]
+    for entry in named:
+        if entry.body == "base" and _shows_motion(entry, drive):
+            if abs(float(transducer_placement(entry).row @ drive)) < _ALONG * float(np.linalg.norm(drive)):
+                found = f'"{entry.name}", which looks across excitation.direction'
+                raise InputError(manifest.path, "excitation.reference", found, "a motion along the excitation")
+            return entry
+    expected = f'a {_wanted(drive)} with body = "base", over which the motion of the load is taken'
+    told = ", ".join(f'"{entry.name}" ({entry.quantity} of {entry.body or "no body"})' for entry in named)
+    raise InputError(manifest.path, "excitation.reference", found=told or "nothing", expected=expected)
+
+
+def _shows_motion(entry: ChannelEntry, drive: FloatArray) -> bool:
+    """Whether a channel measures a translation, or the turning of a rig that is turned."""
+    seen = TRANSDUCERS.get(entry.quantity)
+    return seen is not None and (not seen.rotational or bool(np.any(drive[3:] != 0.0)))
+
+
+def _wanted(drive: FloatArray) -> str:
+    """Words for the quantities that show the motion of a rig driven along `drive`."""
+    shown = [t.quantity.replace("_", " ") for t in TRANSDUCERS.values() if not t.rotational or np.any(drive[3:] != 0.0)]
+    return f"{', '.join(shown[:-1])} or {shown[-1]}"
+
+
+def _load_over_base(
+    manifest: Manifest,
+    result: ReferenceResult,
+    channels: Sequence[str],
+    recording: str,
+    band_hz: tuple[float, float] | None,
+) -> tuple[Phasors, tuple[CurveError, ...]]:
+    """Return the ratios of some responses in the band with the covariance of their noise, and their common errors.
+
+    A delay has the sign it has in a run (a signal that is later than stated), and a clock's tie is the recording's own
+    (`with_clocks_of`).
+    """
+    ratio = replace(result.transfer.ratio, covariance=result.random_covariance).select(channels)
+    frequency, chosen = ratio.frequency_hz, np.ones(len(ratio.frequency_hz), dtype=np.bool_)
+    if band_hz is not None:
+        chosen = (frequency >= band_hz[0]) & (frequency <= band_hz[1])
+        if not np.any(chosen):
+            found = f"{band_hz[0]:g} to {band_hz[1]:g} Hz"
+            expected = f"a --band that holds lines between {frequency[0]:.6g} and {frequency[-1]:.6g} Hz"
+            raise InputError(manifest.path, "excitation.band", found=found, expected=expected)
+    places = [result.transfer.ratio.channels.index(channel) for channel in channels]
+    errors = []
+    for error in result.errors:
+        relative = error.relative[:, places] * (-1.0 if error.name.endswith(": delay") else 1.0)
+        name = f"{error.name} [{recording}]" if error.name.startswith(CLOCK) else error.name
+        if np.any(relative != 0.0):
+            errors.append(CurveError(name, relative[chosen]))
+    return ratio.at_lines(chosen), tuple(errors)

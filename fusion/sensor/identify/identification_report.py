@@ -1,0 +1,496 @@
+"""What an identification leaves: parameters.csv, readings.csv, model.json, identify.h5, the page and printed lines."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import groupby
+from operator import attrgetter
+from pathlib import Path
+from typing import Any, cast, get_args
+
+import h5py
+import numpy as np
+from markupsafe import Markup
+
+from fusion.base import DASH, round_to_uncertainty
+from fusion.campaign.executor import one_blas_thread
+from fusion.estimation.coverage import coverage_factor
+from fusion.report.folder import CommandReport
+from fusion.report.h5 import write_fields, write_value
+from fusion.report.table import (
+    Headline,
+    Table,
+    TableColumn,
+    capitalise,
+    columns_of,
+    csv_text,
+    page_column,
+    quantity_html,
+    small,
+    table,
+    text_column,
+    times_ten,
+)
+from fusion.sensor.identify.identification_evaluation import (
+    LABELS,
+    CurveReading,
+    IdentifiedComponent,
+    IdentifyEvaluation,
+    evaluate_identification,
+)
+from fusion.sensor.identify.identification_figures import curve_figures, sensitivity_figures
+from fusion.sensor.identify.identification_inputs import IdentifySettings, PreparedTransfer, mass_unit, read_campaign
+from fusion.sensor.model_files import FORMAT, read_model_file
+from shaker.identification.measured_curves import ParameterEstimate
+from shaker.identification.sensitivity import CHAIN_WORDS, SensitivityFit
+from shaker.identification.sensor import (
+    CHAIN_PARAMETERS,
+    SENSOR_PARAMETERS,
+    ChainKind,
+    ChainModel,
+    SensorModel,
+    UsableBand,
+)
+from shaker.labels import LOAD_COMPONENTS, mechanical_units, typeset
+
+# Every number found, in files, on the page and in the lines of the terminal.
+
+
+K = coverage_factor(np.inf)
+"""For 95 %; the degrees of freedom of a joint fit of many lines are many, and not counted."""
+Found = tuple[str, ParameterEstimate, str]
+"""Component, number, and the method that found it."""
+NUMBERS: list[TableColumn[Found]] = [
+    text_column("component", lambda row: row[0]),
+    text_column("name", lambda row: row[1].name),
+    TableColumn("value", lambda row: row[1].value),
+    TableColumn("u", lambda row: row[1].u),
+    TableColumn("k", lambda _: K),
+    TableColumn("U", lambda row: K * row[1].u),
+    text_column("unit", lambda row: row[1].unit),
+    text_column("method", lambda row: row[2]),
+]
+
+
+def numbers(component: IdentifiedComponent) -> Iterator[Found]:
+    """Yield every number found of a component."""
+    fit, own = component.fit, component.name
+    how = f"joint fit, {fit.model}"
+    for estimate in fit.identification.estimates:
+        stated = estimate.name == component.internal_mass.name and not fit.mass_is_free
+        yield own, estimate, f"{how}, stated beforehand" if stated else how
+    for estimate in fit.identification.derived:
+        yield own, estimate, how
+    curves = {reading.recording for reading in component.readings}
+    for mode in fit.identification.modes:
+        if mode.record in curves:
+            place = f"{mode.record}, mode {mode.number + 1}"
+            f0, zeta = (mode.frequency_hz, mode.u_frequency_hz, "Hz"), (mode.damping_ratio, mode.u_damping_ratio, "1")
+            yield own, ParameterEstimate(f"frequency: {place}", f"resonance f₀, {place}", *f0), how
+            yield own, ParameterEstimate(f"damping_ratio: {place}", f"damping ratio ζ, {place}", *zeta), how
+    if component.sensitivity is not None:
+        best = component.sensitivity.comparison.best
+        for estimate in best.estimates:
+            yield own, estimate, f"sensitivity over frequency, {CHAIN_WORDS[best.chain.kind]}"
+    for load, band in zip(component.loads, component.bands, strict=True):
+        name, label = f"usable_band: load {load:.6g}", f"usable band, load {load:.6g}"
+        yield own, ParameterEstimate(name, label, band.upper_hz, band.u_upper_hz, "Hz"), "sensor model"
+
+
+LIMITS = {"rise": "resonance", "drop": "fall of the output", "phase": "phase", "nothing": "nothing"}
+_LARGEST_CAUSES = 12
+
+
+def parameters_table(component: IdentifiedComponent) -> Table | None:
+    """Parameters, lags and modes of a component with U."""
+    columns: list[TableColumn[Found]] = [
+        page_column("parameter", lambda row: _label(row[1].label), "l"),
+        page_column("value ± U", lambda row: _with_u(row[1])),
+        page_column("U / %", lambda row: _relative(row[1].value, row[1].u)),
+        page_column("method", lambda row: row[2], "l"),
+    ]
+    caption = f"Parameters of {component.name}, U = k·u with k = {K:.2f} (95 %)"
+    return table(caption, columns, [row for row in numbers(component) if not row[1].name.startswith("usable_band")])
+
+
+def correlation_table(component: IdentifiedComponent) -> Table:
+    """Correlation of the parameters of the joint fit."""
+    found = component.fit.identification
+    labels = [_label(estimate.label) for estimate in found.estimates]
+    cells = [[f"{value:+.3f}".replace("-", "\N{MINUS SIGN}") for value in row] for row in found.correlation.tolist()]
+    rows = tuple((label, *row) for label, row in zip(labels, cells, strict=True))
+    return Table("Correlation of the parameters", ("", *labels), "l" + "r" * len(labels), rows)
+
+
+def budget_table(component: IdentifiedComponent) -> Table:
+    """What every cause adds to the uncertainty of the parameters, largest first, what is far below only bounded."""
+    estimates = component.fit.identification.estimates
+    size = np.abs([estimate.value for estimate in estimates])
+    share = {cause: np.abs(change) / size for cause, change in component.fit.identification.budget.items()}
+    ordered = sorted(share, key=lambda cause: -float(np.max(share[cause])))
+    kept = [cause for cause in ordered if np.max(share[cause]) > 1e-3 * np.max(share[ordered[0]])][:_LARGEST_CAUSES]
+    whole = np.array([estimate.u for estimate in estimates]) / size
+    rows = tuple(
+        (cause, *(f"{100.0 * part:.2g}" if part >= 1e-7 else "< 10⁻⁵" for part in parts.tolist()))
+        for cause, parts in [*((cause, share[cause]) for cause in kept), ("combined, k = 1", whole)]
+    )
+    head = ("contribution", *(Markup("u({}) / %").format(_label(estimate.label)) for estimate in estimates))
+    return Table("Budget, relative to each parameter", head, "l" + "r" * len(estimates), rows)
+
+
+def readings_tables(component: IdentifiedComponent) -> list[Table]:
+    """What every method reads from every curve, stiffness in units of a power of ten."""
+    units = mechanical_units(LOAD_COMPONENTS[component.fit.component])
+    below, shown = Markup('{}<br><span class="below">{}</span>'), []
+    for (recording, response), group in groupby(component.readings, attrgetter("recording", "response")):
+        own = list(group)
+        exponent = round_to_uncertainty(max(reading.stiffness for reading in own), 0.0).exponent
+        rows = tuple(
+            (
+                below.format(LABELS[reading.method], reading.note) if reading.note else LABELS[reading.method],
+                quantity_html(reading.frequency_hz, K * reading.u_frequency_hz),
+                quantity_html(reading.width_hz, K * reading.u_width_hz),
+                quantity_html(100.0 * reading.damping_ratio, 100.0 * K * reading.u_damping_ratio),
+                f"{reading.stiffness / 10.0**exponent:.5f}",
+                f"{reading.damping:.5g}" if np.isfinite(reading.damping) else DASH,
+            )
+            for reading in own
+        )
+        stiffness = Markup("k / ({})").format(times_ten(exponent, typeset(units.stiffness)))
+        head = ("method", "f / Hz", "width / Hz", "ζ / %", stiffness, f"b / ({typeset(units.damping)})")
+        shown.append(Table(f"{recording}: {response}", head, "lrrrrr", rows))
+    return shown
+
+
+def explanations_table(component: IdentifiedComponent) -> Table | None:
+    """The explanations of the sensitivity side by side."""
+    if component.sensitivity is None:
+        return None
+    comparison = component.sensitivity.comparison
+
+    def chain(fit: SensitivityFit) -> str:
+        named = [e for e in fit.estimates if e.name in ("delay_s", "lag_s", "corner_hz")]
+        return Markup("; ").join(Markup(f"{e.label} {_in_microseconds(e)}") for e in named) or DASH
+
+    columns: list[TableColumn[tuple[SensitivityFit, float, str]]] = [
+        page_column("explanation beside b/k of the resonance", lambda row: CHAIN_WORDS[row[0].chain.kind], "l"),
+        page_column("found", lambda row: chain(row[0]), "l"),
+        page_column("χ² / dof", lambda row: f"{row[0].chi_squared:.1f} / {row[0].dof}"),
+        page_column("probability", lambda row: small(row[0].probability)),
+        page_column("Akaike weight", lambda row: small(row[1])),
+        page_column("verdict", lambda row: row[2], "l"),
+    ]
+    rows = zip(comparison.fits, comparison.weight.tolist(), comparison.verdict, strict=True)
+    return table("What makes the sensitivity change with frequency", columns, rows)
+
+
+def bands_table(component: IdentifiedComponent) -> Table | None:
+    """Usable band without correction for each load mass, None where there is none."""
+
+    def edge(band: UsableBand) -> str:
+        return quantity_html(band.upper_hz, K * band.u_upper_hz, "Hz") if np.isfinite(band.upper_hz) else "no limit"
+
+    columns: list[TableColumn[tuple[float, UsableBand]]] = [
+        page_column(f"load / {mass_unit(component.fit.component)}", lambda row: f"{row[0]:.6g}"),
+        page_column("up to", lambda row: edge(row[1])),
+        page_column("U / %", lambda row: _relative(row[1].upper_hz, row[1].u_upper_hz)),
+        page_column("ends by", lambda row: LIMITS[row[1].limit], "l"),
+    ]
+    permitted = 100.0 * component.bands[0].permitted if component.bands else 0.0
+    caption = f"Frequencies up to which the uncorrected output stays within ±{permitted:g} % of its static value"
+    return table(caption, columns, zip(component.loads, component.bands, strict=True))
+
+
+def recordings_table(component: IdentifiedComponent) -> Table | None:
+    """The recordings behind the joint fit."""
+
+    def band(item: PreparedTransfer) -> str:
+        frequency = item.measured.ratio.frequency_hz
+        return f"{frequency.min():.6g} to {frequency.max():.6g}"
+
+    unit = mass_unit(component.fit.component)
+    columns: list[TableColumn[PreparedTransfer]] = [
+        page_column("recording", lambda item: item.measured.name, "l"),
+        page_column("kind", lambda item: item.manifest.excitation.kind, "l"),
+        page_column("load", lambda item: quantity_html(item.load_kg, K * item.u_load_kg, unit)),
+        page_column("load over base", lambda item: ", ".join(item.measured.ratio.channels), "l"),
+        page_column("lines", lambda item: f"{len(item.measured.ratio.frequency_hz)}"),
+        page_column("band / Hz", band),
+    ]
+    return table("Recordings of the joint fit", columns, component.fit.prepared)
+
+
+def headlines(evaluation: IdentifyEvaluation) -> list[Headline]:
+    """Stiffness, damping and internal mass along each component, and delay or lag of the chain where S(f) has one."""
+    shown = []
+    for component in evaluation.components:
+        main = (f"stiffness_{component.name}", f"damping_{component.name}", component.internal_mass.name)
+        for estimate in component.fit.identification.estimates:
+            if estimate.name.partition(": ")[0] in main:
+                remark = f"U (k = {K:.2f}) = {_relative(estimate.value, estimate.u)} %"
+                shown.append(Headline(_label(capitalise(estimate.label)), _with_u(estimate), remark))
+        if component.sensitivity is not None:
+            where = f"of {LOAD_COMPONENTS[component.fit.component]}"
+            for estimate in component.sensitivity.comparison.best.estimates:
+                if estimate.name in ("delay_s", "lag_s"):
+                    label = capitalise(f"{estimate.label} {where}")
+                    shown.append(Headline(label, _in_microseconds(estimate), "from S(f), with U"))
+    return shown
+
+
+def printed(evaluation: IdentifyEvaluation) -> Iterator[str]:
+    """Lines for the terminal: parameters with U at 95 %, then bands."""
+    for component in evaluation.components:
+        fit = component.fit
+        yield f"{component.name}: {fit.model} ({fit.reason}), {len(fit.prepared)} recordings"
+        estimates = [*fit.identification.estimates, *fit.identification.derived]
+        if component.sensitivity is not None:
+            estimates += [e for e in component.sensitivity.comparison.best.estimates if e.name != "spring_time_s"]
+        for estimate in estimates:
+            yield f"  {estimate.label}: {round_to_uncertainty(estimate.value, K * estimate.u).text} {typeset(estimate.unit)}"
+        for load, band in zip(component.loads, component.bands, strict=True):
+            text = round_to_uncertainty(band.upper_hz, K * band.u_upper_hz, 0)
+            yield f"  usable up to ({band.permitted:.2%}, load {load:.6g}): {text.value} ± {text.expanded} Hz"
+
+
+def _in_microseconds(estimate: ParameterEstimate) -> Markup:
+    """Value with U and unit, of a time in µs."""
+    scale, unit = (1e6, "µs") if estimate.unit == "s" else (1.0, estimate.unit)
+    return quantity_html(scale * estimate.value, scale * K * estimate.u, unit)
+
+
+def _with_u(estimate: ParameterEstimate) -> str:
+    return quantity_html(estimate.value, K * estimate.u, "" if estimate.unit == "1" else typeset(estimate.unit))
+
+
+def _relative(value: float, u: float) -> str:
+    """Relative U in per cent, a dash where there is none."""
+    share = K * u / abs(value) if value and np.isfinite(value) else np.nan
+    return small(100.0 * share) if np.isfinite(share) else DASH
+
+
+def _label(text: str) -> Markup:
+    """A label with its index typeset."""
+    return Markup("{}m<sub>i</sub>{}").format(*text.split("m_i", 1)) if "m_i" in text else Markup("{}").format(text)
+
+
+def page_context(evaluation: IdentifyEvaluation) -> dict[str, Any]:
+    """Everything the template shows."""
+    sensor = evaluation.sensor
+    subject = []
+    if sensor is not None:
+        subject.append(("Sensor", f"{sensor.name}, serial number {sensor.serial}" if sensor.serial else sensor.name))
+    prepared = [item for component in evaluation.components for item in component.fit.prepared]
+    subject.append(("Rigs", "; ".join(dict.fromkeys(item.manifest.rig.name for item in prepared))))
+    subject.append(("Recordings", f"{len(prepared)} with load over base"))
+    components = [_component_context(component) for component in evaluation.components]
+    return {"subject": subject, "components": components}
+
+
+def _component_context(component: IdentifiedComponent) -> dict[str, Any]:
+    sentences = ["No sensitivity over frequency was evaluated: whether the chain has a lag remains open."]
+    if component.sensitivity is not None:
+        comparison = component.sensitivity.comparison
+        sentences = [comparison.text, *([] if comparison.damping is None else [comparison.damping.text])]
+    return {
+        "name": component.name,
+        "reason": f"{component.fit.model}: {component.fit.reason}",
+        "parameters": parameters_table(component),
+        "correlation": correlation_table(component),
+        "recordings": recordings_table(component),
+        "curves": curve_figures(component),
+        "readings": readings_tables(component),
+        "sentences": sentences,
+        "explanations": explanations_table(component),
+        "sensitivity": sensitivity_figures(component),
+        "bands": bands_table(component),
+        "budget": budget_table(component),
+    }
+
+
+# model.json, what a correction needs: written and read.
+
+
+MODEL_FILE = "model.json"
+
+
+@dataclass(frozen=True)
+class ComponentModel:
+    """The model of one component: output `channel` for the load `component` (Fx … Mz), from data in `range_hz`.
+
+    `structure`: what the resonances were explained by. `sensitivity_measured`: whether S(f) was evaluated, without
+    which the chain is unknown and the static sensitivity that of the rig, or one.
+    """
+
+    component: str
+    channel: str
+    structure: str
+    sensor: SensorModel
+    range_hz: tuple[float, float]
+    sensitivity_measured: bool
+
+
+@dataclass(frozen=True)
+class SensorFile:
+    """The models of a sensor's components."""
+
+    name: str
+    serial: str
+    campaign: str
+    components: tuple[ComponentModel, ...]
+
+    def __getitem__(self, component: str) -> ComponentModel:
+        """Return the model of a load component, such as "Fz"."""
+        for model in self.components:
+            if model.component == component:
+                return model
+        names = ", ".join(model.component for model in self.components)
+        raise ValueError(f"component: expected one of {names}, found {component}")
+
+
+def model_text(evaluation: IdentifyEvaluation) -> str:
+    """Return the content of model.json."""
+    sensor = evaluation.sensor
+    content = {
+        "format": FORMAT,
+        "campaign": evaluation.name,
+        "program": evaluation.versions.get("shakercal", ""),
+        "sensor": {"name": "" if sensor is None else sensor.name, "serial": "" if sensor is None else sensor.serial},
+        "components": [_model_of(component) for component in evaluation.components],
+    }
+    return json.dumps(content, indent=2, ensure_ascii=False) + "\n"
+
+
+def read_sensor_models(path: str | Path) -> SensorFile:
+    """Read model.json, or the one in a folder of results; `InputError` names what cannot be read.
+
+    >>> from fusion import read_sensor_models
+    >>> sensor = read_sensor_models("my-masses/identify")["Fz"].sensor  # doctest: +SKIP
+    """
+
+    def parsed(content: dict[str, Any]) -> SensorFile:
+        components, sensor = tuple(_read_component(item) for item in content["components"]), content["sensor"]
+        return SensorFile(str(sensor["name"]), str(sensor["serial"]), str(content["campaign"]), components)
+
+    return read_model_file(Path(path), MODEL_FILE, "identify", parsed)
+
+
+def _model_of(component: IdentifiedComponent) -> dict[str, Any]:
+    """One component as nested dictionaries; numbers are SI, the covariance in the order of its parameters."""
+    model, seen, identified = component.model, component.sensitivity, component.fit.identification
+    values = [model.sensitivity, model.stiffness, model.damping, model.internal_mass, *model.chain.parameters.tolist()]
+    damper = next(e for e in identified.estimates if e.name.startswith(f"damping_{component.name}"))
+    mechanical = (identified[f"stiffness_{component.name}"], damper, component.internal_mass)
+    chain_units = ("s^2" if name == "square_s2" else "s" for name in model.chain.names)
+    parameters = {
+        "name": [*SENSOR_PARAMETERS, *model.chain.names],
+        "value": values,
+        "u": np.sqrt(model.covariance.diagonal()).tolist(),
+        "unit": [model.unit, *(estimate.unit for estimate in mechanical), *chain_units],
+    }
+    load = LOAD_COMPONENTS[component.fit.component]
+    bands = [
+        (mass, band.permitted, band.upper_hz if np.isfinite(band.upper_hz) else None, band.u_upper_hz)
+        for mass, band in zip(component.loads, component.bands, strict=True)
+    ]
+    return {
+        "component": load,
+        "channel": load if seen is None else seen.measured.channel,
+        "structure": component.fit.model,
+        "sensitivity_measured": seen is not None,
+        "frequency_range_hz": list(component.range_hz),
+        "chain": model.chain.kind,
+        "parameters": [dict(zip(parameters, row, strict=True)) for row in zip(*parameters.values(), strict=True)],
+        "covariance": model.covariance.tolist(),
+        "usable_bands": [dict(zip(("load", "permitted", "upper_hz", "u"), band, strict=True)) for band in bands],
+    }
+
+
+def _read_component(item: dict[str, Any]) -> ComponentModel:
+    if item["chain"] not in get_args(ChainKind):
+        raise ValueError(f"expected a chain of {', '.join(get_args(ChainKind))}, found {item['chain']}")
+    kind = cast("ChainKind", item["chain"])
+    named = {parameter["name"]: float(parameter["value"]) for parameter in item["parameters"]}
+    chain = ChainModel(kind, np.array([named[name] for name in CHAIN_PARAMETERS[kind]], dtype=np.float64))
+    covariance, unit = np.array(item["covariance"], dtype=np.float64), str(item["parameters"][0]["unit"])
+    sensitivity, stiffness, damping, mass = (named[name] for name in SENSOR_PARAMETERS)
+    low, high = item["frequency_range_hz"]
+    return ComponentModel(
+        component=str(item["component"]),
+        channel=str(item["channel"]),
+        structure=str(item["structure"]),
+        sensor=SensorModel(sensitivity, stiffness, damping, mass, chain, covariance, unit),
+        range_hz=(float(low), float(high)),
+        sensitivity_measured=bool(item["sensitivity_measured"]),
+    )
+
+
+# The folder.
+
+
+def _fill(file: h5py.File, evaluation: IdentifyEvaluation) -> None:
+    """Fill the HDF5 file: of each component why which model, what was fitted, curves with model and residual, S(f)."""
+    file.attrs["campaign"] = evaluation.name
+    file.attrs["phasors"] = "x(t) = Re{X exp(+j omega t)}; covariances of [all Re, all Im]; k = 1"
+    write_value(file, "notices", evaluation.notices)
+    for component in evaluation.components:
+        fit, group = component.fit, file.create_group(component.name, track_order=True)
+        for name in ("model", "reason", "mass_is_free"):
+            write_value(group, name, getattr(fit, name))
+        identified = group.create_group("identification", track_order=True)
+        found = ("estimates", "covariance", "correlation", "derived", "modes", "unknowns", "factors")
+        for name in (*found, "chi_squared", "dof", "budget"):
+            write_value(identified, name, getattr(fit.identification, name))
+        curves = group.create_group("recordings", track_order=True)
+        for place, item in enumerate(fit.prepared):
+            own = curves.create_group(f"{place:03d}", track_order=True)
+            write_fields(own, item.measured)
+            write_value(own, "model", fit.identification.model[place])
+            write_value(own, "residual", fit.identification.residual[place])
+        for name in ("readings", "sensitivity", "model", "range_hz", "loads", "bands"):
+            write_value(group, "sensor_model" if name == "model" else name, getattr(component, name))
+
+
+def _texts(evaluation: IdentifyEvaluation) -> dict[str, str | bytes]:
+    readings = [(component.name, reading) for component in evaluation.components for reading in component.readings]
+
+    def of_reading(column: TableColumn[CurveReading]) -> TableColumn[tuple[str, CurveReading]]:
+        return TableColumn(column.name, lambda row: column.value(row[1]))
+
+    component: TableColumn[tuple[str, CurveReading]] = text_column("component", lambda row: row[0])
+    return {
+        "parameters.csv": csv_text(NUMBERS, [row for component in evaluation.components for row in numbers(component)]),
+        "readings.csv": csv_text([component, *map(of_reading, columns_of(CurveReading))], readings),
+        MODEL_FILE: model_text(evaluation),
+    }
+
+
+IDENTIFY = CommandReport(
+    "identify",
+    "identify",
+    ("parameters.csv", "readings.csv", MODEL_FILE),
+    _texts,
+    _fill,
+    page_context,
+    printed,
+    headlines,
+)
+
+
+def run_identify(
+    path: Path, output: Path | None, settings: IdentifySettings, *, force: bool = False, allow_outside: bool = False
+) -> None:
+    """Identify the sensor of a campaign folder, write the results to `output` (default CAMPAIGN/identify), and print.
+
+    A place that cannot take the results is refused before anything is computed.
+    """
+    campaign = read_campaign(path, allow_outside=allow_outside)
+
+    def evaluate(hashes: dict[str, str]) -> IdentifyEvaluation:
+        with one_blas_thread():
+            return evaluate_identification(campaign, settings)
+
+    folder = campaign.folder / IDENTIFY.name if output is None else output
+    IDENTIFY.run(campaign.inputs, folder, evaluate, force=force)

@@ -1,0 +1,211 @@
+"""Figures of step responses: record, fit and residual; releases by their device; models over frequency; convergence."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from fusion.base import MILLI, PERCENT
+from fusion.report.figure import (
+    BLACK,
+    BLUE,
+    COLOURS,
+    GREEN,
+    GREY,
+    LIGHT,
+    ORANGE,
+    RED,
+    Figure,
+    draw_response,
+    empty_figure,
+    frequency_axis,
+    power_of_ten,
+)
+from fusion.sensor.step.step_evaluation import measured_response
+from fusion.sensor.step.step_records import PooledModel
+from fusion.sensor.step.step_releases import LABELS, StepComponent, StepRelease
+from shaker.arrays import FloatArray
+from shaker.labels import typeset
+from shaker.lti.system import ModalModel
+
+BEFORE, AFTER = 0.6, 8.0
+"""Periods of the lowest mode that the enlarged panel shows before the onset and after the release."""
+PERIODS = 12.0
+POINTS, DOTTED = 500, 500
+"""Frequencies of the model, and samples up to which each is a dot."""
+HIGHEST = 6.0  # frequencies shown, over the highest mode
+SHOWN_RELEASES = 3
+DOT: dict[bool, dict[str, float]] = {True: {"size": 2.0}, False: {"width": 0.8}}
+"""Look of a record that is drawn by dots or not."""
+OVER_ORDER = "sim"  # the loss of "sim_zoh" is its twin
+OVER_GENERATION = ("evolution", "evolution_coefficients")
+
+
+def component_figures(component: StepComponent) -> Iterator[Figure]:
+    """Yield record and fit of the first release of the model, response over frequency, devices, and convergence."""
+    if component.pooled is not None:
+        yield draw_release(f"step-{component.component}", component.chosen[0])
+        yield draw_model(f"bode-{component.component}", component, component.pooled)
+    if len(component.ropes) > 1:
+        yield draw_devices(f"ropes-{component.component}", component)
+    losses: list[tuple[str, str, FloatArray, int | None]] = []
+    for fit in (row.fit for row in component.methods if len(row.fit.convergence) > 1):
+        if fit.method == OVER_ORDER:
+            chosen = fit.order - 1 if 1 <= fit.order <= len(fit.convergence) else None
+            losses.append((LABELS[fit.method].partition(",")[0], "order", fit.convergence, chosen))
+        elif fit.method in OVER_GENERATION:
+            losses.append((LABELS[fit.method], "generation", fit.convergence, None))
+    if losses:
+        yield draw_convergence(f"convergence-{component.component}", losses)
+
+
+def draw_release(name: str, release: StepRelease) -> Figure:
+    """The whole record left, the release right; below what the fit leaves, over the change of the output."""
+    record, reading, fit = release.record, release.reading, release.fit
+    if fit is None:
+        raise ValueError("release: expected one with a model, found none")
+    measured, change, period = fit.fitted + fit.residual, abs(reading.steady - reading.baseline), _period_s(fit.model)
+    low = fit.onset_s - BEFORE * period - 0.3 * fit.release_s
+    near = (fit.time_s >= low) & (fit.time_s <= fit.onset_s + fit.release_s + AFTER * period)
+    everywhere = np.ones(len(near), dtype=np.bool_)
+    factor, power = power_of_ten(measured)
+    drawn = empty_figure(name, 5.0, (2.0, 1.0), 2)
+    whole, enlarged, rest, rest_near = drawn.panels
+    for upper, lower, shown, zoom in (
+        (whole, rest, everywhere, ""),
+        (enlarged, rest_near, near if np.count_nonzero(near) > 8 else everywhere, ", around the release"),
+    ):
+        time = MILLI * fit.time_s[shown]
+        changing = (MILLI * fit.onset_s, MILLI * (fit.onset_s + fit.release_s))
+        upper.span(*changing, "load changes", along="x", colour=GREY)
+        dots = bool(np.count_nonzero(shown) <= DOTTED)
+        (upper.points if dots else upper.line)(time, measured[shown] / factor, "record", colour=BLUE, **DOT[dots])
+        upper.line(time, fit.fitted[shown] / factor, "fit", colour=RED, width=0.9, dashed=True)
+        lower.rule(0.0, colour=LIGHT)
+        lower.line(time, PERCENT * fit.residual[shown] / change, colour=BLACK, width=0.6)
+        lower.x.label = "time / ms"
+        upper.title, lower.title = f"{release.name}: output {release.driven}{zoom}", f"record less fit{zoom}"
+    unit = f"{power}{typeset(record.unit)}"
+    whole.y.label = f"output / ({unit})" if " " in unit or "/" in unit else f"output / {unit}"
+    rest.y.label = "residual / %"
+    caption = (
+        "Record (blue) and fit (red, dashed); grey: while the load changes, by the fit. Below: the residual over "
+        "the output's change; where the model is right it is noise alone."
+    )
+    return drawn.with_title(f"{release.name}: record, fit and residual", caption)
+
+
+def draw_devices(name: str, component: StepComponent) -> Figure:
+    """The first release by each device over the time since its onset, over the longest release and some periods."""
+    periods = [_period_s(release.fit.model) for release in component.releases if release.fit is not None]
+    longest = max(rope.kind.length.mean for rope in component.ropes)
+    span = 1.5 * longest + PERIODS * float(np.median(periods) if periods else longest)
+    drawn = empty_figure(name, 3.0)
+    (panel,) = drawn.panels
+    panel.rule([0.0, 1.0], colour=LIGHT)
+    for place, rope in enumerate(component.ropes):
+        release = next(release for release in component.releases if release.name in rope.releases)
+        record, reading = release.record, release.reading
+        time = record.time_s - (reading.onset_s if release.fit is None else release.fit.onset_s)
+        shown = (time >= -0.1 * span) & (time <= span)
+        level = record.samples[record.channels.index(release.driven)][shown]
+        share = (level - reading.baseline) / (reading.steady - reading.baseline)
+        label, colour = f"{rope.name}, {MILLI * rope.kind.length.mean:.3g} ms", COLOURS[place % len(COLOURS)]
+        panel.line(MILLI * time[shown], share, label, colour=colour, width=0.9)
+    panel.x.label, panel.y.label = "time since the onset / ms", "share of the change"
+    panel.title = f"output {component.channel}"
+    caption = (
+        "One release by each, over the output's change, with how long the load changed. What lets go at once makes "
+        "the sensor ring; what takes longer than a period of the mode hardly does."
+    )
+    return drawn.with_title("What let go", caption)
+
+
+def draw_model(name: str, component: StepComponent, pooled: PooledModel) -> Figure:
+    """The pooled model over its static gain with its bands, phase, and what its releases show by themselves."""
+    model, static = pooled.model, pooled.model.static_gain
+    responses = [measured_response(release) for release in component.chosen[:SHOWN_RELEASES]]
+    rate_hz = min(release.record.sample_rate_hz for release in component.chosen)
+    top_hz = min(0.4 * rate_hz, HIGHEST * float(np.max(_modes_hz(model))))
+    low_hz = min(float(one.frequency_hz.min()) for one in responses)
+    damping = np.maximum(np.abs(model.damping_ratio), 1e-5)
+    near = [f * (1.0 + z * np.linspace(-8.0, 8.0, 81)) for f, z in zip(model.frequency_hz, damping, strict=True)]
+    every = np.unique(np.concatenate([np.geomspace(low_hz, top_hz, POINTS), *near]))  # more where a mode is narrow
+    frequency = every[(every >= low_hz) & (every <= top_hz)]
+    kept = [one.frequency_hz <= top_hz for one in responses]
+
+    def joined(field: str) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+        return np.concatenate([getattr(one, field)[k] for one, k in zip(responses, kept, strict=True)])
+
+    def size(at: ModalModel) -> FloatArray:
+        return np.asarray(np.log(np.abs(at.response(frequency) / at.static_gain)))
+
+    u, _ = pooled.spread(model.jacobian(size)[1])
+    measured_hz, measured, noise = joined("frequency_hz"), joined("value") / static, joined("u") / abs(static)
+    value, there = model.response(frequency) / static, model.response(measured_hz) / static
+    drawn = empty_figure(name, 6.2, (2.0, 1.3, 1.1))
+    upper, middle, lower = drawn.panels
+    for index, colour, label in (("band_5_hz", GREEN, "±5 %"), ("band_10_hz", ORANGE, "±10 %")):
+        end = component.find(index)
+        if end is not None and np.isfinite(end.value):
+            upper.rule(end.value, f"{label} up to {end.value:.4g} Hz", along="x", colour=colour, width=1.0)
+    upper.rule(1.0, colour=LIGHT)
+    upper.points(measured_hz, np.abs(measured), "releases", colour=BLUE, size=2.0)
+    draw_response(
+        upper, middle, frequency, value, (u, np.zeros(len(u))), unwrapped=True, colour=RED, width=1.0, label="model"
+    )
+    upper.y.limits = (0.4 * min(1.0, float(np.abs(value).min())), 2.0 * float(np.abs(value).max()))
+    upper.y.label = "|H / H(0)|"
+    phase = np.degrees(np.unwrap(np.angle(value)))
+    close = np.interp(measured_hz, frequency, phase)
+    turned = close + np.degrees(np.angle(measured * np.exp(-1j * np.radians(close))))
+    middle.points(measured_hz, turned, "releases", colour=BLUE, size=2.0)
+    middle.y.limits = (float(phase.min()) - 60.0, max(float(phase.max()), 0.0) + 60.0)
+    difference = PERCENT * np.abs(measured - there)
+    lower.points(measured_hz, difference, "releases less model", colour=BLACK, size=2.0)
+    order = np.argsort(measured_hz)
+    lower.line(measured_hz[order], PERCENT * noise[order], "noise", colour=GREY, width=0.8)
+    lower.y.log, lower.y.label = True, "difference / %"
+    labels = (f"output {component.channel} over load {component.component}: magnitude", "phase")
+    for panel, text in zip(drawn.panels, (*labels, "releases less model, over the static gain"), strict=True):
+        panel.title = text
+        frequency_axis(panel.x, frequency, 1.0)
+    upper.x.label = middle.x.label = ""
+    caption = (
+        "Model (red, with U) over its static gain, and what the releases show without a model (blue): the spectrum "
+        "of the output's derivative over that of the load's. Green and orange: where |H| is within 5 and 10 % of "
+        "the static gain. Below: their difference over the static gain, and what noise alone makes of it (grey)."
+    )
+    return drawn.with_title(f"Output {component.channel} over load {component.component}", caption, main=True)
+
+
+def draw_convergence(name: str, losses: list[tuple[str, str, FloatArray, int | None]]) -> Figure:
+    """Loss over the order or the generations of every method that has such a curve; a ring where an order was taken."""
+    drawn = empty_figure(name, 2.7, 1, len(losses))
+    for panel, colour, (label, over, loss, chosen) in zip(drawn.panels, COLOURS, losses, strict=False):
+        number = np.arange(1, len(loss) + 1)
+        shown = loss / float(loss.min()) if loss.min() > 0.0 else loss
+        panel.line(number, shown, colour=colour, width=0.9)
+        if len(loss) <= 20:
+            panel.points(number, shown, colour=colour, size=3.5)
+        if chosen is not None:
+            panel.points(number[chosen], shown[chosen], colour=BLACK, size=6.5, open=True, names=("taken",))
+        panel.y.log = bool(shown.max() > 20.0 * shown.min() > 0.0)
+        panel.x.label, panel.title = over, label
+    drawn.panels[0].y.label = "loss over the smallest"
+    caption = (
+        "Loss as each method defines it. SIM: of the equation error over the order, where it stops to fall the "
+        "order is enough for that error, which is not yet the mode's. Differential evolution: of the best member."
+    )
+    return drawn.with_title("How the methods came to their models", caption)
+
+
+def _modes_hz(model: ModalModel) -> FloatArray:
+    """Frequencies of the modes, of a model without one those of its real poles."""
+    return np.asarray(model.frequency_hz if len(model.frequency_hz) else np.abs(model.real_hz))
+
+
+def _period_s(model: ModalModel | None) -> float:
+    """Period of the lowest mode."""
+    return 1e-3 if model is None else 1.0 / float(np.min(_modes_hz(model)))

@@ -1,0 +1,582 @@
+"""What step responses leave: tables, models, HDF5 file, page, lines of the terminal; the command."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from operator import attrgetter
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import h5py
+import numpy as np
+from markupsafe import Markup
+
+from fusion.base import DASH, K2, MILLI, PERCENT, round_to_uncertainty
+from fusion.campaign.executor import one_blas_thread
+from fusion.estimation.coverage import NamedQuantity, RealQuantity, coverage_factor
+from fusion.recording.load import load_for_command
+from fusion.report.figure import power_text
+from fusion.report.folder import CommandReport, subject_of
+from fusion.report.h5 import write_fields, write_value
+from fusion.report.table import (
+    Headline,
+    Table,
+    TableColumn,
+    capitalise,
+    columns_of,
+    csv_text,
+    degrees_of_freedom,
+    factor_text,
+    number,
+    page_column,
+    quantity_columns,
+    quantity_html,
+    quantity_text,
+    short,
+    signed_text,
+    table,
+    text_column,
+)
+from fusion.sensor.model_files import MODELS_FILE, ModelsFile, models_text
+from fusion.sensor.step.step_evaluation import evaluate_steps
+from fusion.sensor.step.step_figures import component_figures
+from fusion.sensor.step.step_records import StepSettings
+from fusion.sensor.step.step_releases import (
+    LABELS,
+    MethodRow,
+    ReleaseDevice,
+    StaticGain,
+    StepComponent,
+    StepEvaluation,
+    StepRelease,
+)
+from fusion.sensor.unmodelled_effects import CAUSE_LABELS, NOT_ASSESSED, budget_table
+from shaker.labels import typeset
+from shaker.release.reading import RepeatedMean
+from shaker.release.record import ReleaseReading, SpectrumPeak
+from shaker.release.step_fit import StepFit
+
+# Tables in files
+
+
+class OutputRow(NamedTuple):
+    """What one output of one release of a component shows; what rests on a model stands with the driven output."""
+
+    component: StepComponent
+    release: StepRelease
+    reading: ReleaseReading
+
+    @property
+    def driven(self) -> bool:
+        """Return whether the load was to act on this output."""
+        return self.reading.channel == self.release.driven
+
+    @property
+    def used(self) -> bool:
+        """Return whether the model rests on it."""
+        return self.driven and self.release.name in self.component.used
+
+    @property
+    def fit(self) -> StepFit | None:
+        """Return the model of the driven output."""
+        return self.release.fit if self.driven else None
+
+    def peak(self, place: int, name: str) -> float:
+        """Return a number of a peak of the spectrum, NaN where there is none."""
+        return float(getattr(self.reading.peaks[place], name)) if len(self.reading.peaks) > place else np.nan
+
+
+def lowest_mode(fit: StepFit) -> tuple[float, float, float, float]:
+    """Return frequency in Hz and damping ratio of the lowest mode, each with its u, of a fit's model, NaN without."""
+    model = fit.model
+    if model is None or not len(model.frequency_hz):
+        return (np.nan,) * 4
+    place, count = int(np.argmin(model.frequency_hz)), len(model.frequency_hz)
+    u = np.zeros(len(model.vector)) if model.covariance is None else np.sqrt(np.diag(model.covariance))
+    return model.frequency_hz[place], u[place], model.damping_ratio[place], u[count + place]
+
+
+def residual_rms(fit: StepFit) -> float:
+    """Root mean square of what a fit leaves, in output units."""
+    return float(np.sqrt(np.mean(fit.residual**2)))
+
+
+def yes_or_no(is_so: object) -> str:
+    """Return the word for a truth value."""
+    return "yes" if is_so else "no"
+
+
+def _of_reading(*names: str) -> list[TableColumn[OutputRow]]:
+    return [TableColumn(name, attrgetter(f"reading.{name}")) for name in names]
+
+
+def _of_peak(name: str, place: int, of_peak: str) -> TableColumn[OutputRow]:
+    return TableColumn(name, lambda output: output.peak(place, of_peak))
+
+
+def _of_fit(name: str, value: Callable[[StepFit], float]) -> TableColumn[OutputRow]:
+    """Column of the model, empty without one."""
+    return TableColumn(name, lambda output: None if output.fit is None else value(output.fit))
+
+
+RELEASES: list[TableColumn[OutputRow]] = [
+    text_column("recording", lambda output: output.release.name),
+    text_column("component", lambda output: output.component.component),
+    text_column("release", lambda output: output.release.record.release),
+    text_column("mounting", lambda output: output.release.manifest.mounting),
+    text_column("channel", lambda output: output.reading.channel),
+    text_column("driven", lambda output: yes_or_no(output.driven)),
+    text_column("used", lambda output: yes_or_no(output.used)),
+    TableColumn("step_amplitude", lambda output: output.release.record.amplitude),
+    *_of_reading("onset_s", "u_onset_s", "sign", "baseline", "u_baseline", "steady", "u_steady", "unit"),
+    *_of_reading("rise_s", "u_rise_s", "shape", "release_s", "u_release_s", "static_gain", "u_static_gain", "noise"),
+    _of_peak("peak_1_hz", 0, "frequency_hz"),
+    _of_peak("u_peak_1_hz", 0, "u_frequency_hz"),
+    _of_peak("peak_2_hz", 1, "frequency_hz"),
+    _of_peak("u_peak_2_hz", 1, "u_frequency_hz"),
+    _of_peak("peak_2_share", 1, "share"),
+    *(_of_fit(f"fit_{name}", attrgetter(name)) for name in ("onset_s", "u_onset_s", "release_s", "u_release_s")),
+    _of_fit("fit_frequency_hz", lambda fit: lowest_mode(fit)[0]),
+    _of_fit("fit_damping_ratio", lambda fit: lowest_mode(fit)[2]),
+    _of_fit("fit_residual", residual_rms),
+    _of_fit("fit_variance_accounted", lambda fit: fit.variance_accounted),
+]
+
+
+class Number(NamedTuple):
+    """One parameter or index of a component's model, or a static gain as it was read, over its recordings."""
+
+    component: str
+    channel: str
+    name: str
+    quantity: RealQuantity
+    recordings: Sequence[str]
+
+
+NUMBERS: list[TableColumn[Number]] = [
+    *(text_column(name, attrgetter(name)) for name in ("component", "channel", "name")),
+    *quantity_columns(lambda row: row.quantity),
+    text_column("recordings", lambda row: ", ".join(row.recordings)),
+]
+
+
+class BudgetPart(NamedTuple):
+    """What one cause contributes to the u of an index; `u` None where nobody states it, as `status` says."""
+
+    component: str
+    channel: str
+    name: str
+    cause: str
+    u: float | None
+    unit: str
+    status: str
+
+
+def budget_parts(component: StepComponent) -> Iterator[BudgetPart]:
+    """Yield the budget of every index, cause by cause; squares of u add up to that in indices.csv."""
+    for one in component.figures:
+        head = component.component, component.channel, one.name
+        for cause, parts in component.budget.items():
+            if one.name in parts:
+                yield BudgetPart(*head, cause, parts[one.name], one.unit, "in U")
+        for cause in component.influences.missing:
+            yield BudgetPart(*head, CAUSE_LABELS[cause], None, one.unit, NOT_ASSESSED)
+
+
+class ByMethod(NamedTuple):
+    """What one method made of one release of a component."""
+
+    component: StepComponent
+    row: MethodRow
+
+    def figure(self, name: str) -> float:
+        """Return an index of the method's system, NaN where it has none."""
+        value = None if self.row.indices is None else self.row.indices.figures()[name]
+        return np.nan if value is None else float(value)
+
+
+def _of_method(name: str) -> TableColumn[ByMethod]:
+    return TableColumn(name, lambda by: by.figure(name))
+
+
+BY_METHOD: list[TableColumn[ByMethod]] = [
+    text_column("component", lambda by: by.component.component),
+    text_column("channel", lambda by: by.component.channel),
+    text_column("recording", lambda by: by.row.recording),
+    text_column("method", lambda by: by.row.fit.method),
+    TableColumn("sample_rate_hz", lambda by: by.row.fit.sample_rate_hz),
+    TableColumn("order", lambda by: by.row.fit.order),
+    text_column("stable", lambda by: yes_or_no(by.row.fit.system.stable)),
+    *map(_of_method, ("natural_hz", "damping_ratio", "static_gain")),
+    text_column("unit", lambda by: by.component.unit),
+    *map(_of_method, ("band_5_hz", "band_10_hz", "overshoot", "settling_2_s")),
+    TableColumn("residual", lambda by: residual_rms(by.row.fit)),
+    TableColumn("variance_accounted", lambda by: by.row.fit.variance_accounted),
+    TableColumn("duration_s", lambda by: by.row.fit.duration_s),
+]
+
+
+def texts(evaluation: StepEvaluation) -> dict[str, str | bytes]:
+    """Return tables and models; of every output the driven one first, and after the indices static gains as read."""
+    components = evaluation.components
+    outputs = (
+        OutputRow(c, release, reading) for c in components for release in c.releases for reading in release.readings
+    )
+    parameters, indices = list[Number](), list[Number]()
+    for c in components:
+        names = [release.name for release in c.releases]
+        parameters += [Number(c.component, c.channel, one.name, one, c.used) for one in c.parameters]
+        indices += [Number(c.component, c.channel, one.name, one, c.used) for one in c.figures]
+        indices += [Number(c.component, gain.channel, "read_static_gain", gain, names) for gain in c.gains]
+    sensor = evaluation.rig.sensor
+    named = ("", "") if sensor is None else (sensor.name, sensor.serial)
+    entries = tuple(component.entry for component in components if component.entry is not None)
+    return {
+        "releases.csv": csv_text(RELEASES, outputs),
+        "models.csv": csv_text(NUMBERS, parameters),
+        "indices.csv": csv_text(NUMBERS, indices),
+        "budget.csv": csv_text(columns_of(BudgetPart), (part for c in components for part in budget_parts(c))),
+        "methods.csv": csv_text(BY_METHOD, (ByMethod(c, row) for c in components for row in c.methods)),
+        MODELS_FILE: models_text(ModelsFile(evaluation.name, *named, entries)),
+    }
+
+
+# HDF5 file
+
+FIT_FIELDS = (
+    *("method", "model", "sample_rate_hz", "decimation", "order", "variance_accounted", "convergence", "duration_s"),
+    *("onset_s", "u_onset_s", "release_s", "u_release_s", "time_s", "fitted", "residual"),
+)
+
+
+def fill(file: h5py.File, evaluation: StepEvaluation) -> None:
+    """Fill the HDF5 file: of every component its releases, the pooled model, its numbers, what is compared."""
+    file.attrs["name"] = evaluation.name
+    file.attrs["models"] = "H(s) = sum r/(s - p) + conj. + sum r/(s - p), p in rad/s, output over load; k = 1"
+    write_value(file, "notices", evaluation.notices)
+    for component in evaluation.components:
+        group = file.create_group(component.component, track_order=True)
+        group.attrs["scope"], group.attrs["outside"] = component.scope, component.influences.outside
+        written = ("channel", "unit", "used", "reason", "pooled", "parameters", "figures", "budget", "gains", "ropes")
+        for name in written:
+            write_value(group, name, getattr(component, name))
+        releases = group.create_group("releases", track_order=True)
+        for release in component.releases:
+            own = releases.create_group(releases.free_name(release.name), track_order=True)
+            for name in ("component", "amplitude", "sample_rate_hz", "start_s", "release"):
+                write_value(own, name, getattr(release.record, name))
+            readings = own.create_group("readings", track_order=True)
+            for reading in release.readings:
+                name = readings.free_name(reading.channel)
+                write_fields(readings.create_group(name, track_order=True), reading)
+            if release.fit is not None:
+                _write_fit(own.create_group("fit", track_order=True), release.fit)
+        if component.methods:
+            methods = group.create_group("methods", track_order=True)
+            for row in component.methods:
+                name = methods.free_name(f"{row.recording} {row.fit.method}")
+                _write_fit(methods.create_group(name, track_order=True), row.fit)
+
+
+def _write_fit(group: h5py.Group, fit: StepFit) -> None:
+    """Write a fit with its curves."""
+    for name in FIT_FIELDS:
+        write_value(group, name, getattr(fit, name))
+    for name in ("zeros", "poles", "gain"):
+        write_value(group, name, getattr(fit.system, name))
+
+
+# Page and terminal
+
+SHARES = ("damping_ratio", "overshoot")  # quantities that are shares, told in %
+BUDGETED = ("natural_hz", "damping_ratio", "static_gain", "band_10_hz")
+MANY_HEADLINES = 6
+NATURAL = Markup("f<sub>n</sub> / Hz")
+SUMMARY = {
+    "natural_hz": NATURAL,
+    "damping_ratio": "ζ / %",
+    "band_5_hz": "±5 % to / Hz",
+    "band_10_hz": "±10 % to / Hz",
+    "overshoot": "overshoot / %",
+    "settling_2_s": "2 % settling / ms",
+}
+PRINTED = {
+    "natural_hz": "f_n",
+    "damping_ratio": "damping ratio",
+    "band_5_hz": "±5 % up to",
+    "settling_2_s": "2 % settling",
+}
+
+
+def page_context(evaluation: StepEvaluation) -> dict[str, Any]:
+    """Return what the page shows; methods where more than one was asked for."""
+    compared, components = evaluation.settings["method"] == "all", evaluation.components
+    count, names = sum(len(c.releases) for c in components), ", ".join(c.component for c in components)
+    return {
+        "subject": [*subject_of(evaluation.rig), ("Recordings", f"{count} of {names}")],
+        "summary": summary_table(evaluation),
+        "components": [
+            {
+                "name": component.component,
+                "channel": component.channel,
+                "reason": component.reason,
+                "indices": quantities_table(
+                    f"Indices of the model, with U {component.scope}", "index", component.figures
+                ),
+                "parameters": quantities_table(
+                    f"Parameters of the model, with U {component.scope}", "parameter", component.parameters
+                ),
+                "budget": main_budget(component),
+                "releases": releases_table(component),
+                "ropes": ropes_table(component),
+                "gains": gains_table(component),
+                "methods": methods_table(component) if compared else None,
+                "pictures": list(component_figures(component)),
+            }
+            for component in components
+        ],
+    }
+
+
+def headlines(evaluation: StepEvaluation) -> list[Headline]:
+    """Natural frequency and damping ratio of every driven output."""
+    lines: list[Headline] = []
+    for component in evaluation.components:
+        frequency, damping = component.find("natural_hz"), component.find("damping_ratio")
+        if frequency is not None and damping is not None:
+            remark = f"ζ = {quantity_html(*_shown(damping))}; U {component.scope}"
+            lines.append(Headline(f"{component.channel}: natural frequency", quantity_html(*_shown(frequency)), remark))
+    return lines[:MANY_HEADLINES]
+
+
+def summary_table(evaluation: StepEvaluation) -> Table | None:
+    """The main indices of every component, one below the other."""
+
+    def load(component: StepComponent) -> str:
+        return " → ".join(dict.fromkeys((component.component, component.channel)))
+
+    def index(name: str, head: str) -> TableColumn[StepComponent]:
+        def shown(component: StepComponent) -> str:
+            quantity = component.find(name)
+            return DASH if quantity is None else quantity_html(*_shown(quantity)[:2])
+
+        return page_column(head, shown)
+
+    columns = [page_column("load", load, "l"), *(index(name, head) for name, head in SUMMARY.items())]
+    columns.append(page_column("U holds", lambda component: component.scope or DASH, "l"))
+    return table("Models of the driven outputs, with U", columns, evaluation.components)
+
+
+def quantities_table(caption: str, head: str, quantities: Sequence[NamedQuantity]) -> Table | None:
+    """Parameters of a model, or its indices."""
+
+    def where_known(text: Callable[[NamedQuantity], str]) -> Callable[[NamedQuantity], str]:
+        return lambda one: text(one) if np.isfinite(one.u) and one.u > 0.0 else DASH
+
+    columns: list[TableColumn[NamedQuantity]] = [
+        page_column(head, lambda one: capitalise(one.label), "l"),
+        page_column("value", lambda one: quantity_html(*_shown(one))),
+        page_column("k", where_known(lambda one: factor_text(one.k))),
+        page_column("dof", where_known(lambda one: degrees_of_freedom(one.dof))),
+    ]
+    return table(caption, columns, quantities)
+
+
+def main_budget(component: StepComponent) -> Table | None:
+    """What makes the u of the main indices, and what nobody states."""
+    shown = [one for name in BUDGETED if (one := component.find(name)) is not None and np.isfinite(one.u)]
+    parts = {cause: np.array([own[one.name] for one in shown]) for cause, own in component.budget.items()}
+    numbers = {one.label: one.value for one in shown}
+    return budget_table("Budget of the main indices", numbers, parts, component.influences) if shown else None
+
+
+def releases_table(component: StepComponent) -> Table | None:
+    """What the driven output of every release shows, and its model."""
+
+    def of_fit(head: str, shown: Callable[[StepFit], str]) -> TableColumn[StepRelease]:
+        return page_column(head, lambda release: DASH if release.fit is None else shown(release.fit))
+
+    def mode(fit: StepFit) -> tuple[str, str]:
+        hz, u_hz, damping, u_damping = lowest_mode(fit)
+        return quantity_html(hz, K2 * u_hz), quantity_html(PERCENT * damping, K2 * PERCENT * u_damping)
+
+    def gain(release: StepRelease) -> str:
+        return quantity_text(scale * release.reading.static_gain, K2 * scale * release.reading.u_static_gain)
+
+    scale, unit = _gain_scale(component)
+    columns: list[TableColumn[StepRelease]] = [
+        page_column("recording", lambda release: release.name, "l"),
+        page_column("let go", lambda release: release.record.release or DASH, "l"),
+        page_column("rise / ms", lambda r: quantity_html(MILLI * r.reading.rise_s, K2 * MILLI * r.reading.u_rise_s)),
+        of_fit("release / ms", lambda fit: quantity_html(MILLI * fit.release_s, K2 * MILLI * fit.u_release_s)),
+        page_column(f"static gain / {unit}", gain),
+        of_fit(NATURAL, lambda fit: mode(fit)[0]),
+        of_fit("ζ / %", lambda fit: mode(fit)[1]),
+        of_fit("fit / %", lambda fit: f"{PERCENT * fit.variance_accounted:.3f}"),
+        page_column("in the model", lambda release: yes_or_no(release.name in component.used), "l"),
+    ]
+    return table(f"Releases: output {component.channel}, with U (k = 2)", columns, component.releases)
+
+
+def ropes_table(component: StepComponent) -> Table | None:
+    """What lets go how fast, and how well it repeats; None of a single release."""
+
+    def mean(of: Callable[[ReleaseDevice], RepeatedMean]) -> Callable[[ReleaseDevice], str]:
+        return lambda rope: quantity_html(*_mean_ms(of(rope)))
+
+    def scatter(of: Callable[[ReleaseDevice], RepeatedMean]) -> Callable[[ReleaseDevice], str]:
+        return lambda rope: short(MILLI * of(rope).repeatability)
+
+    columns: list[TableColumn[ReleaseDevice]] = [
+        page_column("let go", lambda rope: rope.name, "l"),
+        page_column("releases", lambda rope: f"{rope.kind.count}"),
+        page_column("rise / ms", mean(lambda rope: rope.kind.rise)),
+        page_column("s / ms", scatter(lambda rope: rope.kind.rise)),
+        page_column("release / ms", mean(lambda rope: rope.kind.length)),
+        page_column("s / ms", scatter(lambda rope: rope.kind.length)),
+        page_column("faster than the next / %", lambda rope: signed_text(PERCENT * rope.kind.faster, ".1f")),
+        page_column("in the model", lambda rope: yes_or_no(rope.used), "l"),
+    ]
+    caption = "What let go: rise of the output and duration of the release, means with U, scatter s of one release"
+    return table(caption, columns, component.ropes) if len(component.releases) > 1 else None
+
+
+def gains_table(component: StepComponent) -> Table | None:
+    """Static gain of every output for the load, with the peaks of its spectrum."""
+    driven, (scale, unit) = component.gains[0], _gain_scale(component)
+
+    def stated(gain: StaticGain) -> str:
+        return DASH if gain.stated is None else quantity_text(scale * gain.stated, K2 * scale * gain.u_stated)
+
+    def peak(head: str, place: int) -> TableColumn[StaticGain]:
+        return page_column(head, lambda gain: _peaks(component, gain.channel)[place])
+
+    columns: list[TableColumn[StaticGain]] = [
+        page_column("output", lambda gain: gain.channel, "l"),
+        page_column(f"static gain / {unit}", lambda gain: quantity_text(scale * gain.value, scale * gain.expanded)),
+        page_column("k", lambda gain: factor_text(gain.k)),
+        page_column(
+            f"of {driven.channel} / %",
+            lambda gain: DASH if gain is driven else signed_text(PERCENT * gain.value / driven.value, ".3f"),
+        ),
+        page_column(f"stated / {unit}", stated),
+        page_column(
+            "difference over its U", lambda gain: DASH if gain.normalised is None else signed_text(gain.normalised)
+        ),
+        peak("first peak / Hz", 0),
+        peak("second peak / Hz", 1),
+        peak("its share / %", 2),
+    ]
+    mean = "one release" if driven.releases == 1 else f"mean of {driven.releases} releases"
+    return table(f"Every output for the load {component.component}: {mean}, with U", columns, component.gains)
+
+
+def methods_table(component: StepComponent) -> Table | None:
+    """What every method made of a release."""
+
+    def index(head: str, name: str, form: str, scale: float = 1.0) -> TableColumn[ByMethod]:
+        return page_column(head, lambda by: signed_text(scale * by.figure(name), form))
+
+    columns: list[TableColumn[ByMethod]] = [
+        page_column("method", lambda by: LABELS[by.row.fit.method], "l"),
+        page_column("recording", lambda by: by.row.recording, "l"),
+        page_column("poles", lambda by: f"{by.row.fit.order}"),
+        index(NATURAL, "natural_hz", ".2f"),
+        index("ζ / %", "damping_ratio", ".4f", PERCENT),
+        index("±5 % to / Hz", "band_5_hz", ".1f"),
+        page_column("stable", lambda by: yes_or_no(by.row.fit.system.stable), "l"),
+        page_column("fit / %", lambda by: signed_text(PERCENT * by.row.fit.variance_accounted, ".3f")),
+        page_column(
+            f"residual, r.m.s. / ({typeset(component.releases[0].record.unit)})",
+            lambda by: short(residual_rms(by.row.fit)),
+        ),
+        page_column("time / s", lambda by: number(by.row.fit.duration_s)),
+    ]
+    return table("Methods", columns, (ByMethod(component, row) for row in component.methods))
+
+
+def printed(evaluation: StepEvaluation) -> Iterator[str]:
+    """Yield the lines that the command prints."""
+    for component in evaluation.components:
+        told = f"{component.component}: {len(component.used)} of {len(component.releases)} releases in the model"
+        told += f", U {component.scope}" if component.scope else ""
+        indices = [(label, component.find(name)) for name, label in PRINTED.items()]
+        parts = [f"{label} {quantity_text(*_shown(index))}" for label, index in indices if index is not None]
+        yield f"{told}; {', '.join(parts) or 'no model'}"
+        for rope in component.ropes if len(component.ropes) > 1 else ():
+            yield f"  {rope.name}: {len(rope.releases)} releases of {quantity_text(*_mean_ms(rope.kind.length), 'ms')}"
+
+
+def _shown(quantity: NamedQuantity) -> tuple[float, float, str]:
+    """Value, U and unit in which they are told: times in ms, shares in %."""
+    unit = quantity.unit
+    if quantity.name.startswith(SHARES):
+        scale, unit = PERCENT, "%"
+    else:
+        scale, unit = (MILLI, "ms") if unit == "s" else (1.0, "" if unit == "1" else unit)
+    return scale * quantity.value, scale * quantity.expanded, unit
+
+
+def _mean_ms(spread: RepeatedMean) -> tuple[float, float]:
+    return MILLI * spread.mean, MILLI * coverage_factor(spread.dof) * spread.u_mean
+
+
+def _peaks(component: StepComponent, channel: str) -> tuple[str, str, str]:
+    """First and second peak of an output's spectrum: mean over the releases of the model, or of all without one."""
+    releases = component.chosen or component.releases
+    peaks = [reading.peaks for r in releases for reading in r.readings if reading.channel == channel]
+    first = _mean_peak([own[0] for own in peaks if own])
+    seconds = [own[1] for own in peaks if len(own) > 1]
+    if 2 * len(seconds) < len(peaks) or not seconds:
+        return first, DASH, DASH
+    return first, _mean_peak(seconds), number(PERCENT * float(np.mean([peak.share for peak in seconds])))
+
+
+def _mean_peak(peaks: Sequence[SpectrumPeak]) -> str:
+    """Mean frequency of peaks with U: of each as it was read, or of what they scatter by where that is more."""
+    if not peaks:
+        return DASH
+    value = np.array([peak.frequency_hz for peak in peaks])
+    own = float(np.sqrt(np.mean([peak.u_frequency_hz**2 for peak in peaks])))
+    spread = float(np.std(value, ddof=1)) if len(peaks) > 1 else 0.0
+    k = coverage_factor(len(peaks) - 1.0) if spread > own else K2
+    return quantity_html(float(value.mean()), k * max(own, spread) / len(peaks) ** 0.5)
+
+
+def _gain_scale(component: StepComponent) -> tuple[float, str]:
+    """Factor and unit in which all gains of a component are told, by the power of ten of the largest."""
+    power, unit = (
+        round_to_uncertainty(max(abs(gain.value) for gain in component.gains), 0.0).exponent,
+        typeset(component.unit),
+    )
+    return 10.0**-power, f"({power_text(power)} {unit})" if power else f"({unit})"
+
+
+# The command
+
+FILES = ("releases.csv", "models.csv", "indices.csv", "budget.csv", "methods.csv", MODELS_FILE)
+STEP = CommandReport("step", "step", FILES, texts, fill, page_context, printed, headlines)
+
+
+def run_step(
+    paths: Sequence[Path],
+    output: Path | None,
+    settings: StepSettings,
+    *,
+    force: bool = False,
+    allow_outside: bool = False,
+) -> None:
+    """Evaluate the step recordings at some paths together, write the results and print the summary.
+
+    Of a campaign folder those of kind step are taken. Results stand in its folder `step`, or in that of the only
+    recording, or, of several paths, beside rig.toml; or in `output`. A place that cannot take them is refused before
+    anything is computed.
+    """
+    manifests = load_for_command(paths, STEP.name, allow_outside=allow_outside)
+    name = manifests[0].name if len(manifests) == 1 else manifests[0].rig.name
+
+    def evaluate(hashes: dict[str, str]) -> StepEvaluation:
+        with one_blas_thread():
+            return evaluate_steps(name, manifests, settings, hashes)
+
+    STEP.run_recordings(paths, manifests, output, evaluate, force=force)

@@ -1,0 +1,370 @@
+"""Recordings to corrected transfer functions and resonances."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fusion.errors import ARGUMENT, InputError
+from fusion.instruments.channel import scale_is_stated
+from fusion.instruments.transducer import TRANSDUCERS
+from fusion.recording.excitation import kinds_of
+from fusion.recording.load import Manifest
+from fusion.recording.manifest import ChannelEntry
+from fusion.sensor.transfer.transfer_records import (
+    ChannelChain,
+    FoundResonance,
+    Quantity,
+    ReferenceResult,
+    SynchronousRecord,
+    TransferEvaluation,
+    TransferSettings,
+    channel_chain,
+    ratio_errors,
+    read_synchronous,
+)
+from fusion.sensor.unmodelled_effects import NO_INFLUENCES, ModelInfluences, stated_influences
+from shaker.arrays import ComplexArray, FloatArray
+from shaker.frf.chain import QUANTITIES, common_covariance, motion_order, ratio_unit
+from shaker.frf.impact import transfer_impact
+from shaker.frf.periodic import transfer_periodic
+from shaker.frf.random import transfer_random
+from shaker.frf.result import TransferFunction, TransferRecord
+from shaker.identification.measured_curves import CurveError, MeasuredCurve
+from shaker.identification.oscillator import Resonance, ResonanceKind, fit_resonance
+from shaker.labels import MOTION_UNITS
+from shakercal._common.notices import Notice
+
+_SEGMENTS = 16  # segments beside each other in a record where no line spacing is wanted
+_BLOW_S = 1.0  # window around a blow where no line spacing is wanted
+_KEYS = {
+    "period_s": "excitation.period",
+    "band_hz": "excitation.band",
+    "record": "excitation.reference",
+    "reference": "excitation.reference",
+    "resolution_hz": "--resolution",
+    "duration_s": "--resolution",
+}
+"""Where the user can mend what an argument of the estimate says."""
+
+
+def estimate_transfer(manifest: Manifest, together: SynchronousRecord, settings: TransferSettings) -> TransferFunction:
+    """Return the transfer functions as recorded, by the estimator wanted or by the excitation's kind.
+
+    With a period: ratio of the means over whole periods. Impacts: windows around the blows. Else local polynomials, or
+    averaged spectra of overlapping segments. Raises `InputError` naming the manifest's key, or the option, at fault.
+    """
+    excitation, record, band = manifest.excitation, together.samples, _band(manifest, together)
+    repeats = excitation.period is not None or excitation.kind == "multisine"
+    periodic = settings.estimator == "periodic" or (settings.estimator == "auto" and repeats)
+    if periodic and excitation.period is None:
+        expected = "the period in s, which the periodic estimate needs"
+        raise InputError(manifest.path, "excitation.period", found="nothing", expected=expected)
+    try:
+        if periodic and excitation.period is not None:
+            return transfer_periodic(record, excitation.period, settle_periods=excitation.settle_periods, band_hz=band)
+        found = _averaged(manifest, record, settings, band)
+    except ValueError as error:
+        argument = str(error).partition(":")[0]
+        if periodic and argument == "record":
+            found_text = f"{excitation.period:g} s, at whose harmonics {record.reference_name} holds only noise"
+            expected = "the period with which the excitation repeats"
+            raise InputError(manifest.path, "excitation.period", found=found_text, expected=expected) from error
+        raise InputError.from_exception(error, manifest.path, _KEYS.get(argument, "excitation")) from error
+    if excitation.kind != "chirp" or excitation.period is not None:
+        return found
+    text = (
+        "no period is stated, so the chirp is taken like noise, which leaves its uncertainty to neighbouring lines; of "
+        "a chirp that repeats, state the period"
+    )
+    return replace(found, notices=(*found.notices, Notice("warning", text, "excitation.period")))
+
+
+def _band(manifest: Manifest, together: SynchronousRecord) -> tuple[float, float] | None:
+    """Return the band to evaluate: the excitation's, and no more than the samples allow."""
+    band, highest = manifest.excitation.band, together.aligned.highest_hz
+    if highest is None:
+        return band
+    if band is not None and band[0] >= highest:
+        expected = f"a band that begins below {highest:.6g} Hz, what the slowest channel can show"
+        raise InputError(manifest.path, "excitation.band", found=f"{band[0]:g} to {band[1]:g} Hz", expected=expected)
+    return (0.0, highest) if band is None else (band[0], min(band[1], highest))
+
+
+def _averaged(
+    manifest: Manifest, record: TransferRecord, settings: TransferSettings, band_hz: tuple[float, float] | None
+) -> TransferFunction:
+    """Return the transfer functions from averaged spectra, of blows or of segments, behind what settles."""
+    excitation, estimator = manifest.excitation, "auto" if settings.estimator == "periodic" else settings.estimator
+    left_out = round(excitation.settle_periods * (excitation.period or 0.0) * record.sample_rate_hz)
+    record = replace(record, reference=record.reference[left_out:], responses=record.responses[left_out:])
+    length_s = len(record.reference) / record.sample_rate_hz
+    if excitation.kind == "impact":
+        window_s = min(_BLOW_S, 0.5 * length_s) if settings.resolution_hz is None else 1.0 / settings.resolution_hz
+        advised = "auto" if estimator == "local" else estimator
+        return transfer_impact(record, window_s, estimator=advised, band_hz=band_hz)
+    resolution_hz = settings.resolution_hz or _SEGMENTS / length_s
+    return transfer_random(record, resolution_hz, estimator=estimator, band_hz=band_hz)
+
+
+# Resonances in a measured transfer function: where the peaks are, and an oscillator fitted to each.
+
+_PROMINENCE = np.log(2.0)  # of a peak in ln|H|
+_SIGNIFICANT = 8.0  # standard uncertainties by which a peak stands out
+_DOWN_TO = 1.0 / 8.0  # of the peak: lines around it that are fitted
+_FEWEST_LINES = 6
+_POOR_FIT = 2.0  # χ² per degree of freedom from which the rest of all other modes is fitted too
+_VAGUE = 0.25  # relative standard uncertainty of the damping above which a peak is no resonance
+_MOST = 12
+_ROUNDS = 4  # of fitting peaks one after the other, each without all others
+_DEPARTS = 3.0  # residuals over the noise, rms, from which one oscillator does not explain a peak
+
+
+@dataclass(frozen=True)
+class _Curve:
+    """One response over its reference: values (K,), covariance (K, 2, 2) of the noise, common errors by name (K,)."""
+
+    name: str
+    transfer: TransferFunction
+    value: ComplexArray
+    covariance: FloatArray
+    errors: dict[str, ComplexArray]
+    kind: ResonanceKind
+
+    def fit(self, lines: slice, value: ComplexArray, *, residual_terms: bool) -> Resonance:
+        """Fit one oscillator to values (L,) at some lines."""
+        curve = MeasuredCurve(
+            self.transfer.ratio.frequency_hz[lines],
+            value,
+            self.covariance[lines],
+            line_correlation=self.transfer.line_correlation,
+            added_decay_per_s=self.transfer.added_decay_per_s,
+            dof=self.transfer.ratio.dof[lines],
+        )
+        return fit_resonance(curve, self.kind, residual_terms=residual_terms)
+
+
+def find_resonances(
+    transfer: TransferFunction,
+    errors: Sequence[CurveError],
+    kinds: Sequence[ResonanceKind],
+    u_clock: float,
+    influences: ModelInfluences = NO_INFLUENCES,
+) -> tuple[tuple[FoundResonance, ...], tuple[Notice, ...]]:
+    """Return the resonances of every response and what is to be said of peaks that no oscillator fits.
+
+    `transfer` with the covariance of its noise alone; `kinds` (C) say which form an oscillator takes in each response;
+    `u_clock`: relative standard uncertainty of the clock, and so of every frequency; `known`: what is known of a
+    resonance beside the record.
+    """
+    found: list[FoundResonance] = []
+    notices: list[Notice] = []
+    for c, (name, kind) in enumerate(zip(transfer.ratio.channels, kinds, strict=True)):
+        own = {error.name: error.relative[:, c] for error in errors if np.any(error.relative[:, c] != 0.0)}
+        curve = _Curve(name, transfer, transfer.ratio.value[:, c], transfer.channel_covariance(name), own, kind)
+        peaks, where = _peaks(curve), f"{name}/{transfer.reference}"
+        for (peak, lines), mode in zip(peaks, _separated(curve, [lines for _, lines in peaks]), strict=True):
+            at = f"the peak at {transfer.ratio.frequency_hz[peak]:.6g} Hz"
+            if isinstance(mode, str):
+                notices.append(Notice("note", f"no oscillator was fitted to {at} ({mode})", where))
+                continue
+            found.append(_with_budget(curve, lines, mode, u_clock, influences))
+            departs = np.sqrt(mode.fit.chi_squared / mode.fit.dof)
+            if departs >= _DEPARTS:
+                text = f"{at} departs from one oscillator by {departs:.2g} times the noise; its frequency and damping"
+                notices.append(Notice("warning", f"{text} depend on the lines that are fitted", where))
+    return tuple(found), tuple(notices)
+
+
+@dataclass(frozen=True)
+class _Mode:
+    """One oscillator, and the values (L,) of its lines that it was fitted to, all other oscillators taken off."""
+
+    fit: Resonance
+    value: ComplexArray
+
+
+def _separated(curve: _Curve, windows: Sequence[slice]) -> list[_Mode | str]:
+    """Fit every peak with the oscillators of all others taken off, in rounds; a text where there is no fit."""
+    found: list[_Mode | str] = ["no fit" for _ in windows]
+    for _ in range(_ROUNDS if len(windows) > 1 else 1):
+        for place, lines in enumerate(windows):
+            frequency = curve.transfer.ratio.frequency_hz[lines]
+            value = curve.value[lines].copy()
+            for other in (*found[:place], *found[place + 1 :]):
+                if isinstance(other, _Mode):
+                    alone = replace(other.fit, residual=np.zeros(2, dtype=np.complex128))
+                    value -= alone.model(frequency, curve.transfer.added_decay_per_s)
+            try:
+                found[place] = _Mode(_best(curve, lines, value), value)
+            except (ValueError, np.linalg.LinAlgError) as error:
+                found[place] = ARGUMENT.sub("", str(error))
+    return found
+
+
+def _peaks(curve: _Curve) -> list[tuple[int, slice]]:
+    """Return the largest significant peaks of |H|, each with the lines around it down to an eighth of its height."""
+    from scipy.signal import find_peaks
+
+    size = np.abs(curve.value)
+    relative = np.sqrt(np.trace(curve.covariance, axis1=1, axis2=2) / 2.0) / size
+    logarithm = np.log(size)
+    places, found = find_peaks(logarithm, prominence=_PROMINENCE)
+    keep = (found["prominences"] > _SIGNIFICANT * relative[places]) & (relative[places] < 1.0 / _SIGNIFICANT)
+    places = places[keep]
+    largest = np.sort(places[np.argsort(-found["prominences"][keep])[:_MOST]])
+    windows = []
+    for number, place in enumerate(largest):
+        low = 0 if number == 0 else largest[number - 1] + int(np.argmin(size[largest[number - 1] : place]))
+        high = len(size) if number + 1 == len(largest) else place + int(np.argmin(size[place : largest[number + 1]]))
+        weak = np.flatnonzero(size[low:high] < _DOWN_TO * size[place]) + low
+        low = max([low, *(weak[weak < place] + 1)])
+        high = min([high, *weak[weak > place]])
+        if high - low >= _FEWEST_LINES:
+            windows.append((int(place), slice(int(low), int(high))))
+    return windows
+
+
+def _best(curve: _Curve, lines: slice, value: ComplexArray) -> Resonance:
+    """Fit one oscillator to values (L,) of some lines, with the rest of all other modes where that explains more."""
+    frequency = curve.transfer.ratio.frequency_hz[lines]
+    fit = curve.fit(lines, value, residual_terms=False)
+    if fit.chi_squared > _POOR_FIT * fit.dof and len(frequency) >= 2 * _FEWEST_LINES:
+        richer = curve.fit(lines, value, residual_terms=True)
+        fit = richer if richer.chi_squared / richer.dof < 0.5 * fit.chi_squared / fit.dof else fit
+    if not frequency[0] <= fit.frequency_hz <= frequency[-1]:
+        raise ValueError(f"its frequency would be {fit.frequency_hz:.6g} Hz")
+    if fit.u("damping_ratio") > _VAGUE * fit.damping_ratio:
+        raise ValueError("the noise leaves its damping open")
+    return fit
+
+
+def _with_budget(curve: _Curve, lines: slice, mode: _Mode, u_clock: float, known: ModelInfluences) -> FoundResonance:
+    """Return a fit with its uncertainty: noise, what one standard deviation of every common error changes, the rest."""
+    frequency, fit = curve.transfer.ratio.frequency_hz[lines], mode.fit
+    residual_terms = "constant_re" in fit.parameters
+    budget = {"noise": (fit.u("frequency_hz"), fit.u("damping_ratio"))}
+    for name, relative in curve.errors.items():
+        moved = curve.fit(lines, mode.value * (1.0 + relative[lines]), residual_terms=residual_terms)
+        budget[name] = (moved.frequency_hz - fit.frequency_hz, moved.damping_ratio - fit.damping_ratio)
+    if u_clock > 0.0:
+        budget["rate of the clock"] = (u_clock * fit.frequency_hz, 0.0)
+    for cause, (by_frequency, by_damping) in known.relative.items():
+        budget[cause] = (by_frequency * fit.frequency_hz, by_damping * fit.damping_ratio)
+    u_frequency, u_damping = np.sqrt(np.sum(np.square(list(budget.values())), axis=0))
+    where, band_hz = (curve.name, curve.transfer.reference), (float(frequency[0]), float(frequency[-1]))
+    return FoundResonance(*where, fit, band_hz, float(u_frequency), float(u_damping), budget)
+
+
+# From a recording of a chirp, a multisine, noise or impacts to its transfer functions.
+
+KINDS = kinds_of("transfer")
+_FORCED_KINDS: dict[int, ResonanceKind] = {
+    -2: "receptance",
+    -1: "mobility",
+    0: "accelerance",
+}  # by the order of a transducer
+
+
+def evaluate_transfer(
+    manifest: Manifest, settings: TransferSettings, input_hashes: dict[str, str]
+) -> TransferEvaluation:
+    """Return the transfer functions of one recording: files → estimate → delay, response and quantity → resonances.
+
+    Raises `InputError` for what the user can mend in the files.
+
+    >>> from fusion import TransferSettings, evaluate_transfer, load_manifest
+    >>> evaluation = evaluate_transfer(load_manifest("chirp/chirp"), TransferSettings(), {})  # doctest: +SKIP
+    """
+    started = time.monotonic()
+    manifest.check_command("transfer")
+    read = read_synchronous(manifest)
+    found = [_evaluated(manifest, together, settings) for together in read]
+    base = next((together.aligned.base for together in read if together.aligned.base is not None), None)
+    notices = [*manifest.certificate_notices, *(notice for _, told in found for notice in told)]
+    return TransferEvaluation(
+        name=manifest.name,
+        manifest=manifest,
+        references=tuple(result for result, _ in found),
+        clocks=() if base is None else base.results(),
+        notices=tuple(dict.fromkeys(notices)),
+        settings=settings.as_dict(),
+        input_hashes=input_hashes,
+        duration_s=time.monotonic() - started,
+    )
+
+
+def _evaluated(
+    manifest: Manifest, together: SynchronousRecord, settings: TransferSettings
+) -> tuple[ReferenceResult, list[Notice]]:
+    """Return the transfer functions over one reference with what is to be said of them."""
+    raw = estimate_transfer(manifest, together, settings)
+    reference, *responses = (channel_chain(channel, raw.ratio.frequency_hz) for channel in together.aligned.channels)
+    errors = ratio_errors(reference, responses)
+    factor = np.stack([chain.correction / reference.correction for chain in responses], axis=1)
+    corrected = _converted(raw, factor, together, settings.quantity)
+    moved = reference.entry.quantity in TRANSDUCERS
+    kinds = ["transmissibility" if moved else _forced_kind(chain.entry, settings.quantity) for chain in responses]
+    known = stated_influences(manifest.rig, [manifest.mounting])
+    resonances, told = find_resonances(corrected, errors, kinds, together.u_clock, known)
+    ratio = corrected.ratio
+    if errors:
+        common = common_covariance(ratio.value, np.stack([error.relative for error in errors]))
+        ratio = replace(ratio, covariance=ratio.covariance + common)
+    result = ReferenceResult(
+        name=reference.entry.name,
+        transfer=replace(corrected, ratio=ratio),
+        random_covariance=corrected.ratio.covariance,
+        errors=errors,
+        resonances=resonances,
+    )
+    return result, [*together.aligned.notices, *raw.notices, *told, *_silent([reference, *responses])]
+
+
+def _forced_kind(entry: ChannelEntry, quantity: Quantity | None) -> ResonanceKind:
+    """Return the form of one oscillator where a force acts on the mass; what is no motion follows the spring."""
+    if entry.quantity not in TRANSDUCERS:
+        return "receptance"
+    order = QUANTITIES.index(quantity) - 2 if quantity else TRANSDUCERS[entry.quantity].order
+    return _FORCED_KINDS[order]
+
+
+def _converted(
+    raw: TransferFunction, factor: ComplexArray, together: SynchronousRecord, quantity: Quantity | None
+) -> TransferFunction:
+    """Return ratios times `factor` (K, C), every motion as the quantity wanted.
+
+    Behind an exponential window a ratio is H(s) at s = a + jω, and a derivative multiplies it by s.
+    """
+    s = raw.added_decay_per_s + 2j * np.pi * raw.ratio.frequency_hz
+    reference, *responses = (channel.entry for channel in together.aligned.channels)
+    below, unit_below = _as_wanted(reference, together.samples.reference_unit, quantity)
+    factors, units = factor.copy(), []
+    for c, (entry, unit) in enumerate(zip(responses, together.samples.unit, strict=True)):
+        above, unit_above = _as_wanted(entry, unit, quantity)
+        factors[:, c] *= s ** (above - below)
+        units.append(ratio_unit(unit_above, unit_below))
+    return replace(raw, ratio=raw.ratio.scaled(factors, units))
+
+
+def _as_wanted(entry: ChannelEntry, unit: str, quantity: Quantity | None) -> tuple[int, str]:
+    """Return how many times a channel is to be differentiated, and the unit it then has; 0 for what is no motion."""
+    if quantity is None or entry.quantity not in TRANSDUCERS:
+        return 0, unit
+    family, have = motion_order(unit)
+    want = QUANTITIES.index(quantity)
+    return want - have, MOTION_UNITS[family][want]
+
+
+def _silent(chains: Sequence[ChannelChain]) -> list[Notice]:
+    """Name the channels whose scale is taken as exact because nothing else is stated."""
+    names = [
+        chain.entry.name for chain in chains if not (scale_is_stated(chain.entry, chain.response) or chain.entry.common)
+    ]
+    if not names:
+        return []
+    text = f"no uncertainty of the scale is stated for {', '.join(names)}: the uncertainties hold without it"
+    return [Notice("warning", text, "scale_uncertainty")]

@@ -1,0 +1,373 @@
+"""Records of chirp, noise and blows, and what their transfer functions are uncertain by."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from fusion.base import CommandEvaluation
+from fusion.errors import InputError
+from fusion.instruments.channel import DELAY_OF_FILTER, u_of_filter
+from fusion.phasors.timing import ClockResult, TimeBase, tie_daqs
+from fusion.recording.daq_records import DaqRecord, read_daqs
+from fusion.recording.load import Manifest
+from fusion.recording.manifest import ChannelEntry
+from fusion.recording.response import read_response
+from fusion.recording.units import unit_notices
+from shaker.arrays import ComplexArray, FloatArray
+from shaker.frf.chain import ChainResponse
+from shaker.frf.result import TransferFunction, TransferRecord
+from shaker.identification.measured_curves import CurveError
+from shaker.identification.oscillator import Resonance
+from shaker.io.condition import examine_samples
+from shaker.timebase.edges import PASS_BAND, kernel_reach, resample
+from shaker.timebase.tie import ClockTie
+from shakercal._common.notices import Notice
+
+EstimatorChoice = Literal["auto", "periodic", "local", "H1", "H2", "Hv"]
+Quantity = Literal["displacement", "velocity", "acceleration"]
+LASTING = ("noise", "multisine")
+"""Kinds of excitation that never rest."""
+SLOWEST, DITHERED = 100.0, 10.0
+"""Samples of a period where no band is stated; how many times fewer steps suffice for a signal that dithers itself."""
+
+
+@dataclass(frozen=True)
+class TransferSettings:
+    """Choices that change results: the estimator, the line spacing of averaged spectra (Hz), the motion's quantity.
+
+    None leaves the line spacing to the record's length, and every motion in the quantity in which it was measured.
+
+    >>> from fusion import TransferSettings
+    >>> TransferSettings(estimator="H1", resolution_hz=0.5).estimator
+    'H1'
+    """
+
+    estimator: EstimatorChoice = "auto"
+    resolution_hz: float | None = None
+    quantity: Quantity | None = None
+
+    def __post_init__(self) -> None:
+        if self.estimator not in get_args(EstimatorChoice):
+            raise ValueError(f"estimator: expected {', '.join(get_args(EstimatorChoice))}, found {self.estimator}")
+        if self.resolution_hz is not None and not self.resolution_hz > 0.0:
+            raise ValueError(f"resolution_hz: expected a number above 0, found {self.resolution_hz}")
+
+    def as_dict(self) -> dict[str, str | float | int]:
+        """Return the settings as plain values for the result files."""
+        resolution = "from the record" if self.resolution_hz is None else self.resolution_hz
+        return {
+            "estimator": self.estimator,
+            "resolution_hz": resolution,
+            "quantity": self.quantity or "as measured",
+        }
+
+
+@dataclass(frozen=True)
+class FoundResonance:
+    """A resonance of one `response` over its reference, fitted over the lines between `band_hz`.
+
+    `u_frequency_hz`, `u_damping_ratio`: standard uncertainties, noise and all common errors together; `budget`: by
+    cause what one standard deviation changes of frequency (Hz) and damping ratio.
+    """
+
+    response: str
+    reference: str
+    fit: Resonance
+    band_hz: tuple[float, float]
+    u_frequency_hz: float
+    u_damping_ratio: float
+    budget: dict[str, tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class ReferenceResult:
+    """All transfer functions over one reference (`name`).
+
+    `transfer`: delays and responses taken off, quantity as wanted, covariance of noise and common errors together.
+    `random_covariance` (K, 2C, 2C): that of the noise alone. `errors`: what is common to the lines. `resonances`: found
+    in the curves.
+    """
+
+    name: str
+    transfer: TransferFunction
+    random_covariance: FloatArray
+    errors: tuple[CurveError, ...]
+    resonances: tuple[FoundResonance, ...]
+
+
+@dataclass(frozen=True)
+class TransferEvaluation(CommandEvaluation):
+    """One evaluated recording: transfer functions over every reference, clocks where blocks were tied."""
+
+    manifest: Manifest
+    references: tuple[ReferenceResult, ...]
+    clocks: tuple[ClockResult, ...]
+
+
+# Errors that act on all lines of a transfer function at once: scale, delay, chain response, clock.
+
+
+@dataclass(frozen=True)
+class ChannelChain:
+    """A channel as recorded, with its chain at K lines and the uncertainty of its block's tie to the first clock."""
+
+    entry: ChannelEntry
+    frequency_hz: FloatArray
+    response: ChainResponse | None
+    clock: str
+    u_clock_s: float
+
+    @property
+    def correction(self) -> ComplexArray:
+        """Factor (K,) from recorded to true phasor, exp(+jω·delay) / response(f)."""
+        factor = np.exp(2j * np.pi * self.frequency_hz * self.entry.delay)
+        return np.asarray(factor if self.response is None else factor / self.response.value, dtype=np.complex128)
+
+    @property
+    def errors(self) -> Mapping[str, ComplexArray]:
+        """Complex relative error (K,) of the corrected phasor by the name of its cause, one standard deviation each.
+
+        Channels of one `common` name share scale, delay and response, hence these names.
+        """
+        entry, shared = self.entry, self.entry.common or self.entry.name
+        turn = np.asarray(2j * np.pi * self.frequency_hz, dtype=np.complex128)
+        flat = np.ones(len(turn), dtype=np.complex128)
+        found = {
+            f"{shared}: scale": entry.scale_uncertainty * flat,
+            f"{shared}: delay": entry.delay_uncertainty * turn,
+            f"{entry.name}: individual scale": entry.individual_uncertainty * flat,
+            f"clock {self.clock}": -self.u_clock_s * turn,
+        }
+        magnitude, phase = u_of_filter(self.frequency_hz, entry.filter_delay_s)
+        if entry.filter_delay_s:
+            found[f"{shared}: {DELAY_OF_FILTER}"] = magnitude * flat
+            found[f"{shared}: {DELAY_OF_FILTER}, phase"] = 1j * phase * flat
+        if self.response is not None:
+            for cause, error in zip(self.response.causes, self.response.errors, strict=True):
+                found[f"{shared}: {cause}"] = -error
+        return found
+
+
+def channel_chain(channel: LocatedChannel, frequency_hz: FloatArray) -> ChannelChain:
+    """Return a channel with its response file read at frequencies (K,)."""
+    entry = channel.entry
+    response = None
+    if entry.response is not None:
+        response = read_response(entry.response, frequency_hz, entry.response_result, entry.response_columns)
+    return ChannelChain(entry, frequency_hz, response, channel.record.entry.name, channel.u_clock_s)
+
+
+def uncertainty(value: ComplexArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return u(|H|)/|H| and u(arg H) in rad, (K,) each, of values (K,) with covariances (K, 2, 2)."""
+    size = np.abs(value)
+    along = np.stack([value.real, value.imag], axis=1) / size[:, None]
+    across = np.stack([-value.imag, value.real], axis=1) / size[:, None]
+    forms = [np.einsum("ki,kij,kj->k", axis, covariance, axis) for axis in (along, across)]
+    return np.sqrt(np.maximum(forms[0], 0.0)) / size, np.sqrt(np.maximum(forms[1], 0.0)) / size
+
+
+def ratio_errors(reference: ChannelChain, responses: Sequence[ChannelChain]) -> tuple[CurveError, ...]:
+    """Return the common errors of the ratios (K, C) responses over reference; what both share cancels."""
+    below, above = reference.errors, [chain.errors for chain in responses]
+    zero = np.zeros(len(reference.frequency_hz), dtype=np.complex128)
+    names = dict.fromkeys([*below, *(name for errors in above for name in errors)])
+    found = [
+        CurveError(name, np.stack([errors.get(name, zero) - below.get(name, zero) for errors in above], axis=1))
+        for name in names
+    ]
+    return tuple(error for error in found if np.any(error.relative != 0.0))
+
+
+# Reference and responses of a recording on one clock and at one rate.
+
+
+@dataclass(frozen=True)
+class LocatedChannel:
+    """A channel, the block that recorded it, and the clocks where they had to be tied."""
+
+    entry: ChannelEntry
+    record: DaqRecord
+    base: TimeBase | None
+
+    @property
+    def tie(self) -> ClockTie | None:
+        """The tie of the block to the first clock, None where it counts by that itself."""
+        return None if self.base is None else self.base.ties[self.record.entry.name]
+
+    @property
+    def u_clock_s(self) -> float:
+        """Standard uncertainty of the tie in the middle of the record."""
+        middle_s = np.asarray(self.record.time_s(self.entry.name).mean())
+        return 0.0 if self.tie is None else float(self.tie.u_to_base_s(middle_s))
+
+    @property
+    def rate_hz(self) -> float:
+        """Sampling rate on the block's own clock."""
+        return self.record.raw[self.entry.name].sample_rate_hz
+
+    @property
+    def length(self) -> int:
+        """Number of samples."""
+        return len(self.record.raw[self.entry.name].samples)
+
+    def position(self, time_s: FloatArray) -> FloatArray:
+        """Return where times of the first clock lie in the channel's record, in samples from its first one."""
+        own = time_s if self.tie is None else (time_s - self.tie.offset_s) / self.tie.rate
+        return np.asarray((own - self.record.lag_s(self.entry.name)) * self.rate_hz)
+
+
+@dataclass(frozen=True)
+class SynchronousRecord:
+    """One reference and its responses, `aligned` in this order, with their `samples` on one grid.
+
+    `u_clock`: relative standard uncertainty of the clock that counts the time.
+    """
+
+    aligned: AlignedChannels
+    samples: TransferRecord
+    u_clock: float
+
+
+def read_synchronous(manifest: Manifest) -> tuple[SynchronousRecord, ...]:
+    """Read the channels that the excitation names; one entry per reference.
+
+    Without `response` every other channel but triggers is one. Raises `InputError`.
+    """
+    excitation = manifest.excitation
+    if not excitation.reference:
+        expected = "the name of the channel over which the others are taken, such as the force or the base acceleration"
+        raise InputError(manifest.path, "excitation.reference", found="nothing", expected=expected)
+    places: dict[str, list[tuple[str, ChannelEntry]]] = {}
+    for daq in manifest.daq:
+        for entry in daq.channel:
+            if entry.quantity != "trigger":
+                places.setdefault(entry.name, []).append((daq.name, entry))
+    named = excitation.response or [name for name in places if name not in excitation.reference]
+    if not named:
+        expected = "a channel beside the reference"
+        raise InputError(manifest.path, "excitation.response", found="none", expected=expected)
+    for key, name in [*(("reference", name) for name in excitation.reference), *(("response", name) for name in named)]:
+        where = places.get(name, [])
+        if len(where) != 1:
+            blocks = " and ".join(block for block, _ in where)
+            found = f'"{name}", which is in the blocks {blocks}' if where else f'"{name}", a trigger'
+            raise InputError(manifest.path, f"excitation.{key}", found=found, expected="a name that one channel has")
+        if key == "response" and name in excitation.reference:
+            expected = "other channels than the references"
+            raise InputError(manifest.path, "excitation.response", found=f'"{name}"', expected=expected)
+    records = read_daqs(manifest)
+    wanted = [places[name][0] for name in named]
+    return tuple(_together(manifest, records, [places[name][0], *wanted]) for name in excitation.reference)
+
+
+def _together(
+    manifest: Manifest, records: Sequence[DaqRecord], wanted: Sequence[tuple[str, ChannelEntry]]
+) -> SynchronousRecord:
+    """Return channels, the reference first, as they were sampled together or else on a common grid."""
+    aligned = align(manifest, records, wanted, "excitation.response")
+    names, units = zip(*((entry.name, manifest.rig.unit_of(entry)) for _, entry in wanted), strict=True)
+    samples = TransferRecord(
+        reference=aligned.values[0],
+        responses=np.stack(aligned.values[1:], axis=1),
+        sample_rate_hz=aligned.rate_hz,
+        reference_name=names[0],
+        reference_unit=units[0],
+        channels=names[1:],
+        unit=units[1:],
+    )
+    clock = records[0] if aligned.base is not None else aligned.channels[0].record
+    return SynchronousRecord(aligned, samples, clock.entry.clock_uncertainty)
+
+
+@dataclass(frozen=True)
+class AlignedChannels:
+    """Channels and their samples (N,) each at the same times: from `start_s` on the first clock with `rate_hz`.
+
+    `highest_hz`: up to where they may be used, None where they are those of the file. `base`: the clocks, where they
+    had to be tied.
+    """
+
+    channels: tuple[LocatedChannel, ...]
+    values: tuple[FloatArray, ...]
+    rate_hz: float
+    start_s: float
+    highest_hz: float | None
+    base: TimeBase | None
+    notices: tuple[Notice, ...]
+
+
+def align(
+    manifest: Manifest, records: Sequence[DaqRecord], selected: Sequence[tuple[str, ChannelEntry]], key: str
+) -> AlignedChannels:
+    """Return channels, each with the name of its block, as they were sampled together or else on a common grid.
+
+    Raises `InputError` at `key` where they do not overlap, and for a channel with clipped or lost samples.
+    """
+    blocks = {record.entry.name: record for record in records}
+    for block, entry in selected:
+        blocks[block].check_uniform([entry])
+    used = dict.fromkeys(block for block, _ in selected)
+    base = None
+    if len(used) > 1:
+        base = tie_daqs(manifest, [record for record in records if record is records[0] or record.entry.name in used])
+    channels = tuple(LocatedChannel(entry, blocks[name], base) for name, entry in selected)
+    coarse = [notice for channel in channels for notice in _condition(manifest, channel)]
+    coarse += [notice for name in used for notice in unit_notices(manifest, blocks[name].entry, blocks[name].raw)]
+    alike = {(c.record.entry.name, c.rate_hz, c.record.lag_s(c.entry.name), c.length) for c in channels}
+    recorded = tuple(c.record.values(c.entry) for c in channels)
+    if len(alike) == 1:
+        start_s = channels[0].record.lag_s(channels[0].entry.name)
+        return AlignedChannels(channels, recorded, channels[0].rate_hz, start_s, None, base, tuple(coarse))
+    slowest = min(channels, key=lambda channel: channel.rate_hz)
+    time_s, rate_hz = _common_times(channels, slowest)
+    if len(time_s) < 2 * len(channels):
+        expected = "channels that were recorded at the same time"
+        raise InputError(manifest.path, key, found="records that do not overlap", expected=expected)
+    values = tuple(
+        resample(samples, c.position(time_s), min(1.0, rate_hz / c.rate_hz))
+        for c, samples in zip(channels, recorded, strict=True)
+    )
+    name, highest_hz = slowest.entry.name, PASS_BAND * rate_hz
+    text = (
+        f"channels of different clocks or rates are read at the times of {name}, {rate_hz:.9g} Hz of the first clock, "
+        f"and used up to {highest_hz:.6g} Hz"
+    )
+    notices = Notice("note", text, name), *coarse
+    return AlignedChannels(channels, values, rate_hz, float(time_s[0]), highest_hz, base, notices)
+
+
+def _condition(manifest: Manifest, channel: LocatedChannel) -> Iterator[Notice]:
+    """Refuse a channel with clipped or lost samples; warn of one that uses few steps of the converter."""
+    entry, raw, excitation = channel.entry, channel.record.raw[channel.entry.name], manifest.excitation
+    lasting = excitation.kind in LASTING  # what rests by nature loses nothing by it
+    slowest_hz = (excitation.band or (0.0,))[0] or channel.rate_hz / SLOWEST if lasting else None
+    size = DITHERED * float(np.std(raw.samples)) if lasting else float(np.ptp(raw.samples)) / 2.0
+    for defect in examine_samples(raw.samples, raw.sample_rate_hz, size, slowest_hz):
+        text = defect.text(channel.record.time_s(entry.name), raw.unit)
+        if defect.kind == "clipped" and excitation.kind in ("step", "impact"):
+            continue  # outputs of a release, and single blows, are judged and left out where they are evaluated
+        if defect.kind != "steps":
+            expected = "samples within the range of the recorder, without gaps"
+            raise InputError(channel.record.entry.file, entry.stored_name, found=f"one that {text}", expected=expected)
+        what = f"{size / (DITHERED if lasting else 0.5):.2g} {raw.unit}".rstrip()
+        name = "standard deviation" if lasting else "range"
+        text = f"its {name} is only {what}, at converter steps of {defect.step:.4g}"
+        told = "what their rounding does is not in U; a smaller range of the recorder avoids it"
+        yield Notice("warning", f"{text}: {told}", entry.name)
+
+
+def _common_times(channels: Sequence[LocatedChannel], slowest: LocatedChannel) -> tuple[FloatArray, float]:
+    """Return times (T,) of the slowest channel on the first clock, well inside the records of all, and their rate."""
+    time_s, rate_hz, tie = slowest.record.time_s(slowest.entry.name), slowest.rate_hz, slowest.tie
+    if tie is not None:
+        time_s, rate_hz = tie.to_base_s(time_s), rate_hz / tie.rate
+    inside = np.ones(len(time_s), dtype=np.bool_)
+    for channel in channels:
+        position = channel.position(time_s)
+        reach = kernel_reach(min(1.0, rate_hz / channel.rate_hz))
+        inside &= (position >= reach) & (position <= channel.length - 1 - reach)
+    return time_s[inside], rate_hz

@@ -1,0 +1,315 @@
+"""The camera frame in the sensor frame, by least squares over all evidence, and what stays open."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from photogram.alignment.alignment_evidence import (
+    CALIBRATION,
+    KnownFace,
+    KnownPixels,
+    KnownPoints,
+    KnownPoses,
+    PoseEvidence,
+    sum_of_squares,
+)
+from photogram.arrays import Arrays, FloatArray, IntArray
+from photogram.geometry import RigidTransform, fit_rigid, fixes_rotation, nearest_rotation, rotation_from_vector
+from shakercal._common.notices import Notice
+
+
+def starting_pose(evidence: Sequence[PoseEvidence]) -> RigidTransform | None:
+    """Return a first `sensor_from_camera` from a known pose, three points, four of one camera, or two faces; else None.
+
+    Directions and axes of motion are known up to their sense only and cannot start the search.
+    """
+    for item in evidence:
+        if isinstance(item, KnownPoses):
+            return item.sensor_from_body[0] @ item.left_from_body[0].inverse()
+        if isinstance(item, KnownPixels) and (start := item.start) is not None:
+            return start
+    points = [item for item in evidence if isinstance(item, KnownPoints)]
+    if sum(len(item.names) for item in points) >= 3:
+        camera, sensor = (np.concatenate([getattr(p, name) for p in points]) for name in ("camera_m", "sensor_m"))
+        try:
+            return fit_rigid(camera, sensor)
+        except ValueError:
+            pass  # points that leave the rotation open
+    return _pose_from_faces([item for item in evidence if isinstance(item, KnownFace)])
+
+
+def _pose_from_faces(faces: Sequence[KnownFace]) -> RigidTransform | None:
+    """Return the pose in which the fitted planes lie on the faces, as near as two or more normals decide."""
+    flat, centres, scatter = [], [], np.zeros((3, 3))
+    for face in (face for face in faces if len(face.camera_m) >= 3):
+        centre = face.camera_m.mean(axis=0)
+        _, singular, rows = np.linalg.svd(face.camera_m - centre, full_matrices=False)
+        if singular[1] < 1e-6 * max(singular[0], 1e-300):
+            continue  # on a line
+        flat.append(face)
+        centres.append(centre)
+        scatter += np.outer(face.normal, rows[2] if rows[2] @ centre < 0.0 else -rows[2])  # towards the camera
+    if len(flat) < 2 or not fixes_rotation(scatter):
+        return None
+    rotation = nearest_rotation(scatter)
+    offset = [face.normal @ (face.point_m - rotation @ centre) for face, centre in zip(flat, centres, strict=True)]
+    return RigidTransform(rotation, np.linalg.lstsq([face.normal for face in flat], offset, rcond=1e-9)[0])
+
+
+# Which components of a pose the evidence leaves open, told by name.
+
+LIMIT = 0.1
+"""Standard uncertainty (m, rad) from which a component counts as open: nothing is evaluated with such a pose."""
+_SAME = 0.02  # sine of the angle below which a direction goes by the name of an axis
+_PURE = 1e-2  # share below which a displacement counts as one without rotation
+
+
+class UndeterminedPose(ValueError):
+    """The evidence leaves components of the pose open; `components` names them."""
+
+    def __init__(self, components: tuple[str, ...]) -> None:
+        self.components = components
+        turns = any(name.startswith("rotation") for name in components)
+        shifts = any(name.startswith("position") for name in components)
+        cures = ["three points or faces, or a target at a known pose"]
+        cures += ["a motion in another direction"] if turns else []
+        cures += ["a rotation axis that is not parallel to others"] if shifts else []
+        verb = "is" if len(components) == 1 and " and " not in components[0] else "are"
+        text = f"{' and '.join(components)} {verb} open: add {', '.join(cures)}, or a pose known before"
+        super().__init__(text)
+
+
+def undetermined_components(information: FloatArray) -> tuple[str, ...]:
+    """Return the names of the components that an information matrix (6, 6) leaves open, empty if none.
+
+    Open are the eigenvectors of the information, in units of `LIMIT`, whose eigenvalue is below 1, which is a standard
+    uncertainty above `LIMIT`. Shifts among them are told apart from what turns.
+    """
+    values, vectors = np.linalg.eigh(information * LIMIT**2)
+    basis = vectors[:, values < 1.0]
+    if not basis.shape[1]:
+        return ()
+    left, singular, right = np.linalg.svd(basis[3:])
+    turning = int(np.count_nonzero(singular > _PURE))
+    shifts = (basis @ right[turning:].T)[:3]
+    names = [f"rotation about {_axes(left[:, :turning])}"] if turning else []
+    if shifts.shape[1]:
+        names.append(f"position along {_axes(np.linalg.svd(shifts, full_matrices=False)[0])}")
+    return tuple(names)
+
+
+def _axes(basis: FloatArray) -> str:
+    """Return the name of the directions that orthonormal columns (3, d) span."""
+    reach = np.linalg.norm(basis, axis=1)
+    inside = [axis for axis, length in zip("xyz", reach, strict=True) if length > 1.0 - _SAME**2]
+    if len(inside) == basis.shape[1]:
+        return " and ".join([", ".join(inside[:-1]), inside[-1]] if len(inside) > 1 else inside)
+    if basis.shape[1] == 1:
+        return f"({', '.join(f'{x:.3g}' for x in _upright(basis[:, 0]))})"
+    normal = np.linalg.svd(basis)[0][:, 2]
+    return f"every direction across ({', '.join(f'{x:.3g}' for x in _upright(normal))})"
+
+
+def _upright(direction: FloatArray) -> FloatArray:
+    """Return a direction with its largest component positive and rounding removed."""
+    turned = direction * np.sign(direction[np.argmax(np.abs(direction))])
+    return np.asarray(np.where(np.abs(turned) < _SAME, 0.0, turned))
+
+
+# All evidence in one weighted least squares: the pose, its covariance, and whether the pieces fit each other.
+
+TEST_LEVEL = 0.99
+_STEPS = 50
+_CONVERGED = 1e-10  # a step (m, rad) this small ends the iteration
+
+
+@dataclass(frozen=True)
+class EvidenceTest:
+    """One piece of evidence against all the others: by how much it raises χ², and on how many degrees of freedom.
+
+    With 0 degrees of freedom nothing else speaks about what this piece says.
+    """
+
+    name: str
+    chi2: float
+    dof: int
+
+    @property
+    def normalised(self) -> float:
+        """Root of χ² per degree of freedom: 1 is expected, NaN where nothing can be compared."""
+        return float(np.sqrt(self.chi2 / self.dof)) if self.dof else float("nan")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Alignment(Arrays, shapes="covariance 6 6; held_covariance 6 6; by_calibration 6 P"):
+    """The pose of the left camera in the sensor frame: x_sensor = R·x_camera + t.
+
+    `covariance` (6, 6): of the small displacement (shift, rotation about the sensor origin; m and rad, sensor axes)
+    that, multiplied from the left, leads from this pose to the true one; it contains the calibration's share and is
+    enlarged by `enlargement`² where the evidence does not fit together (χ² beyond its 99 % quantile).
+    `held_covariance` (6, 6): the same if the calibration were exact. `by_calibration` (6, P): the displacement for one
+    standard uncertainty of each of the calibration's P errors, in the order of the evidence's effects.
+    """
+
+    sensor_from_camera: RigidTransform
+    covariance: FloatArray
+    held_covariance: FloatArray
+    by_calibration: FloatArray
+    chi2: float
+    dof: int
+    enlargement: float
+    tests: tuple[EvidenceTest, ...]
+    notices: tuple[Notice, ...]
+
+    @property
+    def u(self) -> FloatArray:
+        """Standard uncertainties (6,): position of the sensor origin (m), rotation about it (rad), sensor axes."""
+        return np.asarray(np.sqrt(np.diagonal(self.covariance)))
+
+
+def align(evidence: Sequence[PoseEvidence], start: RigidTransform | None = None) -> Alignment:
+    """Return the pose of the left camera in the sensor frame that fits all evidence best.
+
+    Minimises Σ (e + G·c)ᵀ·C⁻¹·(e + G·c) + cᵀ·c over the pose and the errors c that evidence has in common (principal
+    components of the calibration, stated directions, faces, frames; in units of their standard uncertainty), by
+    Gauss-Newton steps from `start`, by default a pose that the evidence itself gives. What is common is an unknown with
+    a prior, so that it enters the weights and is counted once (GUM, JCGM 100:2008, F.1.2.3 and H.2).
+
+    Components of the pose that the evidence leaves open raise `OpenPose`, which names them.
+
+    >>> seen = np.array([[0.0, 0, 0.5], [0.1, 0, 0.5], [0, 0.1, 0.5]])
+    >>> known, variance = seen - [0, 0, 0.5], np.broadcast_to(1e-12 * np.eye(3), (3, 3, 3))
+    >>> points = KnownPoints(("a", "b", "c"), seen, variance, known, variance, calibration=np.zeros((0, 3, 3)))
+    >>> align([points]).sensor_from_camera.translation_m.round(9) + 0.0
+    array([ 0. ,  0. , -0.5])
+    """
+    pose = starting_pose(evidence) if start is None else start
+    if pose is None:
+        raise ValueError(
+            "start: expected a first pose beside this evidence, which is not enough to find one: state what is known"
+        )
+    for _ in range(_STEPS):
+        system = assemble(evidence, pose)
+        if components := undetermined_components(system.information):
+            raise UndeterminedPose(components)
+        step = np.asarray(np.linalg.lstsq(system.rows, -system.residual, rcond=None)[0][:6], dtype=np.float64)
+        turn = rotation_from_vector(step[3:])
+        pose = RigidTransform(nearest_rotation(turn @ pose.rotation), turn @ pose.translation_m + step[:3])
+        if np.abs(step).max() <= _CONVERGED:
+            return _judged(pose, assemble(evidence, pose))
+    raise ValueError("evidence: expected pieces that describe one pose, found that no pose settles; check for mix-ups")
+
+
+def _judged(pose: RigidTransform, system: AlignmentSystem) -> Alignment:
+    """Return the alignment with its tests."""
+    from scipy.stats import chi2 as chi_square
+
+    chi2, dof = sum_of_squares(system.rows, system.residual)
+    pieces = []
+    for number, name in enumerate(system.names):  # the fit without a piece, linear about the pose, against that with it
+        kept = system.piece != number
+        without, freedom = sum_of_squares(system.rows[kept], system.residual[kept])
+        pieces.append(EvidenceTest(name, max(chi2 - without, 0.0), dof - freedom))
+    fits = dof == 0 or chi2 <= chi_square.ppf(TEST_LEVEL, dof)
+    enlargement, notices = 1.0, list[Notice]()
+    if not fits:
+        enlargement = float(np.sqrt(chi2 / dof))
+        compared = [piece for piece in pieces if piece.dof]
+        worst = min(compared, key=lambda piece: float(chi_square.logsf(piece.chi2, piece.dof)))
+        text = (
+            f"the evidence does not fit together (chi2 {chi2:.3g} with {dof} degrees of freedom); {worst.name} fits "
+            f"least, off by {worst.normalised:.2g} times what is stated; uncertainties are enlarged by "
+            f"{enlargement:.2g}"
+        )
+        notices.append(Notice("warning", text, worst.name))
+    return Alignment(
+        pose,
+        enlargement**2 * system.covariance(),
+        enlargement**2 * system.covariance(fixed_errors=CALIBRATION),
+        system.response(CALIBRATION),
+        chi2,
+        dof,
+        enlargement,
+        tuple(pieces),
+        tuple(notices),
+    )
+
+
+# The whitened linear system of all evidence about a trial pose.
+
+
+@dataclass(frozen=True, eq=False)
+class AlignmentSystem:
+    """Rows (M, 6 + Q) and residuals (M,) in units of their standard deviations.
+
+    Unknown are the displacement of the pose and Q common errors, whose priors are the last Q rows. `piece` (M,): number
+    of each row's piece among `names`, −1 for priors of common errors. `columns`: first column and number of each common
+    error's unknowns. `information` (6, 6): what the evidence says about the components that it may determine,
+    common errors and all.
+    """
+
+    rows: FloatArray
+    residual: FloatArray
+    piece: IntArray
+    names: tuple[str, ...]
+    columns: dict[str, tuple[int, int]]
+    information: FloatArray
+
+    def covariance(self, fixed_errors: str = "") -> FloatArray:
+        """Return the covariance (6, 6) of the pose, on condition that the common errors of one name are known."""
+        first, count = self.columns.get(fixed_errors, (0, 0))
+        rows = np.delete(self.rows, np.s_[first : first + count], axis=1)
+        covariance = np.linalg.inv(rows.T @ rows)[:6, :6]
+        return np.asarray((covariance + covariance.T) / 2)
+
+    def response(self, common_error: str) -> FloatArray:
+        """Return how the pose (6, Q) answers one standard uncertainty of each common error of a name."""
+        first, count = self.columns.get(common_error, (0, 0))
+        chosen = self.rows[:, first : first + count]
+        others = np.delete(self.rows, np.s_[first : first + count], axis=1)
+        return np.asarray(-np.linalg.solve(others.T @ others, others.T @ chosen)[:6])
+
+
+def assemble(evidence: Sequence[PoseEvidence], pose: RigidTransform) -> AlignmentSystem:
+    """Return the system of all evidence at a trial pose."""
+    parts = [item.residuals(pose) for item in evidence]
+    columns: dict[str, tuple[int, int]] = {}
+    width = 6
+    for name, changes in [pair for part in parts for pair in part.common.items() if len(pair[1])]:
+        first, count = columns.setdefault(name, (width, len(changes)))
+        if count != len(changes):
+            raise ValueError(f"{name}: expected {count} common errors as before, found {len(changes)}")
+        width = max(width, first + count)
+    names = tuple(dict.fromkeys(name for part in parts for name in part.piece))
+    prior = np.eye(width)[6:]
+    blocks, claims, pieces = [], [], []
+    for part in parts:
+        groups, size = part.residual.shape
+        full = np.zeros((groups, size, width + 1))
+        full[..., :6], full[..., width] = part.jacobian, part.residual
+        for name, changes in part.common.items():
+            if len(changes):
+                first, count = columns[name]
+                full[..., first : first + count] += np.moveaxis(changes, 0, -1)
+        try:
+            white = np.linalg.solve(np.linalg.cholesky(part.covariance), full).reshape(-1, width + 1)
+        except np.linalg.LinAlgError as error:
+            raise ValueError(f"{part.piece[0]}: expected a positive definite covariance") from error
+        blocks.append(white)
+        claims.append(white[:, :-1] * np.concatenate([part.determines, np.ones(width - 6)]))
+        pieces.append(np.repeat([names.index(name) for name in part.piece], size))
+    blocks.append(np.column_stack([prior, np.zeros(width - 6)]))
+    system, claimed = np.concatenate(blocks), np.concatenate([*claims, prior])
+    normal = claimed.T @ claimed
+    return AlignmentSystem(
+        system[:, :-1],
+        system[:, -1],
+        np.concatenate([*pieces, np.full(width - 6, -1)]).astype(np.int64),
+        names,
+        columns,
+        # about the pose when the common errors are unknown: the Schur complement
+        normal[:6, :6] - normal[:6, 6:] @ np.linalg.solve(normal[6:, 6:], normal[6:, :6]),
+    )

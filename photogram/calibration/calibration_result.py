@@ -1,0 +1,340 @@
+"""A calibrated stereo pair, how it came about, and what its user should know."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray
+from photogram.camera import LEFT, RIG_PARAMETERS, RIGHT, TRANSLATION, StereoRig
+from photogram.geometry import RigidTransform
+from photogram.targets.target_view import Target
+from shakercal._common.notices import Notice
+
+ParameterState = Literal["determined", "indistinct", "open"]
+
+
+@dataclass(frozen=True)
+class CalibrationParameter:
+    """One parameter of the rig: value, standard uncertainty (k = 1) and unit ("px", "1", "rad", "m").
+
+    `state`: "determined"; "indistinct", well known but not distinguishable from zero (distortion only); "open", known
+    no better than before the session: the views say nothing about it and its value is the assumption's.
+    """
+
+    name: str
+    value: float
+    u: float
+    unit: str
+    state: ParameterState
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CalibratedImage(Arrays, shapes="index N 2; position_px N 2; residual_px N 2; normalised N; used N"):
+    """One picture in the fit: points (N,), of which `used` went into it.
+
+    `index` (N, 2) lattice indices, `position_px` (N, 2) as found, `residual_px` (N, 2) found − modelled,
+    `normalised` (N,) length of the residual over its standard uncertainty.
+    """
+
+    name: str
+    index: IntArray
+    position_px: FloatArray
+    residual_px: FloatArray
+    normalised: FloatArray
+    used: BoolArray
+
+    @property
+    def rms_px(self) -> float:
+        """Rms length of the used points' residuals (OpenCV's definition of the reprojection error)."""
+        squares = (self.residual_px[self.used] ** 2).sum(axis=1)
+        return float(squares.mean() ** 0.5) if self.used.any() else float("nan")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CalibratedView(Arrays, shapes="covariance 6 6"):
+    """One position of the target: `left_from_target` with covariance (6, 6), and the picture of either camera.
+
+    The pose's covariance holds translation (m) and left-multiplied rotation (rad), in the order x y z rx ry rz.
+    """
+
+    left_from_target: RigidTransform
+    covariance: FloatArray
+    left: CalibratedImage | None
+    right: CalibratedImage | None
+
+
+@dataclass(frozen=True)
+class Rejection:
+    """A picture, or points of one, that did not go into the fit, and why; `points` 0 stands for the whole picture."""
+
+    name: str
+    points: int
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class AlternativeModel:
+    """What another shape of the target ("flat", "free") or lens ("polynomial", "rational") makes of the same pictures.
+
+    `predicted_px`: rms length of what the other views leave of a view's points, its pose fitted to them.
+    """
+
+    shape: str
+    lens: str
+    rig: StereoRig
+    predicted_px: float
+
+
+@dataclass(frozen=True, eq=False)
+class CrossValidation:
+    """What the views of a session say of each other: shape and lens taken, `predicted_px` as in `OtherModel`.
+
+    `u_fit` (32,): standard uncertainties that the residuals alone would give. `halves`: the rigs of every second view
+    and of the others, None for few views. `others`: models that were tried, and not taken. `drift` (2, 2): relative
+    change of the focal lengths, left and right, from the first view to the last, and its standard uncertainty; None
+    where none was found.
+    """
+
+    shape: str
+    lens: str
+    predicted_px: float
+    u_fit: FloatArray
+    halves: tuple[StereoRig, StereoRig] | None
+    alternatives: tuple[AlternativeModel, ...]
+    drift: FloatArray | None = None
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Calibration(Arrays, shapes="shape_index P 2; shape_m P 3"):
+    """A calibrated stereo pair and how it came about.
+
+    `rms_px`: rms length of all residuals, OpenCV's definition of the reprojection error, `rms_sides_px` (left, right)
+    apart. `added_px` (left, right): noise per coordinate that comes on top of the points' own; `sigma_factor`:
+    √(reduced χ²) of `dof` degrees of freedom with both, a factor of the covariance.
+    `shape_m` (P, 3): estimated positions of the target's points (`shape_index` (P, 2)), the flat lattice where it was
+    held flat; `shape_u_m` (P, 3): their standard uncertainties, None where they have no offsets of their own.
+    `scale_u`: relative standard uncertainty of the target's spacing, contained in the rig's covariance. `covered`:
+    (left, right), share of each picture's area within the points' cells. `judged`: what the views say of each other.
+    """
+
+    rig: StereoRig
+    target: Target
+    views: tuple[CalibratedView, ...]
+    parameters: tuple[CalibrationParameter, ...]
+    rms_px: float
+    rms_sides_px: tuple[float, float]
+    added_px: tuple[float, float]
+    sigma_factor: float
+    dof: float
+    shape_index: IntArray
+    shape_m: FloatArray
+    scale_u: float
+    coverage: tuple[float, float]
+    rejections: tuple[Rejection, ...]
+    notices: tuple[Notice, ...]
+    cross_validation: CrossValidation | None = None
+    shape_u_m: FloatArray | None = None
+
+    @property
+    def single(self) -> bool:
+        """Whether it is of one camera only, the left one."""
+        return all(view.right is None for view in self.views)
+
+
+COVERAGE_CELLS = (8, 6)  # columns and rows of the cells by which coverage is told
+_NO_TURN_RAD = np.radians(2.0)
+
+
+def coverage_share(images: Sequence[CalibratedImage], size_px: IntArray) -> float:
+    """Return the share of the picture's cells, 8 x 6, in which some point of some picture lies."""
+    points = np.concatenate([picture.position_px[picture.used] for picture in images])
+    cells = np.floor((points + 0.5) / size_px * COVERAGE_CELLS).astype(np.int64)
+    inside = np.clip(cells, 0, np.array(COVERAGE_CELLS) - 1)
+    return len(np.unique(inside, axis=0)) / (COVERAGE_CELLS[0] * COVERAGE_CELLS[1])
+
+
+def spread_of_turns(poses: Sequence[RigidTransform]) -> tuple[FloatArray, FloatArray]:
+    """Return how far the target's normal spreads (2,), in rad, and along which directions (columns) of the picture."""
+    normal = np.array([pose.rotation[:, 2] * np.sign(pose.rotation[2, 2]) for pose in poses])
+    variance, axes = np.linalg.eigh(np.cov(normal[:, :2].T, bias=True))
+    return np.sqrt(np.maximum(variance, 0.0)), axes
+
+
+def check_view_angles(poses: Sequence[RigidTransform]) -> None:
+    """Raise `ValueError` when all views show the target under nearly one angle, which leaves the cameras open."""
+    spread, _ = spread_of_turns(poses)
+    if spread.max() < _NO_TURN_RAD:
+        raise ValueError(
+            f"all {len(poses)} views show the target under nearly one angle ({np.degrees(spread.max()):.1f}° rms), "
+            "which does not determine the cameras; add views turned by 20° and more about both axes of the picture"
+        )
+
+
+# Which parameters a session determines, what it covers, what to add.
+
+_OPEN = 0.5  # share of the prior's standard deviation above which the views told nothing
+_DISTINCT = 2.0  # standard uncertainties beyond which a distortion is not zero
+_MANY_VIEWS = 8
+_LITTLE_TURN_RAD = np.radians(5.0)
+_ENOUGH_COVER = 0.6
+_FOCAL_U = 0.005  # relative standard uncertainty of a focal length above which the user is told
+_FOCAL_LIMIT = 0.05  # and above which the calibration is refused
+_ADDED_PX = 0.15  # noise beyond the pictures' own, per coordinate, above which the user is told
+_UNITS = {"f": "px", "c": "px", "s": "px", "k": "1", "p": "1"}
+_SQUARE = 1e-3  # pixels of a sensor are square within this, relative
+_STATES = {
+    "open": "not determined by these views (taken from an ordinary lens)",
+    "indistinct": "not distinguishable from zero",
+}
+
+
+def rig_parameters(rig: StereoRig, prior_sigma: FloatArray) -> tuple[CalibrationParameter, ...]:
+    """Return the parameters of a rig with covariance, and what the views say about each beside the prior.
+
+    The 24 of every rig, and of the lenses' further terms those that are not known to be zero. Those with the prior's
+    standard deviation zero, held in this session, are none.
+    """
+    covariance = np.zeros((len(RIG_PARAMETERS),) * 2) if rig.covariance is None else rig.covariance
+    parameters = []
+    for number, (name, value) in enumerate(zip(RIG_PARAMETERS, rig.values, strict=True)):
+        u, kind = float(np.sqrt(covariance[number, number])), name.split(".")[1][0]
+        if (name.endswith((".k4", ".k5", ".k6", ".skew")) and u == 0 == value) or prior_sigma[RIGHT[0]] == 0 == u:
+            continue
+        lens = not name.startswith(("rotation", "translation"))
+        unit = _UNITS[kind] if lens else ("rad" if name.startswith("rotation") else "m")
+        state: ParameterState = "determined"
+        if u > 0 and u > _OPEN * prior_sigma[number]:
+            state = "open"
+        elif lens and kind in "kp" and abs(value) < _DISTINCT * u:
+            state = "indistinct"
+        parameters.append(CalibrationParameter(name, float(value), u, unit, state))
+    return tuple(parameters)
+
+
+def check_focal_lengths(parameters: Sequence[CalibrationParameter]) -> None:
+    """Raise `ValueError` when the views leave a focal length open."""
+    for item in parameters:
+        if item.name.endswith((".fx", ".fy")) and not item.u < _FOCAL_LIMIT * item.value:
+            raise ValueError(
+                f"the views leave {item.name} open: {item.value:.0f} px, standard uncertainty {item.u:.0f} px; "
+                "add views turned by 20° and more about both axes of the picture, and at other distances"
+            )
+
+
+def session_notices(calibration: Calibration) -> tuple[Notice, ...]:
+    """Return what the user should know of a calibration, and what to add to the session."""
+    notices: list[Notice] = []
+
+    def warn(text: str, where: str) -> None:
+        notices.append(Notice("warning", text, where))
+
+    pairs = sum(calibration.single or (view.left is not None and view.right is not None) for view in calibration.views)
+    if pairs < _MANY_VIEWS:
+        many = "views" if calibration.single else "pairs"
+        warn(f"only {pairs} {many}; {_MANY_VIEWS} to 20 make a calibration that can be judged", "views")
+    spread, axes = spread_of_turns([view.left_from_target for view in calibration.views])
+    if spread[0] < _LITTLE_TURN_RAD:
+        axis = "vertical" if abs(axes[0, 0]) > abs(axes[1, 0]) else "horizontal"
+        text = f"the target is hardly turned about the picture's {axis} axis ({np.degrees(spread[0]):.1f}° rms)"
+        warn(f"{text}; add views turned by 20° and more about it", "views")
+    for side, share in zip(("left", "right"), calibration.coverage, strict=True):
+        if share < _ENOUGH_COVER:
+            text = f"the points cover {100 * share:.0f} % of the {side} picture"
+            more = "add views with the target near its edges, or measure within the part that is covered"
+            warn(f"{text}; {more}", side)
+    for item in calibration.parameters:
+        if item.name.endswith((".fx", ".fy")) and item.u > _FOCAL_U * item.value:
+            text = f"{item.name} is known to {100 * item.u / item.value:.1f} % only (k = 1)"
+            warn(f"{text}; more turned views at other distances improve it", item.name)
+    notices += [*_aspects(calibration.rig), *_drifts(calibration), *_differences(calibration)]
+    for state, text in _STATES.items():
+        names = [item.name for item in calibration.parameters if item.state == state]
+        if names:
+            notices.append(Notice("note", f"{', '.join(names)}: {text}", "distortion"))
+    flat = np.column_stack([calibration.shape_index * calibration.target.spacing_m, np.zeros(len(calibration.shape_m))])
+    off = calibration.shape_m - flat
+    if off.any():
+        rms = 1e6 * np.sqrt((off**2).mean(axis=0))
+        digits = max(0, 1 - int(np.floor(np.log10(rms.max()))))  # two of the largest
+        x, y, z = (f"{value:.{digits}f}" for value in rms)
+        text = f"the target's points lie {x}, {y} µm rms off their lattice and {z} µm across it"
+        notices.append(Notice("note", f"{text}; this was estimated together with the cameras", "target"))
+    worst = max(calibration.added_px)
+    if worst >= _ADDED_PX:
+        text = f"the points are {worst:.2f} px (per coordinate) off beyond the pictures' noise: rough print, a bent"
+        warn(f"{text} target or a lens that the model does not describe; see the residual maps", "residuals")
+    if calibration.scale_u == 0 and not calibration.single:
+        warn("the uncertainty of the target's spacing is not stated, so that of all lengths lacks its share", "scale")
+    return tuple(notices)
+
+
+def _aspects(rig: StereoRig) -> Iterator[Notice]:
+    """Yield what is to be said of focal lengths whose ratio is none of square pixels."""
+    for side, camera, places in (("left", rig.left, LEFT), ("right", rig.right, RIGHT)):
+        if rig.covariance is None or not rig.covariance[places[0], places[0]] > 0:
+            continue
+        fx, fy = camera.parameters[:2]
+        slope = np.array([1 / fy, -fx / fy**2])
+        ratio, u = fx / fy, float(np.sqrt(slope @ rig.covariance[np.ix_(places[:2], places[:2])] @ slope))
+        if abs(ratio - 1) > 2 * np.hypot(u, _SQUARE):
+            text = f"{side}.fx/{side}.fy is {ratio:.4f} (U = {2 * u:.4f}, k = 2); a sensor with square pixels has 1"
+            more = "a print stretched along one axis, too few turned views, or pictures scaled in one direction"
+            yield Notice("warning", f"{text}: {more}", side)
+
+
+def _drifts(calibration: Calibration) -> Iterator[Notice]:
+    """Yield by how much the focal lengths changed during the session."""
+    if calibration.cross_validation is None or calibration.cross_validation.drift is None:
+        return
+    many = calibration.cross_validation.drift[: 1 if calibration.single else 2]
+    said = " and ".join(
+        f"{side} by {100 * value:+.3f} % (U = {200 * u:.3f} %, k = 2)"
+        for side, (value, u) in zip(("left", "right"), many, strict=False)
+    )
+    text = f"the focal lengths changed from the first view to the last: {said}; stated are those of the middle, and the"
+    yield Notice(
+        "warning", f"{text} range is in their uncertainty; let the cameras warm up, and fix the lenses", "drift"
+    )
+
+
+def _differences(calibration: Calibration) -> Iterator[Notice]:
+    """Yield by what models that were tried and not taken differ beyond the expanded uncertainty."""
+    judged, sigma = calibration.cross_validation, calibration.rig.covariance
+    if judged is None or sigma is None:
+        return
+    for other in judged.alternatives:
+        value = _told(other.rig)
+        apart = {
+            name: (mine, value[name], 2 * u)
+            for (name, mine), u in zip(_told(calibration.rig).items(), _told_u(calibration.rig), strict=True)
+            if abs(value[name] - mine) > 2 * u > 0
+        }
+        if apart:
+            said = ", ".join(
+                f"{name} {theirs:.6g}, not {mine:.6g} (U = {u:.2g})" for name, (mine, theirs, u) in apart.items()
+            )
+            text = (
+                f"a {other.shape} target with a {other.lens} lens would give {said}; the views left out are predicted "
+                f"to {judged.predicted_px:.3f} px ({judged.shape}, {judged.lens}) and {other.predicted_px:.3f} px there"
+            )
+            yield Notice("warning", text, "model")
+
+
+def _told(rig: StereoRig) -> dict[str, float]:
+    """Return focal lengths in px and the baseline in mm."""
+    focal = {f"{side}.fx / px": camera.matrix[0, 0] for side, camera in (("left", rig.left), ("right", rig.right))}
+    return {**focal, "baseline / mm": 1e3 * float(np.linalg.norm(rig.right_from_left.translation_m))}
+
+
+def _told_u(rig: StereoRig) -> FloatArray:
+    """Return the standard uncertainties (3,) of these."""
+    assert rig.covariance is not None
+    slope = np.zeros((3, len(rig.covariance)))
+    slope[0, LEFT[0]] = slope[1, RIGHT[0]] = 1.0
+    translation = rig.right_from_left.translation_m
+    slope[2, TRANSLATION] = 1e3 * translation / (np.linalg.norm(translation) or 1.0)
+    return np.asarray(np.sqrt(np.einsum("ij,jk,ik->i", slope, rig.covariance, slope)))

@@ -1,0 +1,459 @@
+"""The six components of a body's motion fitted to the grey values of all its pixels in all cameras at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from photogram.arrays import Arrays, BoolArray, ComplexArray, FloatArray, spread_choice
+from photogram.bspline import Spline
+from photogram.direct.cells import (
+    Cells,
+    CellSums,
+    compare_cells,
+    pixel_coordinates,
+    pixel_residuals,
+    prepare_cells,
+    reweight_cells,
+    select_cells,
+)
+from photogram.direct.shapes import Shapes, shape_rates
+from photogram.direct.surface import Patches, PlacedCamera, body_patches, patch_rates, patch_warps, warps_of_points
+from photogram.geometry import RigidTransform, rotation_vector_rate
+from photogram.images.noise import QUANTISATION, NoiseModel, fit_noise_model
+from photogram.kernels import njit
+from photogram.motion import MEDIAN_CHI2_OF_TWO
+
+REACH_CELLS = 4.0  # how far from the nearest known point a cell's surface may lie
+EVALUATIONS = 12
+CORRECTED = 0.3  # of the share by which noise makes a step too short, that may be left once it is corrected
+THINNED, FEWEST_THINNED = 3, 24  # one cell of so many makes an approach, and how many that has to leave in a view
+APPROACHES, LARGEST_APPROACH = 4, 100.0  # steps of it, and standard uncertainties of one that may be the last
+LEFT_OVER = 0.02  # standard uncertainties that may remain between the motion and the converged one
+LARGEST_STEP = 20.0  # standard uncertainties of a step that may be the last one
+MISFIT = 3.0  # times the median misfit per pixel, beyond which a cell shows something else than the body
+REJECTED = 25.0  # squared standard deviations by which a cell may move unlike the body
+FEWEST_CELLS = 4
+SINGULAR = 1e-12  # smallest eigenvalue of solvable information, scaled to a unit diagonal
+SMALLEST_EXCESS = 1e-2
+SMALLEST_MISFIT = 1e-12  # of the expected one: images without noise
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class BodyView(Arrays, shapes="rates C 6 p; information C p p; information_noise C p p; translation C 2 2"):
+    """A body at rest as one camera sees it: cells of its image, their surface, and how both answer to a motion.
+
+    rates (C, 6, p): change of the affine warps by the six components and p - 6 amplitudes of its shapes; information
+    (C, p, p): of each cell about them, per unit of gain², and information_noise (C, p, p) the part of it that is noise;
+    translation (C, 2, 2): inverse Hessian of the cell's own shift. `carried`: rotations (C, 5, 3, 3) and shifts
+    (C, 5, 3) that the points of its patches have in one frame beyond the body's motion, None for none.
+    """
+
+    camera: PlacedCamera
+    cells: Cells
+    patches: Patches
+    rates: FloatArray
+    information: FloatArray
+    information_noise: FloatArray
+    translation: FloatArray
+    carried: tuple[FloatArray, FloatArray] | None = None
+
+    @cached_property
+    def jacobians(self) -> tuple[FloatArray, ...]:
+        """For kernels: rates, information, the part of it that is noise, misfit by rounding over that by noise."""
+        rounding = QUANTISATION * self.cells.weight / self.cells.count
+        flat = (part.reshape(len(rounding), -1) for part in (self.information, self.information_noise))
+        return self.rates, *flat, rounding
+
+    def warps(self, moved: RigidTransform) -> FloatArray:
+        """Return the affine warps (C, 6) of the cells when the body has moved by `moved`."""
+        if self.carried is None:
+            return patch_warps(self.camera, self.patches, moved)
+        turned = np.einsum("ckij,ckj->cki", self.carried[0], moved.apply(self.patches.points_m))
+        return warps_of_points(self.camera, self.patches, turned + self.carried[1])
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DirectFit(Arrays, shapes="covariance 6 6; amplitude S; amplitude_covariance S S"):
+    """One frame: moved = body's motion from rest, covariance (6, 6) of x y z (m) and the rotation vector (rad).
+
+    noise: variance of the grey values over the one that the noise models state; cells: used of all that are seen.
+    amplitude (S,): of the body's shapes beside that motion, with covariance (S, S) (`shapes.ShapeAmplitudes`).
+    """
+
+    moved: RigidTransform
+    covariance: FloatArray
+    noise: float
+    cells: int
+    amplitude: FloatArray
+    amplitude_covariance: FloatArray
+
+
+def view_body(
+    camera: PlacedCamera,
+    image: tuple[Spline, BoolArray, float],
+    known_m: FloatArray,
+    side_px: int,
+    noise: NoiseModel,
+    shapes: Shapes | None = None,
+) -> BodyView:
+    """Return the body at rest in one camera: `image` = its spline, its textured area (H, W), and full scale.
+
+    known_m (N, 3): points of its surface in the body's frame, from which that of all cells is interpolated. `shapes`:
+    in which it may deform beside its motion.
+    """
+    spline, area, full_scale = image
+    cells = prepare_cells(spline, area, side_px, noise, full_scale)
+    patches = body_patches(camera, known_m, cells.centre_px, side_px / 4, REACH_CELLS * side_px)
+    rates = patch_rates(camera, patches)
+    if shapes is not None:
+        rates = np.concatenate([rates, shape_rates(camera, patches, shapes)], axis=2)
+    return with_jacobians(camera, cells, patches, rates)
+
+
+def reweight_view(view: BodyView, noise: NoiseModel, degree: int) -> BodyView:
+    """Return the body at rest, seen as a spline of that degree, with the weights of another noise model."""
+    return with_jacobians(view.camera, reweight_cells(view.cells, noise, degree), view.patches, view.rates)
+
+
+def with_jacobians(camera: PlacedCamera, cells: Cells, patches: Patches, rates: FloatArray) -> BodyView:
+    """Return a view whose rates are zero where they or the cell are not known, with what these tell."""
+    known = np.isfinite(rates).all(axis=(1, 2)) & np.isfinite(cells.energy)
+    rates = np.where(known[:, None, None], rates, 0.0)
+    turned = np.swapaxes(rates, 1, 2)
+    shift = cells.hessian[:, [[0, 0], [3, 3]], [[0, 3], [0, 3]]]
+    solvable = known & (np.linalg.det(shift) > 0.0)
+    shift = np.where(solvable[:, None, None], shift, np.eye(2))
+    return BodyView(
+        camera, cells, patches, rates, turned @ cells.hessian @ rates, turned @ cells.hessian_noise @ rates,
+        np.where(solvable[:, None, None], np.linalg.inv(shift), np.nan),
+    )  # fmt: skip
+
+
+def image_noise(view: BodyView, target: Spline, moved: RigidTransform) -> NoiseModel:
+    """Return the noise model that explains what is left over in one frame, the body having moved by `moved`."""
+    grey, squares = pixel_residuals(view.cells, target, view.warps(moved))
+    known = np.isfinite(squares)
+    return fit_noise_model(grey[known], squares[known])
+
+
+def fit_direct(views: Sequence[BodyView], targets: Sequence[Spline], start: RigidTransform) -> DirectFit | None:
+    """Return the motion that explains the images `targets`, one per view, beginning at `start`; None if there is none.
+
+    Minimises Σ w·(g(W(p)) − a − b·f)² over all pixels of all cells, W(p) the cells' warps by the motion p, w = 1/noise
+    variance, with an offset a and a gain b of each cell eliminated. Inverse-compositional Gauss-Newton (Baker, Matthews
+    2004) on the rigid motions: T ← T·δ⁻¹ with H′·δ = Σ b·Bᵀ·slope, B the rates of the warps. The reference's noise
+    makes H = Σ b²·Bᵀ·H·B too large by a known share, which H′ is without. A third of that share of a step may be left,
+    and iteration ends when this is below 0.02 standard uncertainties. Cells with more than three times the median
+    misfit, and cells whose own remaining shift is beyond five scaled standard deviations, are left out.
+
+    The covariance is s²·H′⁻¹·H·H′⁻¹ with H′ = H less what the reference's noise adds to it, and s² the misfit per
+    expected misfit of the pixels used, at least that of rounding: a frame like the reference to the last bit has none.
+    It is that of the frame's own noise; the reference's moves all frames alike.
+
+    Shapes take no part in the motion: their amplitudes are what the same sums say of them beside it (`beside`).
+    """
+    moved = start
+    for _ in range(EVALUATIONS):
+        step = _step(views, targets, moved)
+        if step is None:
+            return None
+        moved = moved @ RigidTransform.from_pose(step.pose).inverse()
+        if step.size < LARGEST_STEP and step.left * step.size < LEFT_OVER:
+            information = step.information[:6, :6], step.scale * step.noise_part[:6, :6]
+            covariance = step.scale * pose_covariance(*information, moved.rotation, moved.pose[3:])
+            shapes = estimate_shape_amplitudes(step.pose, step.slope, (step.information, step.noise_part), step.scale)
+            return DirectFit(moved, covariance, step.scale, step.cells, *shapes)
+    return None
+
+
+def coarse_fit(views: Sequence[BodyView], targets: Sequence[Spline], start: RigidTransform) -> RigidTransform | None:
+    """Return a motion near that of `fit_direct` by views with some of their cells (`thinned`); None if there is none.
+
+    From there all cells, whose uncertainty is that much smaller, mostly need to be compared once.
+    """
+    moved = start
+    for _ in range(APPROACHES):
+        step = _step(views, targets, moved)
+        if step is None:
+            return None
+        moved = moved @ RigidTransform.from_pose(step.pose).inverse()
+        if step.size < LARGEST_APPROACH:
+            return moved
+    return None
+
+
+def decimate(views: Sequence[BodyView]) -> tuple[BodyView, ...]:
+    """Return the views with a third of their cells, for `approach`; none where that leaves too few."""
+    some = []
+    for view in views:
+        which = np.flatnonzero(spread_choice(np.arange(len(view.rates)), 1.0 / THINNED))
+        if len(which) < FEWEST_THINNED:
+            return ()
+        patches = view.patches
+        some.append(
+            BodyView(
+                view.camera,
+                select_cells(view.cells, which),
+                replace(
+                    patches,
+                    centre_px=patches.centre_px[which],
+                    points_m=patches.points_m[which],
+                    rest_px=patches.rest_px[which],
+                ),
+                *(getattr(view, name)[which] for name in ("rates", "information", "information_noise", "translation")),
+            )
+        )
+    return tuple(some)
+
+
+@dataclass(frozen=True, eq=False)
+class _FitStep:
+    """One step of the fit: pose (6,) of δ, its size in standard uncertainties, and the share of it that may be left.
+
+    scale: variance of the grey values over that of the noise models; slope (p,), information and noise_part (p, p): of
+    all cells.
+    """
+
+    pose: FloatArray
+    size: float
+    left: float
+    scale: float
+    slope: FloatArray
+    information: FloatArray
+    noise_part: FloatArray
+    cells: int
+
+
+def _step(views: Sequence[BodyView], targets: Sequence[Spline], moved: RigidTransform) -> _FitStep | None:
+    """Return the step from a motion; None where too few cells are seen or they do not fix all six components.
+
+    Which cells count is judged where the step that all of them ask for would take them, so that it does not hang on the
+    start.
+    """
+    both = zip(views, targets, strict=True)
+    compared = [compare_cells(view.cells, target, view.warps(moved)) for view, target in both]
+    pose, size, judged = np.zeros(6), views[0].rates.shape[2], list[BoolArray]()
+    for _ in range(2):
+        before, judged = judged, [_rigid_cells(*both, pose) for both in zip(views, compared, strict=True)]
+        if before and all(map(np.array_equal, judged, before)):
+            break
+        parts, slope, sums = np.zeros((2, size**2)), np.zeros(size), np.zeros(4)
+        for view, told, used in zip(views, compared, judged, strict=True):
+            _add_cells(used, told.all, view.jacobians, (parts, slope, sums))
+        whole, whole_noise = parts.reshape(2, size, size)
+        information, noise_part = whole[:6, :6], whole_noise[:6, :6]
+        misfit, noise, least, cells = sums.tolist()
+        if cells < FEWEST_CELLS or not np.linalg.eigvalsh(_scaled(information))[0] > SINGULAR:
+            return None
+        scale = max(misfit, least) / noise
+        clean = without_noise(information, scale * noise_part)
+        pose = np.asarray(np.linalg.solve(clean, slope[:6]), dtype=np.float64)
+    length = float(np.sqrt(pose @ information @ pose / scale))
+    share = scale * float(np.trace(np.linalg.solve(information, noise_part))) / 6.0
+    left = share if np.array_equal(clean, information) else CORRECTED * share
+    return _FitStep(pose, length, left, scale, slope, whole, whole_noise, int(cells))
+
+
+def phase_rotated_pose(
+    views: Sequence[BodyView],
+    targets: Sequence[Spline],
+    fit: DirectFit,
+    turns: Sequence[ComplexArray],
+    pose: FloatArray,
+) -> ComplexArray:
+    """Return what each of the K `turns` (C,), a factor of the cells of every view, makes of a fitted frame: (K, p).
+
+    y = E·Σ turn·B·(slopes that the fit leaves, and those that took it by `pose` (6,) to where it is), E what turns the
+    sums into motion and shapes beside it: Σ turn·H_c·ξ_c over Σ H_c of the small motions ξ_c of the cells.
+    """
+    size = views[0].rates.shape[2]
+    sums, whole = np.zeros((len(turns[0]), size), np.complex128), np.zeros((size, size))
+    for view, target, turn in zip(views, targets, turns, strict=True):
+        told = compare_cells(view.cells, target, view.warps(fit.moved))
+        used = _rigid_cells(view, told, np.zeros(6))
+        gain = np.where(used, told.gain, 0.0)
+        information = gain[:, None, None] ** 2 * (view.information - fit.noise * view.information_noise)
+        slope = np.where(used[:, None], told.slope, 0.0) * gain[:, None]
+        sums += turn @ (information[:, :, :6] @ pose - np.einsum("ckp,ck->cp", view.rates, slope))
+        whole += information.sum(axis=0)
+    return np.asarray(sums @ estimator_matrix(whole).T)
+
+
+def estimator_matrix(whole: FloatArray) -> FloatArray:
+    """Return E (p, p), which turns sums over cells of this information into a motion, and the shapes beside it."""
+    estimate = np.linalg.inv(whole)
+    estimate[:6] = 0.0
+    estimate[:6, :6] = np.linalg.inv(whole[:6, :6])
+    return np.asarray(estimate)
+
+
+def row_information(view: BodyView) -> FloatArray:
+    """Return what the rows of all cells, by their place in the cell, add to the information of a view: (side, p, p).
+
+    N = Σ w·ã·aᵀ over their pixels, a the change of grey by motion and shapes, ã what gain and offset of the cell leave
+    of it: Σ N_r·x_r is what the sums are of motions x_r that differ from row to row.
+    """
+    cells, size = view.cells, view.rates.shape[2]
+    column, row = pixel_coordinates(cells.runs).T
+    cell = cells.of_pixels
+    along, down = column - cells.centre_px[cell, 0], row - cells.centre_px[cell, 1]
+    place = np.rint(down + (cells.side_px - 1) / 2).astype(np.int64)
+    order = np.argsort(place, kind="stable")
+    parts = np.searchsorted(place[order], np.arange(cells.side_px + 1))
+    removed, information = cells.removed @ view.rates, np.zeros((cells.side_px, size, size))
+    for k, (start, stop) in enumerate(pairwise(parts.tolist())):
+        own = order[start:stop]
+        rates, (w, w_f, w_x, w_y) = view.rates[cell[own]], cells.pixels[:, own]
+        offset = np.stack([np.ones(len(own)), along[own], down[own]])
+        u, v = (np.einsum("kn,nkp->np", offset, part) for part in (rates[:, :3], rates[:, 3:]))
+        change = w_x[:, None] * u + w_y[:, None] * v
+        kept = change - np.einsum("kn,nkp->np", np.stack([w, w_f]), removed[cell[own]])
+        information[k] = kept.T @ (change / np.where(w > 0.0, w, 1.0)[:, None])
+    return information
+
+
+def rest_covariance(views: Sequence[BodyView], noise: float) -> FloatArray:
+    """Return the covariance (6, 6) of a frame like the reference with `noise` times the models' noise variance."""
+    information, noise_part = (part[:6, :6] for part in rest_information(views))
+    return noise * pose_covariance(information, noise * noise_part, np.eye(3), np.zeros(3))
+
+
+def rest_information(views: Sequence[BodyView]) -> tuple[FloatArray, FloatArray]:
+    """Return the information (p, p) of a frame like the reference, and the part of it that is noise."""
+    information = np.sum([view.information.sum(axis=0) for view in views], axis=0)
+    return information, np.sum([view.information_noise.sum(axis=0) for view in views], axis=0)
+
+
+def estimate_shape_amplitudes(
+    pose: FloatArray, slope: FloatArray, whole: tuple[FloatArray, FloatArray], scale: FloatArray | float
+) -> tuple[FloatArray, FloatArray]:
+    """Return amplitudes (..., S) of shapes beside the motion that a last step leads to, with covariance (..., S, S).
+
+    pose (..., 6) of the step, slope (..., p), whole: information (..., p, p) and the part of it that is noise, per
+    `scale` (...). What the motion leaves of the sums that ask for a shape, g − H·δ, over what it leaves of their
+    information: the amplitudes of a joint fit. The motion is the one without shapes, with which they are therefore
+    uncorrelated (Frisch and Waugh 1933, Econometrica 1, 387). NaN where motion and shapes cannot be told apart.
+    """
+    shapes, each = slope.shape[-1] - 6, np.asarray(scale)[..., None, None]
+    if not shapes:
+        return np.zeros((*slope.shape[:-1], 0)), np.zeros((*slope.shape[:-1], 0, 0))
+    clean = without_noise(whole[0], each * whole[1])
+    told = (np.linalg.eigvalsh(_scaled(clean))[..., 0] > SINGULAR)[..., None, None]
+    clean = np.where(told, clean, np.eye(6 + shapes))
+    mixed = clean[..., 6:, :6]
+    inverse = np.linalg.inv(clean[..., 6:, 6:] - mixed @ np.linalg.solve(clean[..., :6, :6], mixed.mT))
+    amplitude = -inverse @ (slope[..., 6:] - (mixed @ pose[..., None])[..., 0])[..., None]
+    covariance = each * (inverse + inverse.mT) / 2.0
+    return np.where(told, amplitude, np.nan)[..., 0], np.where(told, covariance, np.nan)
+
+
+def rigid_share(views: Sequence[BodyView]) -> FloatArray:
+    """Return the motion (6, S) by which a rigid body would best explain a unit amplitude of each shape."""
+    information, _ = rest_information(views)
+    return np.asarray(np.linalg.solve(information[:6, :6], information[:6, 6:]))
+
+
+def _rigid_cells(view: BodyView, sums: CellSums, step: FloatArray) -> BoolArray:
+    """Return which cells (C,) show the body: their misfit and their own remaining shift are like the others'.
+
+    step (6,): of the body, after which the shift is what counts.
+    """
+    used = np.zeros(len(sums.gain), dtype=np.bool_)
+    _judge_cells(sums.all, (view.rates, view.cells.hessian, view.translation), step, used)
+    return used
+
+
+@njit(error_model="numpy")
+def _judge_cells(sums, answers, step, used):  # type: ignore[no-untyped-def]
+    """`_rigid_cells` into `used`, all false."""
+    (gain, misfit, slope, expected), (rates, hessian, translation) = sums, answers
+    count, known = gain.shape[0], 0
+    ratio, squares = np.empty(count), np.empty(count)
+    for c in range(count):
+        told = misfit[c] / expected[c]
+        if not np.isfinite(told + slope[c].sum() + translation[c, 0, 0]) or not rates[c, :, :6].any():
+            continue
+        used[c], ratio[known] = True, told
+        known += 1
+    if known == 0:
+        return
+    typical = max(np.median(ratio[:known]), SMALLEST_MISFIT)
+    known = 0
+    for c in range(count):
+        used[c] = used[c] and misfit[c] / expected[c] <= MISFIT * typical
+        if used[c]:
+            x, y = slope[c, 0], slope[c, 3]
+            for i in range(6):
+                moved = 0.0
+                for j in range(6):
+                    moved += rates[c, i, j] * step[j]
+                x -= gain[c] * hessian[c, 0, i] * moved
+                y -= gain[c] * hessian[c, 3, i] * moved
+            inverse = translation[c]
+            square = inverse[0, 0] * x * x + (inverse[0, 1] + inverse[1, 0]) * x * y + inverse[1, 1] * y * y
+            squares[known] = square / typical
+            known += 1
+    limit = REJECTED * max(1.0, np.median(squares[:known]) / MEDIAN_CHI2_OF_TWO)
+    known = 0
+    for c in range(count):
+        if used[c]:
+            used[c] = squares[known] <= limit
+            known += 1
+
+
+@njit(error_model="numpy")
+def _add_cells(used, told, answers, found):  # type: ignore[no-untyped-def]
+    """Add the used cells to information and its part that is noise (2, p·p), slope (p,), and to sums of misfit, of what
+    noise makes of it, of what rounding does, and of cells."""
+    (gain, misfit, slope, expected), (rates, information, information_noise, rounding) = told, answers
+    parts, whole, sums = found
+    size = rates.shape[2]
+    for c in range(gain.shape[0]):
+        if not used[c]:
+            continue
+        square = gain[c] ** 2
+        for i in range(size**2):
+            parts[0, i] += square * information[c, i]
+            parts[1, i] += square * information_noise[c, i]
+        for k in range(6):
+            turned = gain[c] * slope[c, k]
+            for i in range(size):
+                whole[i] += turned * rates[c, k, i]
+        sums[0] += misfit[c]
+        sums[1] += expected[c]
+        sums[2] += expected[c] * rounding[c]
+        sums[3] += 1.0
+
+
+def _scaled(matrix: FloatArray) -> FloatArray:
+    """Return symmetric matrices (..., p, p) scaled to a unit diagonal; zeros where the diagonal is not positive."""
+    diagonal = np.diagonal(matrix, axis1=-2, axis2=-1)
+    scale = np.where(diagonal > 0.0, 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0)), 0.0)
+    return np.asarray(matrix * (scale[..., :, None] * scale[..., None, :]))
+
+
+def without_noise(information: FloatArray, noise_part: FloatArray) -> FloatArray:
+    """Return `information` (..., p, p) without the part of it that is noise; as it is where too little would remain."""
+    clean = information - noise_part
+    enough = SMALLEST_EXCESS * np.linalg.eigvalsh(_scaled(information))[..., 0]
+    kept = np.linalg.eigvalsh(_scaled(clean))[..., 0] > enough
+    return np.where(kept[..., None, None], clean, information)
+
+
+def pose_covariance(
+    information: FloatArray, noise_part: FloatArray, rotation: FloatArray, vector_rad: FloatArray
+) -> FloatArray:
+    """Return H′⁻¹·H·H′⁻¹ of right-multiplied δ as that (..., 6, 6) of translation and rotation vector.
+
+    information, noise_part (..., 6, 6); rotation (..., 3, 3) of the motion and its vector (..., 3).
+    """
+    inverse = np.linalg.inv(without_noise(information, noise_part))
+    turn = np.zeros((*rotation.shape[:-2], 6, 6))
+    turn[..., :3, :3] = rotation
+    turn[..., 3:, 3:] = rotation_vector_rate(vector_rad) @ rotation
+    return np.asarray(turn @ inverse @ information @ inverse @ turn.mT)

@@ -1,0 +1,348 @@
+"""Frames looked at again with a motion that is known: what moves while they are exposed, row by row, and its blur."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photogram.arrays import Arrays, ComplexArray, FloatArray
+from photogram.bspline import Spline, sample_line, spline_of_image
+from photogram.camera import StereoRig, triangulate
+from photogram.direct.cells import prepare_cells
+from photogram.direct.direct_fit import (
+    BodyView,
+    estimator_matrix,
+    fit_direct,
+    image_noise,
+    phase_rotated_pose,
+    reweight_view,
+    row_information,
+    with_jacobians,
+)
+from photogram.direct.surface import motion_from_positions, project_body_points
+from photogram.geometry import RigidTransform, rotation_from_vector
+from photogram.images.sequence import GreyImage
+from photogram.kernels import njit
+from photogram.measure.follow import UNIFORM, BodyScene, FollowedFrame, Registrations, body_views, cameras_about
+from photogram.subsets.find import identity_registration
+from photogram.subsets.icgn import register
+from photogram.subsets.reference import ReferenceSubsets, TrackStatus, prepare_reference
+
+MotionSeries = tuple[FloatArray, FloatArray]
+"""Rotations (..., 3, 3) and shifts (..., 3)."""
+ROUNDS = 2  # of places, and the instants of the rows that show them
+PATH_TIMES = 16  # Gauss-Legendre, in which the path of an exposure is summed up
+BAND_PX = 24  # rows that are blurred alike where they are exposed one after the other
+WIDEST_CELL = 1.0 / 3.0  # periods of a line, in which the rows of one cell are exposed
+MOST_POINTS = 200  # of a surface that tell how their paths differ
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ExposureMotion(Arrays, shapes="frequency_hz K; phasors K 6; time_s F"):
+    """How a body moves about its mean pose while its frames are exposed: by Re Σ X·exp(jωt), X (K, 6) in m and rad.
+
+    time_s (F,): middles of the exposures, `exposure_s` long, of the rows that are read first. `row_s`: of the left and
+    the right camera, by how much each row comes after the one above it; negative where the last one is read first, 0
+    where all are exposed at once. `blurs`: whether what the path of an exposure does to grey values counts.
+    """
+
+    frequency_hz: FloatArray
+    phasors: ComplexArray
+    time_s: FloatArray
+    exposure_s: float
+    row_s: tuple[float, float]
+    motion_blur: bool
+
+    @property
+    def rolling_shutter(self) -> bool:
+        """Whether a camera exposes its rows one after the other."""
+        return any(self.row_s)
+
+    @property
+    def per_row(self) -> float:
+        """Periods of the fastest line from row to row."""
+        return float(np.max(np.abs(self.row_s)) * self.frequency_hz.max())
+
+    def pose(self, time_s: FloatArray, exposure_s: float) -> MotionSeries:
+        """Return the body's mean poses over exposures about instants (...)."""
+        omega = 2.0 * np.pi * self.frequency_hz
+        seen = self.phasors * np.sinc(self.frequency_hz * exposure_s)[:, None]
+        poses = np.asarray((np.exp(1j * np.multiply.outer(time_s, omega)) @ seen).real, np.float64)
+        return rotation_from_vector(poses[..., 3:]), poses[..., :3]
+
+    def relative_motion(
+        self, start_s: FloatArray | float, end_s: FloatArray, exposure_s: float | None = None
+    ) -> MotionSeries:
+        """Return the motion from one instant to others, each as the mean over an exposure, this one's by default."""
+        length = self.exposure_s if exposure_s is None else exposure_s
+        first, last = self.pose(np.asarray(start_s), self.exposure_s), self.pose(end_s, length)
+        rotation = last[0] @ np.swapaxes(first[0], -1, -2)
+        return rotation, last[1] - np.einsum("...ij,...j->...i", rotation, first[1])
+
+
+def row_delay_s(row_s: float, row_px: FloatArray, rows: int) -> FloatArray:
+    """Return how much later than the one read first rows of a picture with so many are exposed (`Swing`)."""
+    return np.asarray(row_s * (row_px if row_s >= 0.0 else row_px - (rows - 1)))
+
+
+def apply_motion(carried: MotionSeries, points_m: FloatArray) -> FloatArray:
+    """Return points (..., 3) where they are carried to."""
+    return np.asarray(np.einsum("...ij,...j->...i", carried[0], points_m) + carried[1])
+
+
+def undo_motion(carried: MotionSeries, points_m: FloatArray) -> FloatArray:
+    """Return points (..., 3) from where they were carried."""
+    return np.asarray(np.einsum("...ji,...j->...i", carried[0], points_m - carried[1]))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ExposureCorrection(Arrays):
+    """A scene in which every frame shows its body at one instant, the middle of its first row's exposure.
+
+    `shown`: the one in which subsets lie where pictures show them.
+    """
+
+    uncorrected: BodyScene
+    scene: BodyScene
+    swing: ExposureMotion
+
+    def correct_frame(self, number: int, frame: FollowedFrame) -> tuple[FollowedFrame, ComplexArray | None]:
+        """Return one frame as if all of it had been exposed at one instant, and its turned pose (K, p).
+
+        The latter where rows are exposed one after the other (`direct.fit.turned_pose`), None without a direct fit.
+        """
+        (found, fit), start = frame, None
+        if found is not None:
+            start = motion_from_positions(self.scene.seen, _at_one_instant(self.uncorrected, self.swing, number, found))
+        start = fit.moved if start is None and fit is not None else start
+        if start is None:
+            return (found, None), None
+        views, targets, references = self._compared(number, start)
+        if found is not None:
+            if references:
+                found = self._registered(found, references, targets)
+            found = _placed(self.scene.references, found, _at_one_instant(self.uncorrected, self.swing, number, found))
+        fit = fit_direct(views, targets, start)
+        if fit is None or not self.swing.rolling_shutter:
+            return (found, fit), None
+        from_first = self.swing.relative_motion(self.swing.time_s[0], self.swing.time_s[number])
+        turns = []
+        for side, view in enumerate(views):
+            delay = self._delay_s(side, view.cells.centre_px[:, 1])
+            turns.append(np.exp(-2j * np.pi * np.multiply.outer(self.swing.frequency_hz, delay)))
+        departure = fit.moved.pose - RigidTransform(*from_first).pose
+        return (found, fit), phase_rotated_pose(views, targets, fit, turns, departure)
+
+    def with_noise(self, number: int, frame: FollowedFrame) -> ExposureCorrection:
+        """Return it with the noise of the images that a frame shows; as it is where that cannot be fitted."""
+        (_, fit), _ = self.correct_frame(number, frame)
+        if fit is None:
+            return self
+        views, targets, _ = self._compared(number, fit.moved)
+        noise = tuple(image_noise(*both, fit.moved) for both in zip(views, targets, strict=True))
+        weighed = zip(self.scene.views, noise, strict=True)
+        views = [reweight_view(view, model, self.scene.settings.degree) for view, model in weighed]
+        return replace(self, scene=replace(self.scene, noise=noise, views=tuple(views)))
+
+    def _registered(
+        self, found: Registrations, references: Sequence[Spline], targets: Sequence[Spline]
+    ) -> Registrations:
+        """Subsets found again, from where they were, in pictures that are blurred alike."""
+        again, settings = [], self.scene.settings
+        for one, own, reference, target in zip(found, self.uncorrected.references, references, targets, strict=True):
+            blurred = prepare_reference(reference, own.centre_px, settings.radius_px, settings.shape_order)
+            good = one.status == TrackStatus.OK
+            now = register(blurred, target, np.where(good[:, None], one.warp, np.nan), settings)
+            again.append(replace(now, status=np.where(good, now.status, one.status)))
+        return tuple(again)
+
+    def _compared(self, number: int, moved: RigidTransform) -> tuple[list[BodyView], list[Spline], list[Spline]]:
+        """The body at rest, and one frame, as both are compared when the body has moved so far; the blurred references.
+
+        Each is blurred as the exposure of the other one has blurred it already. Points are carried to where they are
+        when the rows that show them are exposed.
+        """
+        scene, swing, rest = self.scene, self.swing, RigidTransform.identity()
+        views, targets, references = list[BodyView](), list[Spline](), list[Spline]()
+        for side, sharp in enumerate(scene.views):
+            view, image = sharp, scene.images[side].read(number)
+            if not swing.motion_blur:
+                targets.append(spline_of_image(image, scene.settings.degree))
+            else:
+                model, full = (UNIFORM if scene.noise is None else scene.noise[side]), scene.images[side].saturation
+                reference = self._blurred(side, scene.first[side], rest, (number, moved))
+                references.append(spline_of_image(reference, scene.settings.degree))
+                targets.append(spline_of_image(self._blurred(side, image, moved, (0, rest)), scene.settings.degree))
+                cells = prepare_cells(references[side], scene.grid.areas[side], view.cells.side_px, model, float(full))
+                view = with_jacobians(view.camera, cells, view.patches, view.rates)
+            if swing.rolling_shutter:
+                seen = points = moved.apply(view.patches.points_m)
+                for _ in range(ROUNDS):
+                    carried = _carried(scene, swing, number, side, view.camera.project(seen)[..., 1])
+                    seen = apply_motion(carried, points)
+                view = replace(view, carried=carried)
+            views.append(view)
+        return views, targets, references
+
+    def _blurred(
+        self, side: int, image: GreyImage, at: RigidTransform, by: tuple[int, RigidTransform]
+    ) -> NDArray[np.float32]:
+        """A picture of the body moved `at`, blurred by its path in the exposure of a frame in which it has moved by."""
+        swing, (number, moved), camera = self.swing, by, self.scene.seen[side].camera
+        nodes, share = np.polynomial.legendre.leggauss(PATH_TIMES)
+        known = self.scene.rest_m[np.isfinite(self.scene.rest_m).all(axis=1)]
+        known = known[:: 1 + len(known) // MOST_POINTS]
+        design = np.column_stack([np.ones(len(known)), camera.project(at.apply(known))])
+        bands = max(1, len(image) // BAND_PX) if swing.rolling_shutter else 1
+        middle = swing.time_s[number] + self._delay_s(side, (np.arange(bands) + 0.5) * len(image) / bands - 0.5)
+        path = np.empty((bands, PATH_TIMES, 2, 3))
+        for band, start_s in enumerate(middle):
+            carried = swing.relative_motion(start_s, start_s + nodes * swing.exposure_s / 2.0, 0.0)
+            shown = camera.project(apply_motion((carried[0][:, None], carried[1][:, None]), moved.apply(known)))
+            shown -= np.einsum("e,end->nd", share / 2.0, shown)
+            path[band] = np.einsum("an,end->eda", np.linalg.pinv(design), shown)
+        return blur_along_path(image, path, share / 2.0)
+
+    def _delay_s(self, side: int, row_px: FloatArray) -> FloatArray:
+        """By how much later than the first one rows of a camera are exposed."""
+        return row_delay_s(self.swing.row_s[side], row_px, int(self.scene.images[side].size_px[1]))
+
+    @property
+    def responses(self) -> tuple[ComplexArray, ComplexArray]:
+        """What a motion at a line, and what the one taken for known, is in turned poses: (K, p, p) each.
+
+        Turned back is the delay of each cell; within it rows differ still. The known motion is taken as its affine warp
+        is: by the instants of its middle and of points above and below.
+        """
+        informed = [row_information(view) for view in self.scene.views]
+        whole = np.sum([part.sum(axis=0) for part in informed], axis=0)
+        sums = np.zeros((2, len(self.swing.frequency_hz), *whole.shape), np.complex128)
+        for row_s, view, part in zip(self.swing.row_s, self.scene.views, informed, strict=True):
+            arm, down = view.patches.arm_px, np.arange(len(part)) - (len(part) - 1) / 2
+            angle = 2.0 * np.pi * self.swing.frequency_hz[:, None] * row_s
+            for place, turn in enumerate((np.exp(1j * angle * down), 1.0 + 1j * np.sin(angle * arm) / arm * down)):
+                sums[place] += np.einsum("kr,rij->kij", turn, part)
+        estimate = estimator_matrix(whole)
+        turned, known = estimate @ sums @ np.linalg.inv(estimate @ whole)
+        return turned, known
+
+    @property
+    def row_lag(self) -> FloatArray:
+        """By how many rows after the first one a motion is seen, (6, 6)."""
+        sums, whole = np.zeros((6, 6)), np.zeros((6, 6))
+        for side, view in enumerate(self.scene.views):
+            delay = self._delay_s(side, view.cells.centre_px[:, 1])
+            information = view.information[:, :6, :6]
+            sums += np.einsum("c,cij->ij", delay / max(abs(self.swing.row_s[side]), 1e-300), information)
+            whole += information.sum(axis=0)
+        return np.asarray(np.linalg.solve(whole, sums))
+
+    @property
+    def delay_s(self) -> FloatArray:
+        """By how much after the first row the subsets (N,) are exposed, in the mean of both cameras."""
+        delays = [self._delay_s(side, one.centre_px[:, 1]) for side, one in enumerate(self.uncorrected.references)]
+        return np.asarray(np.mean(delays, axis=0))
+
+
+def blur_along_path(image: NDArray[np.generic], path_px: FloatArray, share: FloatArray) -> NDArray[np.float32]:
+    """Return an image (H, W) as the mean of itself shifted along a path by d, weighted by shares (E,).
+
+    path_px (B, E, 2, 3): d = (c + a·x + b·y) px at the pixel (x, y), in rows c, a, b, for each of B bands of rows.
+    """
+    rows, columns = image.shape
+    corners = np.array([[1.0, x, y] for x in (0, columns) for y in (0, rows)])
+    margin = int(np.ceil(np.abs(path_px @ corners.T).max())) + 2
+    spline = spline_of_image(np.pad(image.astype(np.float64), margin, mode="reflect"))
+    smooth = np.zeros(image.shape, np.float32)
+    _smear((spline.coefficients, spline.degree, margin), path_px, share, np.empty(columns, np.float32), smooth)
+    return smooth
+
+
+@njit()
+def _smear(picture, path, share, line, smooth):  # type: ignore[no-untyped-def]
+    """Fill the image with its weighted mean over the path."""
+    coefficients, degree, margin = picture
+    rows, columns = smooth.shape
+    for i in range(rows):
+        own = path[i * path.shape[0] // rows]
+        for e in range(share.size):
+            (c_x, a_x, b_x), (c_y, a_y, b_y) = own[e, 0], own[e, 1]
+            place = margin - c_x - b_x * i, margin + i - c_y - b_y * i
+            sample_line(coefficients, degree, place, (1.0 - a_x, -a_y), line, (0, columns))
+            for j in range(columns):
+                smooth[i, j] += share[e] * line[j]
+
+
+def prepare_exposure_correction(scene: BodyScene, swing: ExposureMotion) -> ExposureCorrection:
+    """Return a scene to look again at the frames that were followed in another one."""
+    again = scene
+    if swing.rolling_shutter:
+        own = identity_registration(scene.references[0]), identity_registration(scene.references[1])
+        places = _at_one_instant(scene, swing, 0, own)
+        left, right = (
+            replace(reference, centre_px=place) for reference, place in zip(scene.references, places, strict=True)
+        )
+        rest_m = _points(scene, [left.centre_px, right.centre_px])
+        seen = tuple(project_body_points(camera, rest_m) for camera in cameras_about(scene, rest_m))
+        again = replace(scene, references=(left, right), rest_m=rest_m, seen=seen)
+    splines = tuple(spline_of_image(image, scene.settings.degree) for image in scene.first)
+    views = body_views(again, splines, WIDEST_CELL / swing.per_row if swing.rolling_shutter else np.inf)
+    if swing.rolling_shutter:
+        views = tuple(_with_instants(again, swing, side, view) for side, view in enumerate(views))
+    again = replace(again, views=views, near=(), noise=None, lead=(), blocks=())
+    return ExposureCorrection(scene, again, swing)
+
+
+def _carried(scene: BodyScene, swing: ExposureMotion, number: int, side: int, row_px: FloatArray) -> MotionSeries:
+    """By what points were moved when the rows (...) that show them were exposed, since the frame's own instant."""
+    begin = float(swing.time_s[number])
+    return swing.relative_motion(
+        begin, begin + row_delay_s(swing.row_s[side], row_px, int(scene.images[side].size_px[1]))
+    )
+
+
+def _points(scene: BodyScene, places_px: list[FloatArray]) -> FloatArray:
+    """Points (N, 3) in the body's frame of places (N, 2) in both cameras."""
+    left, right = places_px
+    assert isinstance(scene.rig, StereoRig)  # of a camera alone all rows are exposed at once
+    return np.asarray(triangulate(scene.rig, left[None], right[None]).transformed(scene.body_from_left).position_m[0])
+
+
+def _at_one_instant(scene: BodyScene, swing: ExposureMotion, number: int, found: Registrations) -> list[FloatArray]:
+    """Where the cameras would have seen the subsets of a frame, had all rows been exposed with the first one."""
+    places = [one.centre_px + here.warp[:, [0, 3]] for one, here in zip(scene.references, found, strict=True)]
+    shifts = [np.zeros_like(place) for place in places]
+    for _ in range(ROUNDS if swing.rolling_shutter else 0):
+        points = _points(scene, [place - shift for place, shift in zip(places, shifts, strict=True)])
+        for side, seen in enumerate(cameras_about(scene, points)):
+            there = apply_motion(_carried(scene, swing, number, side, places[side][:, 1]), points)
+            shifts[side] = seen.project(there) - seen.project(points)
+    return [place - shift for place, shift in zip(places, shifts, strict=True)]
+
+
+def _placed(references: Sequence[ReferenceSubsets], found: Registrations, places_px: list[FloatArray]) -> Registrations:
+    """Subsets as they were found, but at these places."""
+    placed = []
+    for reference, one, place in zip(references, found, places_px, strict=True):
+        warp = one.warp.copy()
+        warp[:, [0, 3]] = place - reference.centre_px
+        placed.append(replace(one, warp=warp))
+    return tuple(placed)
+
+
+def _with_instants(scene: BodyScene, swing: ExposureMotion, side: int, view: BodyView) -> BodyView:
+    """The body at rest as it was at the first frame's instant, by pictures whose rows saw it later.
+
+    What a ray meets then is moved back; along the ray by as much as brings it onto the surface.
+    """
+    patches = view.patches
+    carried = _carried(scene, swing, 0, side, patches.rest_px[..., 1])
+    seen, points = patches.points_m, undo_motion(carried, patches.points_m)
+    normal = np.cross(seen[:, 1] - seen[:, 2], seen[:, 3] - seen[:, 4])[:, None]
+    ray = seen - view.camera.camera_from_body.inverse().translation_m
+    off = ((points - seen) * normal).sum(axis=-1) / (ray * normal).sum(axis=-1)
+    points = undo_motion(carried, seen - off[..., None] * ray)
+    return replace(view, patches=replace(patches, points_m=points))

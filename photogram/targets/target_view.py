@@ -1,0 +1,232 @@
+"""A target seen in a picture: image points with covariance, and the picture they come from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from photogram.arrays import Arrays, FloatArray, IntArray, check_shape
+from photogram.images.noise import NoiseModel, fit_noise_model
+from photogram.images.sequence import GreyImage
+
+SHORTEST_M, LONGEST_M = 1e-4, 2.0  # of targets
+TargetKind = Literal["chessboard", "charuco", "dots", "asymmetric-dots"]
+
+
+MOST_POINTS, LONGEST_SIDE = 20_000, 1000
+"""Of a target: fine ones have some thousand points, and the memory of an adjustment grows with their number."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """A flat target whose points lie on a square lattice.
+
+    `spacing_m`: distance of neighbouring lattice points. Chessboard and ChArUco: the side of a square; dots: centre to
+    centre; asymmetric dots: distance of neighbouring rows, half that of dots in a row.
+    `size`: columns and rows; of a chessboard its inner corners, of a ChArUco board its squares, of dots the dots
+    (asymmetric: dots in a row, rows). None only for dots with three ring markers, which name their neighbours.
+    `dictionary`: name of the ArUco dictionary, None to find it.
+
+    >>> Target("chessboard", spacing_m=9e-3, size=(10, 7)).size
+    (10, 7)
+    """
+
+    kind: TargetKind
+    spacing_m: float
+    size: tuple[int, int] | None = None
+    dictionary: str | None = None
+
+    def __post_init__(self) -> None:
+        if not self.spacing_m > 0:
+            raise ValueError(f"spacing_m: expected a length above 0, found {self.spacing_m}")
+        if self.size is None and self.kind != "dots":
+            raise ValueError(f"size: expected columns and rows of the {self.kind} target, found none")
+        fewest = 3 if self.kind == "chessboard" else 2
+        if self.size is not None and min(self.size) < fewest:
+            least = f"at least {fewest} columns and rows of a {self.kind} target"
+            raise ValueError(f"size: expected {least}, found {self.size[0]} x {self.size[1]}")
+        if self.size is not None and (max(self.size) > LONGEST_SIDE or self.size[0] * self.size[1] > MOST_POINTS):
+            most = f"at most {LONGEST_SIDE} columns, {LONGEST_SIDE} rows and {MOST_POINTS} points"
+            raise ValueError(f"size: expected {most}, found {self.size[0]} x {self.size[1]}")
+
+    @property
+    def length_m(self) -> float:
+        """About the length of its longer side, of dots of unknown number that of ten."""
+        return self.spacing_m * (10 if self.size is None else max(self.size))
+
+    @property
+    def is_likely(self) -> bool:
+        """Whether there are targets of this length: one of 0.1 mm to 2 m, else its spacing may be in another unit."""
+        return SHORTEST_M <= self.length_m <= LONGEST_M
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TargetView(Arrays, shapes="index N 2; position_px N 2; covariance_px2 N 2 2; size_px 2"):
+    """The points of a target in one picture.
+
+    `name`: of the picture. `index` (N, 2): column and row of each point in the target's lattice, each pair once, so
+    that it lies at spacing·(column, row, 0) in the target's frame. `position_px` (N, 2): sub-pixel positions: for
+    corners the crossing itself, for dots the centre of the ellipse that is seen (`radius` > 0), which perspective moves
+    off the image of the dot's centre. `covariance_px2` (N, 2, 2): from the picture's noise. `radius`: of the dots in
+    units of the lattice spacing, 0 for corners. `blur_px`: σ of the edges' blur, median over the points. `size_px`
+    (2,): width and height of the picture. `lost`: how many points within the picture could not be measured, and
+    `lost_why` the reasons, "" for none.
+    """
+
+    name: str
+    index: IntArray
+    position_px: FloatArray
+    covariance_px2: FloatArray
+    radius: float
+    blur_px: float
+    size_px: IntArray
+    lost: int = 0
+    loss_reasons: str = ""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(np.unique(self.index, axis=0)) < len(self.index):
+            raise ValueError("index: expected each point once, found one twice")
+
+
+class TargetNotFound(ValueError):
+    """No target, or none that may be used, in a picture; the text says what is wrong with the picture."""
+
+
+# Whether a picture of a target is good enough to measure in: exposure, contrast, blur, and its noise.
+
+SATURATED = 0.995  # of full scale: what counts as saturated
+MOST_SATURATED = 0.6  # share of the target's pixels that may be saturated, where the fit leaves these out
+_LEAST_CONTRAST = 0.02  # between bright and dark, of full scale
+_BLUR_PX, _BLUR_CELL = 2.6, 0.12  # blur σ that always passes, in px, and in units of the target's cells
+_FEWEST_PIXELS = 1000  # that tell the noise
+_FLAT = 0.02  # gradient per px, of the picture's contrast, below which a pixel counts as flat
+
+
+def check_exposure(image: NDArray[Any], area: FloatArray, full_scale: float, most: float = MOST_SATURATED) -> None:
+    """Raise `TargetNotFound` for a target too bright or without contrast within the polygon `area` (P, 2) px.
+
+    Overexposed: more than the share `most` of its pixels reach full scale. Underexposed: the range between the 5th and
+    the 95th percentile is below 2 % of full scale.
+    """
+    import cv2
+
+    check_shape("area", area, (None, 2))
+    filled = np.zeros(image.shape, dtype=np.uint8)
+    cv2.fillPoly(filled, [np.rint(area).astype(np.int32)], 1)
+    grey = image[filled > 0]
+    if grey.size == 0:
+        raise ValueError("area: expected a part of the picture, found none of its pixels")
+    fault = _exposure_fault(grey, full_scale, most, (5, 95), "target's")
+    if fault is not None:
+        raise TargetNotFound(fault)
+
+
+def _exposure_fault(
+    grey: NDArray[Any], full_scale: float, most: float, ends: tuple[int, int], whose: str
+) -> str | None:
+    """Return what is wrong with grey values: more than a share of them saturated, or percentiles without contrast."""
+    saturated = float((grey >= SATURATED * full_scale).mean())
+    if saturated > most:
+        return f"overexposed: {100 * saturated:.0f} % of the {whose} pixels reach full scale"
+    low, high = np.percentile(grey, ends)
+    if high - low < _LEAST_CONTRAST * full_scale:
+        return f"underexposed: bright and dark differ by {100 * (high - low) / full_scale:.1f} % of full scale"
+    return None
+
+
+def refuse_second(target: str) -> None:
+    """Raise `TargetNotFound` for a picture that shows a second target like the one found."""
+    told = "cover one, or nobody can tell which of them the other pictures show"
+    raise TargetNotFound(f"two targets: {target} is seen twice; {told}")
+
+
+def check_blur(blur_px: float, cell_px: float) -> None:
+    """Raise `TargetNotFound` for edges blurred by σ = `blur_px` beyond both 2.6 px and 0.12 of a cell `cell_px`.
+
+    A cell is a square's side, or the dots' distance.
+    """
+    if not blur_px <= max(_BLUR_PX, _BLUR_CELL * cell_px):
+        raise TargetNotFound(f"blurred: edges are soft by σ = {blur_px:.1f} px where cells measure {cell_px:.0f} px")
+
+
+def image_fault(image: NDArray[Any], full_scale: float) -> str | None:
+    """Return what is wrong with a picture as a whole, as the beginning of a sentence, None for nothing obvious.
+
+    For pictures in which no target was found: too bright, without contrast, or nowhere a sharp edge: the steepest
+    gradient (99.9th percentile, at a scale of 1 px) against the range of grey levels gives the edges' σ.
+    """
+    from scipy.ndimage import gaussian_gradient_magnitude
+
+    fault = _exposure_fault(image, full_scale, 0.5, (1, 99), "picture's")
+    if fault is not None:
+        return fault
+    low, high = np.percentile(image, [1, 99])
+    steepest = float(np.percentile(gaussian_gradient_magnitude(image.astype(np.float32), 1.0), 99.9))
+    sigma = float(high - low) / (np.sqrt(2 * np.pi) * max(steepest, 1e-9))
+    if sigma > 1.5 * _BLUR_PX:
+        return f"blurred: no edge is sharper than σ = {sigma:.1f} px"
+    return None
+
+
+def estimate_image_noise(image: NDArray[Any], full_scale: float = np.inf) -> NoiseModel:
+    """Return the noise against brightness (grey²) of a picture (H, W) with flat areas, such as a target's.
+
+    Squares of the difference operator [1 −2 1]ᵀ·[1 −2 1]/6, which sees no linear change of brightness and has the
+    noise's own variance (Immerkær 1996, Computer Vision and Image Understanding 64, 300), at pixels where the gradient
+    at a scale of 2 px is small; not beside pixels at 0 or full scale, which show no noise.
+    """
+    import cv2
+
+    check_shape("image", image, (None, None))
+    grey = image.astype(np.float32)
+    step = np.array([1.0, -2.0, 1.0], dtype=np.float32)
+    fine = cv2.sepFilter2D(grey, cv2.CV_32F, step, step / 6)
+    smooth = cv2.GaussianBlur(grey, (0, 0), 2.0)
+    slope = np.hypot(cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=0.125), cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=0.125))
+    low, high = np.percentile(smooth[::4, ::4], [2, 98])
+    flat = slope < _FLAT * (high - low)
+    flat[[0, -1]], flat[:, [0, -1]] = False, False
+    clipped = ((grey <= 0) | (grey >= SATURATED * full_scale)).astype(np.uint8)
+    within = cv2.dilate(clipped, np.ones((5, 5), dtype=np.uint8)) == 0
+    if (flat & within).sum() >= _FEWEST_PIXELS:
+        flat &= within
+    elif flat.sum() < _FEWEST_PIXELS:
+        flat = np.ones_like(flat)
+    stride = max(1, int(flat.sum()) // 100_000)
+    return fit_noise_model(smooth[flat][::stride].astype(np.float64), fine[flat][::stride].astype(np.float64) ** 2)
+
+
+def outline(position_px: FloatArray) -> FloatArray:
+    """Return the convex hull (P, 2) of points (N, 2): the area that a target's points enclose."""
+    import cv2
+
+    return np.asarray(cv2.convexHull(position_px.astype(np.float32)), dtype=np.float64).reshape(-1, 2)
+
+
+def find_target(image: GreyImage, target: Target, name: str, full_scale: int) -> TargetView:
+    """Return the points of `target` in a picture (H, W) called `name`; `full_scale` is its largest grey value.
+
+    Raises `TargetNotFound` with what is wrong with the picture.
+
+    >>> board = Board(Target("chessboard", 9e-3, (8, 5)))
+    >>> camera = Camera.from_parameters(np.array([800.0, 800, 160, 120, 0, 0, 0, 0, 0]), np.array([320, 240]))
+    >>> pose = RigidTransform(np.eye(3), np.array([-0.035, -0.02, 0.3]))
+    >>> picture = ImageSensor(bit_depth=8).digitise(render_board(camera, pose, board), None)
+    >>> find_target(picture, board.target, "picture 1", 255).position_px[0].round(2)
+    array([66.67, 66.67])
+    """
+    if target.kind == "chessboard":
+        from photogram.targets.chessboard import find_chessboard
+
+        return find_chessboard(image, target, name, full_scale)
+    if target.kind == "charuco":
+        from photogram.targets.charuco import find_charuco
+
+        return find_charuco(image, target, name, full_scale)
+    from photogram.targets.dots import find_dots
+
+    return find_dots(image, target, name, full_scale)

@@ -1,0 +1,415 @@
+"""Measured curves with their errors by name, what the models of a sensor are fitted to; how large their noise is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, check_shape, check_shapes
+from shaker.frf.result import TransferFunction
+from shaker.mechanics import laplace
+from shaker.sine.phasor import Phasors
+
+REFERENCE_INDEX = -1
+"""Place of the reference among the transducers of a recording, whose responses count from 0."""
+
+
+@dataclass(frozen=True, repr=False)
+class Placement(Brief):
+    """Where and along which unit direction a transducer measures: `point_m` (3,), `direction` (3,), sensor axes.
+
+    `turning`: it measures how the body turns about the direction, which is the same everywhere.
+    """
+
+    point_m: FloatArray
+    direction: FloatArray
+    turning: bool = False
+
+    def __post_init__(self) -> None:
+        check_shapes(self, (3,), "point_m", "direction")
+        if abs(float(np.linalg.norm(self.direction)) - 1.0) > 1e-6:
+            raise ValueError(f"direction: expected a unit vector, found {self.direction.tolist()}")
+
+    @property
+    def row(self) -> FloatArray:
+        """Row (6,) that turns the motion of the sensor origin into the reading: [d, r × d], of a turn [0, d]."""
+        if self.turning:
+            return np.concatenate([np.zeros(3), self.direction])
+        return np.concatenate([self.direction, np.cross(self.point_m, self.direction)])
+
+
+@dataclass(frozen=True, repr=False)
+class CurveError(Brief):
+    """One named cause of error: `relative` (K, C), relative complex deviation of a curve for one standard deviation.
+
+    Causes of one name in several curves are the same unknown.
+    """
+
+    name: str
+    relative: ComplexArray
+
+
+@dataclass(frozen=True, repr=False)
+class InertiaError(Brief):
+    """One uncertain number of the load: `change` (6, 6) of its mass matrix for one standard deviation.
+
+    Equal names in several recordings are the same unknown (a part that stands on both).
+    """
+
+    name: str
+    change: FloatArray
+
+    def __post_init__(self) -> None:
+        check_shape("change", self.change, (6, 6))
+
+
+@dataclass(frozen=True, repr=False)
+class PlacementError(Brief):
+    """One uncertain number of where or along what a transducer measures: `change` (6,) of its row for one standard
+    deviation.
+
+    `place`: which response it is, or `AT_THE_BASE` for the reference. Equal names, in one recording or several, are the
+    same unknown.
+    """
+
+    name: str
+    response_index: int
+    change: FloatArray
+
+    def __post_init__(self) -> None:
+        check_shape("change", self.change, (6,))
+
+
+@dataclass(frozen=True, repr=False)
+class Bending(Brief):
+    """What is not rigid of a load at K lines, in terms of the motion A (6,) of what the sensor's springs move.
+
+    `inertia` (1+V, K, 6, 6): what pulls there beside the mass matrix, per A; `stretch` (1+V, K, C, 6): what C responses
+    read beside their rows, per A. First as stated, then the change for one standard deviation of each unknown of
+    `names` (V,).
+    """
+
+    names: tuple[str, ...]
+    inertia: ComplexArray
+    stretch: ComplexArray
+
+    def __post_init__(self) -> None:
+        terms, lines, responses = self.stretch.shape[:3]
+        check_shape("inertia", self.inertia, (terms, lines, 6, 6))
+        check_shape("stretch", self.stretch, (1 + len(self.names), lines, responses, 6))
+
+
+@dataclass(frozen=True, repr=False)
+class MeasuredTransfer(Brief):
+    """Motion of the load over motion of the base in one recording, with what is known of the load.
+
+    `ratio`: C ratios (K, C) at K lines, `covariance` (K, 2C, 2C) of [all Re, all Im] the noise alone; `tops`: where the
+    C responses measure on the load, `base`: where the reference measures; `drive` (6,): direction in which the base
+    moves as a rigid body, [x y z rx ry rz] about the sensor origin. `mass_matrix` (6, 6): load and parts about the
+    sensor origin, without what moves inside the sensor. `line_correlation` (D,) as in `TransferFunction`.
+    `clock`, `u_clock`: name and relative standard uncertainty of the clock, and so of all frequencies.
+    `placement_errors`: what is uncertain of places and directions of the transducers. `bending`: None of a load that is
+    rigid.
+    """
+
+    name: str
+    ratio: Phasors
+    tops: tuple[Placement, ...]
+    base: Placement
+    drive: FloatArray
+    mass_matrix: FloatArray
+    errors: tuple[CurveError, ...] = ()
+    inertia_errors: tuple[InertiaError, ...] = ()
+    line_correlation: ComplexArray | None = None
+    added_decay_per_s: float = 0.0
+    clock: str = "clock"
+    u_clock: float = 0.0
+    placement_errors: tuple[PlacementError, ...] = ()
+    bending: Bending | None = None
+
+    def __post_init__(self) -> None:
+        shape = self.ratio.value.shape
+        if self.bending is not None:
+            check_shape("bending: stretch", self.bending.stretch, (None, *shape, 6))
+        if len(self.tops) != shape[1]:
+            raise ValueError(f"tops: expected one for each of {shape[1]} ratios, found {len(self.tops)}")
+        check_shape("drive", self.drive, (6,))
+        check_shape("mass_matrix", self.mass_matrix, (6, 6))
+        for error in self.errors:
+            check_shape(f"errors: {error.name}", error.relative, shape)
+        for moved in self.placement_errors:
+            if not REFERENCE_INDEX <= moved.response_index < shape[1]:
+                raise ValueError(
+                    f"placement_errors: expected a place of {REFERENCE_INDEX} to {shape[1] - 1}, found {moved.response_index}"
+                )
+
+    @property
+    def s(self) -> ComplexArray:
+        """Return s = a + jω (K,) in 1/s."""
+        return laplace(self.ratio.frequency_hz, self.added_decay_per_s)
+
+    @property
+    def noise(self) -> FloatArray:
+        """Return the standard uncertainty (K, C) of a part of each ratio, Re and Im taken together."""
+        return np.asarray(np.sqrt(0.5 * (self.ratio.u_re**2 + self.ratio.u_im**2)))
+
+    def poles(self, count: int) -> ComplexArray:
+        """Return the poles (count,) that all ratios share, by `rational_poles`."""
+        return rational_poles(self.s, self.ratio.value, self.noise, count)
+
+
+@dataclass(frozen=True, repr=False)
+class MeasuredSensitivity(Brief):
+    """Complex sensitivity of one output for one load component over frequency.
+
+    `frequency_hz` (K,) ascending; `value` (K,) in `unit`, e.g. "(V/V)/N"; `covariance` (K, 2, 2) of [Re, Im], the part
+    that is independent from line to line; `errors`: relative deviations (K, 1) by cause; `static`, `u_static`: static
+    sensitivity in the same unit, None where it is not known.
+    """
+
+    channel: str
+    component: str
+    frequency_hz: FloatArray
+    value: ComplexArray
+    covariance: FloatArray
+    unit: str
+    errors: tuple[CurveError, ...] = ()
+    static: float | None = None
+    u_static: float = 0.0
+
+    def __post_init__(self) -> None:
+        lines = len(self.frequency_hz)
+        check_shape("frequency_hz", self.frequency_hz, (None,))
+        check_shape("value", self.value, (lines,))
+        check_shape("covariance", self.covariance, (lines, 2, 2))
+        for error in self.errors:
+            check_shape(f"errors: {error.name}", error.relative, (lines, 1))
+
+
+@dataclass(frozen=True)
+class ParameterEstimate:
+    """One fitted or derived number: `name` for files, `label` for readers, `value` and standard `u` in `unit`."""
+
+    name: str
+    label: str
+    value: float
+    u: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class NamedUnknown:
+    """A named error as the recordings see it: `estimate` in its standard deviations, of which `remaining` is left."""
+
+    name: str
+    estimate: float
+    remaining: float
+
+
+@dataclass(frozen=True, repr=False)
+class MeasuredCurve(Brief):
+    """H `value` (K,) at ascending `frequency_hz` (K,), `covariance` (K, 2, 2) of [Re, Im], the noise of each line.
+
+    `line_correlation` (D,): correlation of the errors of lines 0, 1, 2 … apart, as in `TransferFunction`;
+    `added_decay_per_s`: the a of an exponential window, s = a + jω. `dof` (K,): degrees of freedom behind the
+    covariance where it was estimated, None where it is known.
+
+    >>> import numpy as np
+    >>> from shaker import MeasuredCurve
+    >>> hertz = np.array([100.0, 200.0])
+    >>> MeasuredCurve(hertz, 1.0 / (1.0 + 1j * hertz / 300.0), np.tile(1e-6 * np.eye(2), (2, 1, 1))).dof is None
+    True
+    """
+
+    frequency_hz: FloatArray
+    value: ComplexArray
+    covariance: FloatArray
+    line_correlation: ComplexArray | None = None
+    added_decay_per_s: float = 0.0
+    dof: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        check_shape("frequency_hz", self.frequency_hz, (None,))
+        check_shape("value", self.value, self.frequency_hz.shape)
+        check_shape("covariance", self.covariance, (*self.frequency_hz.shape, 2, 2))
+        if self.dof is not None:
+            check_shape("dof", self.dof, self.frequency_hz.shape)
+        if not (self.frequency_hz[0] > 0.0 and np.all(np.diff(self.frequency_hz) > 0.0)):
+            raise ValueError("frequency_hz: expected ascending positive frequencies, found others")
+        if not (np.all(np.isfinite(self.value)) and np.all(np.abs(self.value) > 0.0)):
+            raise ValueError("value: expected finite numbers other than zero, found others")
+        c = self.covariance
+        if not (np.all(c[:, 0, 0] > 0.0) and np.all(c[:, 0, 0] * c[:, 1, 1] > c[:, 0, 1] * c[:, 1, 0])):
+            raise ValueError("covariance: expected positive definite matrices (K, 2, 2), found others")
+
+    @staticmethod
+    def of(transfer: TransferFunction, channel: str, band_hz: tuple[float, float]) -> MeasuredCurve:
+        """Return one response of a transfer function between two frequencies."""
+        part = transfer.between(band_hz)
+        ratio = part.ratio.select([channel])
+        seen = (ratio.frequency_hz, ratio.value[:, 0], ratio.covariance)
+        return MeasuredCurve(*seen, part.line_correlation, part.added_decay_per_s, ratio.dof)
+
+    def at_lines(self, lines: BoolArray) -> MeasuredCurve:
+        """Return the lines chosen by a mask (K,)."""
+        return replace(
+            self,
+            frequency_hz=self.frequency_hz[lines],
+            value=self.value[lines],
+            covariance=self.covariance[lines],
+            dof=None if self.dof is None else self.dof[lines],
+        )
+
+    @property
+    def spacing_hz(self) -> float:
+        """Return the distance of neighbouring lines."""
+        return float(np.min(np.diff(self.frequency_hz)))
+
+    def variance_along(self, direction: ComplexArray) -> FloatArray:
+        """Return the variance (K,) of Re{conj(d)·δH} for a direction d (K,) in the complex plane."""
+        re, im, c = direction.real, direction.imag, self.covariance
+        return np.asarray(re * re * c[:, 0, 0] + 2.0 * re * im * c[:, 0, 1] + im * im * c[:, 1, 1])
+
+    def propagated(self, gradient: ComplexArray) -> FloatArray:
+        """Return the covariance (P, P) of numbers y with δy = Σₖ Re{conj(g)·δH}, `gradient` g (P, K)."""
+        first = np.sqrt(self.covariance[:, 0, 0])
+        second = self.covariance[:, 0, 1] / first
+        rest = np.sqrt(self.covariance[:, 1, 1] - second**2)
+        white = gradient.real * first + gradient.imag * (second + 1j * rest)
+        spread = (white.conj() @ white.T).real
+        return np.asarray(spread + line_correlation_term(self.frequency_hz, white.T, self.line_correlation))
+
+
+# Poles of measured curves from a linear rational fit: where an identification starts.
+
+_ROUNDS = 8
+_SETTLED = 1e-4  # change of the denominator's coefficients that no longer moves a start
+
+
+def rational_poles(
+    s: ComplexArray, value: ComplexArray, noise: FloatArray, count: int, lowest: int = 0
+) -> ComplexArray:
+    """Return poles (count,) (Im λ > 0, ascending |λ|) of a common denominator of curves (K, C) with some noise (K, C).
+
+    Curves are fitted by Nᶜ(s)/D(s), D of degree 2·count, N with complex coefficients of powers from `lowest` to that,
+    linearised (Levy, IRE Trans. Autom. Control 4, 1959) and weighted anew in rounds (Sanathanan and Koerner, IEEE
+    Trans. Autom. Control 8, 1963). Unstable poles are mirrored; in place of real ones stand poles above the band.
+    """
+    middle = float(np.sqrt(np.abs(s).min() * np.abs(s).max()))
+    q = (s / middle)[:, None]
+    highest, power, above = q ** (2 * count), q ** np.arange(2 * count), q ** np.arange(lowest, 2 * count + 1)
+    numerator = np.concatenate([above, 1j * above], axis=1)
+
+    def denominator_of(weight: FloatArray) -> FloatArray:
+        """Coefficients of one weighted linear fit, the numerator projected out of each response."""
+        rows = []
+        for own, scale in zip(value.T[:, :, None], weight.T[:, :, None], strict=True):
+            both = np.concatenate([numerator, own * power, own * highest], axis=1) * scale
+            triangle = np.asarray(np.linalg.qr(np.concatenate([both.real, both.imag]), mode="r"))
+            rows.append(triangle[numerator.shape[1] :, numerator.shape[1] :])
+        below = np.concatenate(rows)
+        return np.asarray(np.linalg.lstsq(-below[:, :-1], below[:, -1], rcond=None)[0])
+
+    weight, denominator = 1.0 / noise, np.zeros(2 * count)
+    for _ in range(_ROUNDS):
+        before, denominator = denominator, denominator_of(weight)
+        if np.abs(denominator - before).max() < _SETTLED:
+            break
+        at = np.abs(highest[:, 0] + power @ denominator)
+        weight = 1.0 / (noise * np.maximum(at, 1e-9 * at.max())[:, None])
+    roots = np.roots([1.0, *denominator[::-1]])
+    roots = -np.abs(roots.real) + 1j * roots.imag
+    oscillating = roots[roots.imag > 1e-9 * np.abs(roots)] * middle
+    beyond = float(np.abs(s).max()) * 2.0 ** np.arange(1, count - len(oscillating) + 1) * (-0.02 + 1j)
+    return np.concatenate([oscillating[np.argsort(np.abs(oscillating))], beyond])
+
+
+# The noise of measured lines: whitened, correlated between lines, as stated from scatter and as residuals show it.
+
+
+def whitening_matrices(covariance: FloatArray, name: str = "covariance") -> FloatArray:
+    """Return the matrices (K, p, p) that turn errors of the given covariances into independent ones of variance one."""
+    try:
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+    except np.linalg.LinAlgError as error:
+        raise ValueError(f"{name}: expected positive definite matrices, found others") from error
+
+
+def line_correlation_term(
+    frequency_hz: FloatArray, columns: ComplexArray, correlation: ComplexArray | None
+) -> FloatArray:
+    """Return Re Tᴴ(R - 1)T (N, N) of whitened columns T (K, …, N) at lines (K,).
+
+    R: the `correlation` (D,) of the errors of lines 0, 1, 2 … apart, as in `TransferFunction`.
+    """
+    count = columns.shape[-1]
+    total = np.zeros((count, count))
+    if correlation is None or len(correlation) < 2:
+        return total
+    place = np.round((frequency_hz - frequency_hz.min()) / np.min(np.diff(np.sort(frequency_hz)))).astype(np.int64)
+    length = int(place.max()) + 1
+    grid = np.zeros((length + len(correlation), *columns.shape[1:]), dtype=np.complex128)
+    grid[place] = columns
+    here = grid[:length].reshape(-1, count)
+    for apart, value in enumerate(correlation[1:], start=1):
+        pair = value * (grid[apart : apart + length].reshape(-1, count).conj().T @ here)
+        total += (pair + pair.conj().T).real
+    return total
+
+
+_FEWEST_DOF, _MOST_DOF = 3.0, 1e9  # of a stated covariance, as used
+
+
+@dataclass(frozen=True, repr=False)
+class CurveResidual(Brief):
+    """Residuals of one curve: `length` (K,) = T² = rᵀS⁻¹r over the covariance S stated of p real numbers, `dof` (K,).
+
+    `size` is p; `dof` are the degrees of freedom ν behind S, infinite where S is known.
+    """
+
+    length: FloatArray
+    dof: FloatArray
+    size: int
+
+    def __post_init__(self) -> None:
+        check_shape("length", self.length, (None,))
+        check_shape("dof", self.dof, self.length.shape)
+
+
+@dataclass(frozen=True, repr=False)
+class ResidualNoise(Brief):
+    """Factors on the stated covariances: `lines` (K,) per curve, used as weights; `common` λ ≥ 1 to all of them.
+
+    `chi_squared` of the residuals over the covariances as stated, `dof` what it would be by noise alone, were these
+    exact, `expected` its mean over `dof` as they are; `chance`: relative standard deviation of χ²/dof by noise alone.
+    """
+
+    lines: tuple[FloatArray, ...]
+    common: float
+    chi_squared: float
+    dof: float
+    expected: float
+    chance: float
+
+
+def estimate_residual_noise(curves: Sequence[CurveResidual], unknowns: float) -> ResidualNoise:
+    """Return the noise that residuals of a fit with a number of `unknowns` show.
+
+    T² and the covariance S of ν degrees of freedom both say how noisy a line is, so that it weighs (ν + p)/(ν + T²), as
+    in Student's likelihood (Lange, Little and Taylor, J. Am. Stat. Assoc. 84, 1989). With n = ν + p, νS + rrᵀ ~ χ²ₙ:
+    the weights come out too large by n/(n - 2) in the mean, and such an estimate has n/(n - 2) times the variance of
+    one with S known; both factors are in `lines`. λ = χ²/dof over its expectation ν/(ν - 2), at least 1.
+    """
+    freedoms = [np.clip(curve.dof, _FEWEST_DOF, _MOST_DOF) for curve in curves]
+    pairs = list(zip(curves, freedoms, strict=True))
+    real = sum(curve.size * len(curve.length) for curve in curves)
+    chi_squared = float(sum(curve.length.sum() for curve in curves))
+    # T² of p real numbers varies more than χ² does, as the F distribution says.
+    spread = sum(c.size * np.sum((v + c.size - 2.0) / np.maximum(v - 4.0, 1.0)) for c, v in pairs) / real
+    expected = float(sum(curve.size * np.sum(v / (v - 2.0)) for curve, v in pairs) / real)
+    dof = max(1.0, real - unknowns)
+    common = max(1.0, chi_squared / dof / expected)
+    factors = tuple((common * v + curve.length) * (v + curve.size) / (v + curve.size - 2.0) ** 2 for curve, v in pairs)
+    return ResidualNoise(factors, common, chi_squared, dof, expected, float(np.sqrt(2.0 * spread / dof)))

@@ -1,0 +1,515 @@
+"""Parameters of a linear structure from all recordings in one fit, every named error an unknown."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape
+from shaker.fitting import LMOptions, levenberg_marquardt
+from shaker.identification.identification_problem import (
+    DELAY_UNIT_S,
+    IdentificationProblem,
+    ModelledRatios,
+    build_problem,
+    factor_name,
+    starting_vectors,
+    whole_inertia,
+)
+from shaker.identification.measured_curves import (
+    CurveResidual,
+    MeasuredTransfer,
+    NamedUnknown,
+    ParameterEstimate,
+    ResidualNoise,
+    estimate_residual_noise,
+    line_correlation_term,
+)
+from shaker.identification.structures import MechanicalStructure
+from shaker.labels import typeset
+from shakercal._common.notices import Notice
+
+# What an identification says: parameters, modes, named errors, how well the model explains the curves.
+
+
+@dataclass(frozen=True)
+class ModeEstimate:
+    """One mode of one recording, `number` from 0 by rising frequency, with standard uncertainties.
+
+    `frequency_hz` f₀ = |λ|/2π of the undamped oscillator, `damping_ratio` ζ = -Re λ/|λ| of the pole λ.
+    """
+
+    record: str
+    number: int
+    frequency_hz: float
+    u_frequency_hz: float
+    damping_ratio: float
+    u_damping_ratio: float
+
+
+@dataclass(frozen=True)
+class FreeFactor:
+    """Gain or delay of one response in one recording that was left free: the curve is H · gain · exp(-s delay)."""
+
+    record: str
+    channel: str
+    gain: complex
+    u_gain_relative: float
+    u_gain_phase_rad: float
+    delay_s: float
+    u_delay_s: float
+
+
+@dataclass(frozen=True, repr=False)
+class Identification(Brief):
+    """Parameters of a structure from all recordings together.
+
+    `estimates` (P): parameters, of one recording alone "name: recording"; `covariance` (P, P) of them, infinite
+    where the recordings leave one open. `derived`: b/k of each spring and damper. `modes`: of each recording.
+    `unknowns`: named errors. `factors`: free gains and delays. `model`, `residual` (K, C): per recording, curve with
+    all errors found, and what was measured less the model. `chi_squared` of the residuals over the covariances as
+    stated, with `dof`; where χ²/dof exceeds what noise explains, the noise is enlarged by the excess. `budget` by
+    cause: change (P,) of the parameters for one standard deviation of a named error or of a number stated beforehand,
+    and what "noise" adds; their squares sum up to the variances.
+    """
+
+    estimates: tuple[ParameterEstimate, ...]
+    covariance: FloatArray
+    derived: tuple[ParameterEstimate, ...]
+    modes: tuple[ModeEstimate, ...]
+    unknowns: tuple[NamedUnknown, ...]
+    factors: tuple[FreeFactor, ...]
+    model: tuple[ComplexArray, ...]
+    residual: tuple[ComplexArray, ...]
+    chi_squared: float
+    dof: float
+    notices: tuple[Notice, ...]
+    budget: Mapping[str, FloatArray] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        check_shape("covariance", self.covariance, (len(self.estimates), len(self.estimates)))
+
+    def __getitem__(self, name: str) -> ParameterEstimate:
+        """Return the parameter or derived number of a name."""
+        for estimate in (*self.estimates, *self.derived):
+            if estimate.name == name:
+                return estimate
+        names = ", ".join(estimate.name for estimate in (*self.estimates, *self.derived))
+        raise ValueError(f"name: expected one of {names}, found {name}")
+
+    def value(self, name: str) -> float:
+        """Return the value of a parameter or derived number."""
+        return self[name].value
+
+    def u(self, name: str) -> float:
+        """Return the standard uncertainty of a parameter or derived number."""
+        return self[name].u
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters, in the order of `covariance`."""
+        return tuple(estimate.name for estimate in self.estimates)
+
+    @property
+    def correlation(self) -> FloatArray:
+        """Correlation matrix (P, P) of the parameters; zero for what is fixed or open."""
+        size = np.sqrt(self.covariance.diagonal())
+        known = np.isfinite(size) & (size > 0.0)
+        correlation = np.zeros_like(self.covariance)
+        inside = np.ix_(known, known)
+        correlation[inside] = self.covariance[inside] / np.multiply.outer(size[known], size[known])
+        return correlation + np.diag(1.0 - correlation.diagonal())
+
+
+# Least squares over all recordings, and the covariance of what it finds.
+
+_RULES = LMOptions(
+    predicted_decrease=1e-8,
+    predicted_decrease_share=0.0,
+    actual_decrease=1e-4,
+    max_steps=100,
+    initial_damping=1e-6,
+    damping_decrease=0.03,
+    min_damping=1e-12,
+    max_damping=1e8,
+)
+"""A fit has converged where a step would be 1e-4 of the standard uncertainties, or lowers χ² by less than 1e-4."""
+_SHARE = 0.1  # of a step, over which the curvature of the residuals is seen
+_OPEN = 1e-10  # singular value, columns of unit length, below which a direction is open
+
+
+@dataclass(frozen=True, repr=False)
+class FitState(Brief):
+    """Unknowns `parameters` (N,) with what they make of every curve, and the whitened residuals (K, 2C).
+
+    `loss`: χ² of lines and of what was known beforehand together. Derivatives are worked out where they are asked for.
+    """
+
+    problem: IdentificationProblem
+    parameters: FloatArray
+    modelled: tuple[ModelledRatios, ...]
+    residuals: tuple[FloatArray, ...]
+    loss: float
+
+    @property
+    def freedom(self) -> int:
+        """Number of real readings less that of unknowns, at least 1."""
+        return max(1, sum(residual.size for residual in self.residuals) - len(self.parameters))
+
+    @cached_property
+    def jacobians(self) -> tuple[FloatArray, ...]:
+        """Derivatives (K, 2C, L) of the model's whitened readings by each curve's own unknowns."""
+        return tuple(part.curve.whitened(part.derivatives) for part in self.modelled)
+
+    @cached_property
+    def normal(self) -> tuple[FloatArray, FloatArray]:
+        """Half second derivatives (N, N) of the loss, and what goes downhill (N,), zero for unknowns that are fixed."""
+        problem = self.problem
+        normal, downhill = np.diag(problem.precision), problem.precision * (problem.expected - self.parameters)
+        for curve, residual, jacobian in zip(problem.curves, self.residuals, self.jacobians, strict=True):
+            flat = jacobian.reshape(-1, jacobian.shape[2])
+            np.add.at(normal, (curve.unknown_indices[:, None], curve.unknown_indices), flat.T @ flat)
+            np.add.at(downhill, curve.unknown_indices, flat.T @ residual.ravel())
+        normal[problem.fixed] = 0.0
+        normal[:, problem.fixed] = 0.0
+        downhill[problem.fixed] = 0.0
+        return normal, downhill
+
+
+def evaluate(problem: IdentificationProblem, vector: FloatArray) -> FitState | None:
+    """Return a vector of unknowns with its residuals, None where a mass or a stiffness is not positive."""
+    if not all(curve.possible(vector) for curve in problem.curves):
+        return None
+    modelled = tuple(curve.modelled(vector) for curve in problem.curves)
+    residuals = tuple(
+        part.curve.whitened((part.curve.record.ratio.value - part.value)[:, :, None])[:, :, 0] for part in modelled
+    )
+    loss = float(problem.precision @ (problem.expected - vector) ** 2)
+    loss += sum(float(np.vdot(residual, residual)) for residual in residuals)
+    return FitState(problem, vector, modelled, residuals, loss if np.isfinite(loss) else np.inf)
+
+
+def solve(problem: IdentificationProblem, state: FitState) -> FitState:
+    """Return the unknowns of least χ² of lines and priors, from a state on; what many steps reach where more lack."""
+
+    def at(vector: FloatArray) -> FitState | None:
+        return evaluate(problem, vector)
+
+    def curvature(here: FitState, step: FloatArray) -> FloatArray | None:
+        """The residuals' second derivative along a step is that of a difference over a tenth of it."""
+        ahead = at(here.parameters + _SHARE * step)
+        if ahead is None:
+            return None
+        downhill = np.zeros(len(step))
+        parts = zip(problem.curves, here.residuals, here.jacobians, ahead.residuals, strict=True)
+        for curve, now, jacobian, there in parts:
+            second = (there - now + _SHARE * (jacobian @ step[curve.unknown_indices])) * (2.0 / _SHARE**2)
+            np.add.at(downhill, curve.unknown_indices, np.tensordot(second, jacobian, 2))
+        downhill[problem.fixed] = 0.0
+        return downhill
+
+    return levenberg_marquardt(at, state, _RULES, curvature=curvature).point
+
+
+def effective(problem: IdentificationProblem, state: FitState) -> float:
+    """Return the number of unknowns that the lines determine: the trace of (JᵀJ + P)⁻¹ JᵀJ."""
+    whole = state.normal[0]
+    scale = np.sqrt(np.maximum(whole.diagonal(), np.finfo(np.float64).tiny))
+    pair = np.multiply.outer(scale, scale)
+    return float(np.trace(np.linalg.lstsq(whole / pair, (whole - np.diag(problem.precision)) / pair, rcond=1e-12)[0]))
+
+
+@dataclass(frozen=True, repr=False)
+class UnknownsCovariance(Brief):
+    """Covariance of all unknowns, and the directions that the recordings leave open.
+
+    `covariance` (N, N) of the determined part, `opened` (Z, N) orthonormal directions in units of `scale` (N,);
+    `prior` (N, N): change of all unknowns (rows) for one standard deviation of what was known beforehand of each
+    (columns). `unsettled`: length in standard uncertainties of the step that linearisation would still take.
+    """
+
+    covariance: FloatArray
+    opened: FloatArray
+    scale: FloatArray
+    prior: FloatArray
+    unsettled: float
+
+    def u(self, gradient: FloatArray) -> float:
+        """Return the standard uncertainty of a number with a `gradient` (N,), infinite where it is open."""
+        own = gradient * self.scale
+        size = float(np.linalg.norm(own))
+        if size > 0.0 and len(self.opened) and np.linalg.norm(self.opened @ own) > 1e-4 * size:
+            return float("inf")
+        return float(np.sqrt(max(0.0, float(gradient @ self.covariance @ gradient))))
+
+    def covariance_of(self, gradients: FloatArray) -> FloatArray:
+        """Return the covariance (G, G) of numbers with `gradients` (G, N): open ones infinite, and without relation."""
+        covariance = gradients @ self.covariance @ gradients.T
+        open_ones = ~np.isfinite([self.u(gradient) for gradient in gradients])
+        covariance[open_ones] = 0.0
+        covariance[:, open_ones] = 0.0
+        covariance[open_ones, open_ones] = np.inf
+        return np.asarray(covariance)
+
+
+def spread(problem: IdentificationProblem, state: FitState) -> UnknownsCovariance:
+    """Return the covariance A⁻¹ (JᵀRJ + P) A⁻¹, A = JᵀJ + P: R the correlation of lines, P what was known beforehand.
+
+    In a basis in which A = 1, so that what the stated masses and scales leave open does not lose its digits.
+    """
+    count, free = len(state.parameters), ~problem.fixed
+    unit = np.diag(free.astype(np.float64))
+    wide = [
+        jacobian @ unit[curve.unknown_indices] for curve, jacobian in zip(problem.curves, state.jacobians, strict=True)
+    ]
+    stacked = np.concatenate([*(rows.reshape(-1, count) for rows in wide), np.diag(np.sqrt(problem.precision))])
+    size = np.linalg.norm(stacked, axis=0)
+    size[size == 0.0] = 1.0
+    singular, rotation = np.linalg.svd(np.linalg.qr((stacked / size)[:, free], mode="r"))[1:]
+    directions = np.zeros((len(rotation), count))
+    directions[:, free] = rotation
+    determined = singular > _OPEN * singular.max()
+    basis = directions[determined].T / singular[determined] / size[:, None]
+    middle = np.eye(basis.shape[1])
+    for curve, by_all in zip(problem.curves, wide, strict=True):
+        real, imaginary = np.split(by_all @ basis, 2, axis=1)
+        record = curve.record
+        middle += line_correlation_term(record.ratio.frequency_hz, real + 1j * imaginary, record.line_correlation)
+    prior = basis @ basis.T * np.sqrt(problem.precision)
+    unsettled = float(np.linalg.norm(state.normal[1] @ basis))
+    return UnknownsCovariance(basis @ middle @ basis.T, directions[~determined], 1.0 / size, prior, unsettled)
+
+
+# What is to be said of an identification: what the recordings leave open, what contradicts what was stated.
+
+_UNKNOWN = 1.0 / 3.0  # u over value from which a parameter is called open
+_NEGLIGIBLE = 0.02  # part of the whole inertia below which an internal one need not be known
+_PULL = 3.0  # deviation in standard uncertainties that is named
+_NOISE_INFO, _NOISE_WARNING = 1.2, 4.0  # χ²/dof that is named
+_CHANCES = 5.0  # standard deviations by which χ²/dof exceeds what noise leaves
+_SETTLED = 0.1  # standard uncertainties from the minimum that do not matter
+_UNTOUCHED = 0.95  # of a stated uncertainty, left: the recordings say nothing of it
+_HELPS = {
+    "internal": "loads that differ more tell it, or a stated value does",
+    "stiffness": "a band that holds its resonance tells it; where the masses are open, stiffness is too",
+    "damping": "lines closer to its resonance tell it",
+}
+
+
+def _notices(
+    problem: IdentificationProblem,
+    state: FitState,
+    found: UnknownsCovariance,
+    estimates: tuple[ParameterEstimate, ...],
+    noise: ResidualNoise,
+) -> Iterator[Notice]:
+    if noise.common >= max(_NOISE_INFO, 1.0 + _CHANCES * noise.chance):
+        far = noise.common >= _NOISE_WARNING
+        text = (
+            f"the curves depart from the model by {np.sqrt(noise.common):.2g} times their noise; the uncertainties are "
+            "enlarged by this factor"
+        )
+        text += ", and the parameters depend on the lines that are fitted" if far else ""
+        yield Notice("warning" if far else "note", text, "identification")
+    if found.unsettled >= _SETTLED:
+        text = (
+            f"the fit ended {found.unsettled:.2g} standard uncertainties before it settled; state what is known of "
+            "the parameters, or fit fewer components"
+        )
+        yield Notice("warning", text, "identification")
+    whole = np.nan_to_num(whole_inertia(problem, state.parameters))
+    for place in np.flatnonzero(~problem.fixed[: len(estimates)]).tolist():
+        estimate = estimates[place]
+        if problem.precision[place] > 0.0:
+            yield from _against_stated(estimate, problem.expected[place], problem.precision[place] ** -0.5)
+        elif estimate.u > _UNKNOWN * max(abs(estimate.value), _NEGLIGIBLE * whole[place]):
+            told = f"{estimate.u:.2g} {typeset(estimate.unit)}"
+            size = f": its uncertainty is {told}" if np.isfinite(estimate.u) else ""
+            helps = next((text for start, text in _HELPS.items() if estimate.name.startswith(start)), "state its value")
+            yield Notice("warning", f"the data cannot tell the {estimate.label}{size}; {helps}", estimate.name)
+            continue
+        yield from _negative(estimate)
+    for place in range(len(estimates), len(problem.names)):
+        off, remaining = float(state.parameters[place]), float(found.covariance[place, place])
+        if problem.precision[place] > 0.0 and off**2 > _PULL**2 * max(1e-6, 1.0 - remaining):
+            name = problem.names[place].removeprefix("error: ")
+            text = f"the fit needs {name} to be off by {abs(off):.2g} times its standard uncertainty"
+            yield Notice("warning", text, name)
+
+
+def _negative(estimate: ParameterEstimate) -> Iterator[Notice]:
+    """Say that a mass or a damping came out below zero."""
+    if estimate.value >= 0.0 or not np.isfinite(estimate.u):
+        return
+    number = f"{estimate.label} is {estimate.value:.4g} ± {estimate.u:.2g} {typeset(estimate.unit)} (k = 1)"
+    if estimate.value > -2.0 * estimate.u:
+        yield Notice("note", f"{number}: zero within its uncertainty", estimate.name)
+        return
+    text = "a delay or a mode outside the model turns the phase at the resonance"
+    if estimate.name.startswith("internal"):
+        text = (
+            "these resonances are not those of the load on the springs assumed, but of another motion, e.g. pitching "
+            "or a mount that gives"
+        )
+    yield Notice("warning", f"{number}, below zero: {text}", estimate.name)
+
+
+def _against_stated(estimate: ParameterEstimate, stated: float, u: float) -> Iterator[Notice]:
+    """Say that a stated parameter is contradicted, or that the recordings add nothing to it."""
+    known = f"{stated:.6g} ± {u:.2g} {typeset(estimate.unit)}"
+    if estimate.u > _UNTOUCHED * u:
+        text = f"the {estimate.label} is as stated, {known}: the data cannot tell it better"
+        yield Notice("note", text, estimate.name)
+    elif (pull := abs(estimate.value - stated) / float(np.sqrt(u**2 - estimate.u**2))) >= _PULL:
+        text = (
+            f"the {estimate.label} stated, {known}, is contradicted by the recordings: together they give "
+            f"{estimate.value:.6g} {typeset(estimate.unit)}, {pull:.2g} standard deviations off"
+        )
+        yield Notice("warning", text, estimate.name)
+
+
+# All recordings in one complex least-squares fit.
+
+_EXPLAINED = 4.0  # χ² per line below which no other start is tried
+_NOISE_ROUNDS = 4
+
+
+def identify(
+    records: Sequence[MeasuredTransfer],
+    structure: MechanicalStructure,
+    *,
+    stated_values: Mapping[str, tuple[float, float]] | None = None,
+    each_recording: Collection[str] = (),
+    gain: Collection[str] = (),
+    delay: Collection[str] = (),
+) -> Identification:
+    """Fit a structure's parameters to all lines of all recordings together.
+
+    Measured is H(s) · exp(Σ z r): r are the relative errors by name, z ~ N(0, 1) unknown, equal names one unknown, as
+    are numbers of the load, places and directions of transducers, and the rate of the clock. `known`: (value, u) of
+    parameters stated beforehand, u = 0 fixed. `each_recording`: parameters that have a value of their own in every
+    recording. `gain`, `delay`: channels whose complex gain, or delay, is free in every recording, the scale being
+    unstated.
+    """
+    problem = build_problem(records, structure, stated_values or {}, each_recording, gain, delay)
+    lines = sum(2 * record.ratio.value.size for record in records)
+    if lines <= np.count_nonzero((problem.precision == 0.0) & ~problem.fixed):
+        raise ValueError(f"records: expected more real values than unknowns, found {lines} for {len(problem.names)}")
+    tried: list[FitState] = []
+    vectors = starting_vectors(problem, structure.starts(records))
+    starts = filter(None, (evaluate(problem, vector) for vector in vectors))
+    for start in sorted(starts, key=lambda state: state.loss):
+        tried.append(solve(problem, start))
+        if tried[-1].loss < _EXPLAINED * lines:
+            break
+    weighted, state, noise = _weighed(problem, min(tried, key=lambda state: state.loss))
+    return _result(weighted, state, spread(weighted, state), noise)
+
+
+def _weighed(problem: IdentificationProblem, state: FitState) -> tuple[IdentificationProblem, FitState, ResidualNoise]:
+    """Return the problem with its lines weighed by the noise seen in them, its solution, and that noise."""
+
+    def seen(problem: IdentificationProblem, state: FitState) -> ResidualNoise:
+        curves = [
+            CurveResidual(np.sum(residual**2, axis=1) * factor, curve.record.ratio.dof, residual.shape[1])
+            for curve, residual, factor in zip(problem.curves, state.residuals, factors, strict=True)
+        ]
+        return estimate_residual_noise(curves, effective(problem, state))
+
+    factors: tuple[FloatArray, ...] = tuple(np.ones(len(curve.whitening)) for curve in problem.curves)
+    noise, weighted = seen(problem, state), problem
+    for _ in range(_NOISE_ROUNDS):
+        factors, before = noise.lines, state.parameters
+        weighted = problem.weighed(factors)
+        start = evaluate(weighted, before)
+        assert start is not None
+        state = solve(weighted, start)
+        noise = seen(weighted, state)
+        if np.array_equal(before, state.parameters):
+            break
+    return weighted, state, noise
+
+
+def _result(
+    problem: IdentificationProblem, state: FitState, found: UnknownsCovariance, noise: ResidualNoise
+) -> Identification:
+    count, unit = len(problem.kind), np.eye(len(problem.names))
+    estimates = tuple(
+        ParameterEstimate(p.name, p.label, float(state.parameters[place]), found.u(unit[place]), p.unit)
+        for place, p in enumerate(problem.parameters)
+    )
+    model = tuple(part.value for part in state.modelled)
+    unknowns, causes = [], {}
+    for place, name in enumerate(problem.names):
+        cause = name.removeprefix("error: ")
+        if place >= count and name.startswith("error: "):
+            unknowns.append(NamedUnknown(cause, float(state.parameters[place]), found.u(unit[place])))
+        if problem.precision[place] > 0.0:
+            causes[cause if place >= count else f"{name} as stated"] = found.prior[:count, place]
+    known = np.sum([np.zeros(count), *(change**2 for change in causes.values())], axis=0)
+    noise_left = np.sqrt(np.maximum(found.covariance.diagonal()[:count] - known, 0.0))
+    return Identification(
+        estimates=estimates,
+        covariance=found.covariance_of(unit[:count]),
+        derived=_lags(problem, state, found),
+        modes=_modes(problem, state, found),
+        unknowns=tuple(unknowns),
+        factors=_factors(problem, state, found),
+        model=model,
+        residual=tuple(curve.record.ratio.value - value for curve, value in zip(problem.curves, model, strict=True)),
+        chi_squared=noise.chi_squared,
+        dof=noise.dof,
+        notices=tuple(_notices(problem, state, found, estimates, noise)),
+        budget={"noise": noise_left, **causes},
+    )
+
+
+def _lags(problem: IdentificationProblem, state: FitState, found: UnknownsCovariance) -> tuple[ParameterEstimate, ...]:
+    """Return b/k of every damper with its spring: what S(f) of the sensor would show."""
+    places = {parameter.name: place for place, parameter in enumerate(problem.parameters)}
+    derived = []
+    for name, place in places.items():
+        spring = name.replace("damping_", "stiffness_", 1)
+        shared = places.get(spring, places.get(spring.partition(":")[0]))
+        if not name.startswith("damping_") or shared is None:
+            continue
+        ending, b, k = name.removeprefix("damping_"), state.parameters[place], state.parameters[shared]
+        gradient = np.zeros(len(state.parameters))
+        gradient[place], gradient[shared] = 1.0 / k, -b / k**2
+        derived.append(ParameterEstimate(f"lag_{ending}", f"b/k, {ending}", float(b / k), found.u(gradient), "s"))
+    return tuple(derived)
+
+
+def _modes(problem: IdentificationProblem, state: FitState, found: UnknownsCovariance) -> tuple[ModeEstimate, ...]:
+    """Return the modes of every recording, from the poles of its fitted mechanics."""
+    modes = []
+    for curve in problem.curves:
+        for number, (root, change) in enumerate(zip(*curve.poles(state.parameters), strict=True)):
+            size, ratio = abs(root), float(-root.real / abs(root))
+            by_size = (change * root.conj()).real / size
+            u_size, u_ratio = found.u(by_size / (2.0 * np.pi)), found.u(-(change.real + ratio * by_size) / size)
+            f0 = float(size / (2.0 * np.pi))
+            modes.append(ModeEstimate(curve.record.name, number, f0, u_size, ratio, u_ratio))
+    return tuple(modes)
+
+
+def _factors(problem: IdentificationProblem, state: FitState, found: UnknownsCovariance) -> tuple[FreeFactor, ...]:
+    places, unit = {name: place for place, name in enumerate(problem.names)}, np.eye(len(problem.names))
+
+    def of(name: str) -> tuple[float, float]:
+        place = places.get(name)
+        return (0.0, 0.0) if place is None else (float(state.parameters[place]), found.u(unit[place]))
+
+    factors = []
+    for record in (curve.record for curve in problem.curves):
+        for channel in record.ratio.channels:
+            (size, u_size), (phase, u_phase), (delay, u_delay) = (
+                of(factor_name(kind, record, channel)) for kind in ("ln gain", "gain phase", "delay")
+            )
+            if u_size > 0.0 or u_delay > 0.0:
+                gain, times = complex(np.exp(complex(size, phase))), (delay * DELAY_UNIT_S, u_delay * DELAY_UNIT_S)
+                factors.append(FreeFactor(record.name, channel, gain, u_size, u_phase, *times))
+    return tuple(factors)

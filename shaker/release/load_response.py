@@ -1,0 +1,372 @@
+"""What poles answer to a release: how the load goes, the samples that see it, responses with their derivatives.
+
+The load goes from 0 to `amplitude` from the onset on, in the length T: at once ("step"), along a straight line
+("ramp"), along half a cosine ("smooth"), or as a force channel shows it ("measured"). With τ from the onset and σ from
+the end of the release, a pole answers (F·exp(pσ) - 1)/p after it, F = (exp(x) - 1)/x of a ramp and
+½π²(1 + exp(x))/(x² + π²) of half a cosine, x = pT; the mean of samples in a block multiplies exp(pσ) by a number.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray, check_shape
+from shaker.lti.system import even_exponentials
+from shaker.release.record import ReleaseShape
+
+_SMALL = 1e-2  # |x| below which factors are taken from their series
+_SERIES = 64  # evenly spaced times from which on exponentials at them are products of two short series
+_EVEN = 1e-9  # intervals by which times may be off even ones
+_RESTS = 40  # blocks of what comes before the release
+MOMENTS: dict[ReleaseShape, float] = {"step": 0.0, "ramp": 1.0 / 12.0, "smooth": 0.25 - 2.0 / np.pi**2}
+"""Second moment of a release about its middle over its squared length: what 1/a² of a lag adds to."""
+BLOCKS_PER_PERIOD = 12  # blocks in a period of the fastest mode: its mean over one loses 1 % of it, sinc(1/12)
+
+
+@dataclass(frozen=True, repr=False)
+class BlockMeans(Brief):
+    """Means of neighbouring samples: block b is the mean `value` (B, …) of `length` (B,) samples.
+
+    They are `step_s` apart and the first of them is taken at `time_s` (B,). Noise of white samples stays white, with
+    1/√length of its standard deviation, and what a pole answers stays an exponential, so nothing is filtered away
+    and no filter has to be modelled.
+    """
+
+    time_s: FloatArray
+    length: IntArray
+    value: FloatArray
+    step_s: float
+
+    def __post_init__(self) -> None:
+        check_shape("time_s", self.time_s, (None,))
+        check_shape("length", self.length, self.time_s.shape)
+        check_shape("value", self.value, (*self.time_s.shape, *self.value.shape[1:]))
+
+    @cached_property
+    def runs(self) -> tuple[slice, ...]:
+        """Stretches of blocks of one length."""
+        edges = [0, *(np.flatnonzero(np.diff(self.length)) + 1).tolist(), len(self.length)]
+        return tuple(slice(first, stop) for first, stop in pairwise(edges))
+
+    @cached_property
+    def weight(self) -> FloatArray:
+        """Reciprocal standard deviation (B,) of a mean over that of a sample: √length."""
+        return np.sqrt(self.length.astype(np.float64))
+
+    def between(self, from_s: float, to_s: float) -> BlockMeans:
+        """Return the blocks that begin in a stretch of time."""
+        kept = (self.time_s >= from_s) & (self.time_s <= to_s)
+        return BlockMeans(self.time_s[kept], self.length[kept], self.value[kept], self.step_s)
+
+
+def every_sample(value: FloatArray, time_s: FloatArray, step_s: float) -> BlockMeans:
+    """Return samples (N, …) at times (N,) as blocks of one."""
+    return BlockMeans(time_s, np.ones(len(time_s), dtype=np.int64), value, step_s)
+
+
+def reduce_to_blocks(whole: BlockMeans, fine_from_s: float, fine_to_s: float, length: int) -> BlockMeans:
+    """Return samples one by one between two times, as means of `length` after them, as means of many before them."""
+
+    def edges(start: int, stop: int, size: int) -> IntArray:
+        """Return where blocks of a size begin; what is left over is the first one."""
+        if stop <= start:
+            return np.zeros(0, dtype=np.int64)
+        places = np.arange(stop - size, start, -size, dtype=np.int64)[::-1]
+        return np.concatenate([np.array([start], dtype=np.int64), places[places > start]])
+
+    first, last = (int(place) for place in np.searchsorted(whole.time_s, [fine_from_s, fine_to_s]))
+    parts = (edges(0, first, max(1, first // _RESTS)), np.arange(first, last), edges(last, len(whole.value), length))
+    begins = np.concatenate([*parts, [len(whole.value)]]).astype(np.int64)
+    lengths = np.diff(begins)
+    means = np.add.reduceat(whole.value, begins[:-1]) / lengths
+    return BlockMeans(whole.time_s[begins[:-1]], lengths, means, whole.step_s)
+
+
+def block_length(sample_rate_hz: float, highest_hz: float) -> int:
+    """Return how many samples a block after the release takes, twelve blocks in the period of the fastest mode."""
+    return max(1, int(sample_rate_hz / (BLOCKS_PER_PERIOD * highest_hz)))
+
+
+def average_blocks(samples: FloatArray, size: int) -> FloatArray:
+    """Return means (…, A) over blocks of `size` samples (…, N); samples that fill no block are left out."""
+    count = samples.shape[-1] // size
+    return np.asarray(samples[..., : count * size].reshape(*samples.shape[:-1], count, size).mean(axis=-1))
+
+
+@dataclass(frozen=True, repr=False)
+class ReleaseLoad(Brief):
+    """How a load goes: by `amplitude` in a `shape`, or as the samples `force` (N,) from `start_s`, for "measured",
+    linear between its samples and less its level of rest."""
+
+    shape: ReleaseShape
+    amplitude: float
+    force: FloatArray | None = None
+    start_s: float = 0.0
+
+    @property
+    def timed(self) -> bool:
+        """Whether the onset is unknown."""
+        return self.shape != "measured"
+
+    @property
+    def lasting(self) -> bool:
+        """Whether the release takes a time that is unknown."""
+        return self.shape in ("ramp", "smooth")
+
+
+def load_share(shape: ReleaseShape, time_s: FloatArray, onset_s: float, release_s: float) -> FloatArray:
+    """Return the share (N,) of the load's change at `time_s` (N,): 0 before `onset_s`, 1 from its end on.
+
+    In between, with x = (t - onset)/T: x of a "ramp", (1 - cos πx)/2 of a "smooth" release.
+    """
+    tau = np.asarray(time_s, dtype=np.float64) - onset_s
+    if release_s <= 0.0 or shape == "step":
+        return np.asarray((tau > 0).astype(np.float64))
+    x = np.clip(tau / release_s, 0.0, 1.0)
+    return np.asarray(x if shape == "ramp" else 0.5 * (1.0 - np.cos(np.pi * x)))
+
+
+def load_rate(shape: ReleaseShape, time_s: FloatArray, onset_s: float, release_s: float) -> FloatArray:
+    """Return the derivative (N,) of `load_share` in 1/s, 0 of a step."""
+    tau = np.asarray(time_s, dtype=np.float64) - onset_s
+    if release_s <= 0.0 or shape == "step":
+        return np.zeros(len(tau))
+    during = (tau > 0) & (tau < release_s)
+    rate = 1.0 if shape == "ramp" else 0.5 * np.pi * np.sin(np.pi * tau / release_s)
+    return np.asarray(np.where(during, rate, 0.0) / release_s)
+
+
+def pole_responses(
+    poles: ComplexArray, time_s: FloatArray, onset_s: float, release_s: float, shape: ReleaseShape = "ramp"
+) -> ComplexArray:
+    """Return responses (N, P) of 1/(s - p), poles (P,) in rad/s, at `time_s` (N,), to a load from 0 to 1.
+
+    The load goes in a shape, by itself along a line, from `onset_s` on in `release_s` ≥ 0, as a step where that is 0.
+    """
+    if release_s < 0:
+        raise ValueError(f"release_s: expected 0 or more, found {release_s}")
+    if shape == "measured":
+        raise ValueError('shape: expected "step", "ramp" or "smooth", found "measured"')
+    p, length = np.asarray(poles, dtype=np.complex128), 0.0 if shape == "step" else release_s
+    return np.asarray(_at_times(shape, p, np.asarray(time_s, dtype=np.float64) - onset_s, length, 1)[0].T)
+
+
+def exponentials(poles: ComplexArray, tau: FloatArray) -> ComplexArray:
+    """Return exp(pτ) (P, N), poles (P,) in rad/s, at times `tau` (N,) in s, none below 0.
+
+    At times that rise evenly they are products of two short series (`even_exponentials`).
+    """
+    count = len(tau)
+    p = poles[:, None]
+    if count < _SERIES:
+        return np.asarray(np.exp(p * tau))
+    step = float(tau[-1] - tau[0]) / (count - 1)
+    if not np.max(np.abs(tau - (tau[0] + step * np.arange(count)))) <= _EVEN * step:
+        return np.asarray(np.exp(p * tau))
+    coarse, fine = even_exponentials(poles, float(tau[0]), step, count)
+    return np.asarray((coarse[:, :, None] * fine[:, None]).reshape(len(poles), -1)[:, :count])
+
+
+@dataclass(frozen=True, repr=False)
+class BlockResponses(Brief):
+    """Responses (B, P) of 1/(s - p) in blocks, and their derivatives: to the onset, the release's length, the poles.
+
+    That to the length moves the onset too, by half as much to the other side: the middle of the release stays. Where
+    poles are held, there is none to the poles (B, 0).
+    """
+
+    value: ComplexArray
+    by_onset: ComplexArray
+    by_length: ComplexArray
+    by_pole: ComplexArray
+
+
+def responses_with_derivatives(
+    load: ReleaseLoad,
+    poles: ComplexArray,
+    samples: BlockMeans,
+    middle_s: float,
+    length_s: float,
+    fixed_poles: bool = False,
+) -> BlockResponses:
+    """Return what poles (P,) in rad/s answer to a load whose release of `length_s` has its middle at `middle_s`.
+
+    `held`: without the derivative to the poles.
+    """
+    if load.shape == "measured":
+        return _to_force(load, poles, samples)
+    value, *changes = _answered(load, poles, samples, (middle_s, length_s), 3 if fixed_poles else 4)
+    return BlockResponses(value, changes[0], changes[1], value[:, :0] if fixed_poles else changes[2])
+
+
+def responses(
+    load: ReleaseLoad, poles: ComplexArray, samples: BlockMeans, middle_s: float, length_s: float
+) -> ComplexArray:
+    """Return the responses (B, P) of `answers` alone, for half the work."""
+    if load.shape == "measured":
+        return _to_force(load, poles, samples).value
+    return np.asarray(_answered(load, poles, samples, (middle_s, length_s), 1)[0])
+
+
+def _answered(
+    load: ReleaseLoad, poles: ComplexArray, samples: BlockMeans, release: tuple[float, float], rows: int
+) -> ComplexArray:
+    """Return the first rows of `Answers` (R, B, P), one, three or all four, to a release of a middle and a length."""
+    length = release[1] if load.lasting else 0.0
+    tau = samples.time_s - (release[0] - 0.5 * length)
+    whole = np.zeros((rows, len(poles), len(tau)), dtype=np.complex128)
+    first = int(np.searchsorted(tau, length, "left" if length > 0.0 else "right"))
+    for run in samples.runs:
+        later = slice(max(run.start, first), run.stop)
+        if later.start < later.stop:
+            means = _means(poles, int(samples.length[later.start]), samples.step_s)
+            _after((load.shape, length), poles, tau[later] - length, means, whole[:, :, later])
+    touched = slice(int(np.searchsorted(tau + (samples.length - 1) * samples.step_s, 0.0, "right")), first)
+    if touched.start < touched.stop:
+        size = samples.length[touched]
+        ends = np.cumsum(size)
+        inside = np.arange(ends[-1]) - np.repeat(ends - size, size)
+        single = _at_times(load.shape, poles, np.repeat(tau[touched], size) + inside * samples.step_s, length, rows)
+        whole[:, :, touched] = np.add.reduceat(single, ends - size, axis=2) / size
+    whole *= load.amplitude
+    return whole.transpose(0, 2, 1)
+
+
+def release_factor(shape: ReleaseShape, x: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """Return F = ∫ du/dt·exp(p(T - t)) dt over the release, x = pT, and its derivative to x; 1 and ½ for x = 0."""
+    if shape == "smooth":
+        below, grown = x**2 + np.pi**2, np.exp(x)
+        value = 0.5 * np.pi**2 * (1.0 + grown) / below
+        return value, 0.5 * np.pi**2 * grown / below - 2.0 * x * value / below
+    small = np.abs(x) < _SMALL
+    safe: ComplexArray = np.where(small, 1.0, x).astype(np.complex128)
+    away = np.expm1(safe)
+    value = away / safe
+    slope = (away + 1.0 - value) / safe
+    if np.any(small):
+        value = np.where(small, 1 + x / 2 + x**2 / 6 + x**3 / 24 + x**4 / 120, value)
+        slope = np.where(small, 0.5 + x / 3 + x**2 / 8 + x**3 / 30 + x**4 / 144, slope)
+    return value, slope
+
+
+def _after(
+    load: tuple[ReleaseShape, float],
+    p: ComplexArray,
+    sigma: FloatArray,
+    means: tuple[ComplexArray, ComplexArray],
+    out: ComplexArray,
+) -> None:
+    """Put what blocks show (R, P, B), as `Answers`, whose first sample is `sigma` (B,) after the release's end.
+
+    `means`, (P,) each: of exp(pt) over a block's samples, and its derivative to p.
+    """
+    (mean, mean_slope), (shape, length) = means, load
+    factor, slope = release_factor(shape, p * length) if length > 0 else (np.ones_like(p), np.full_like(p, 0.5))
+    swing, per_pole = exponentials(p, sigma), (1.0 / p)[:, None]
+    decay = swing * (mean * factor)[:, None]
+    np.multiply(decay - 1.0, per_pole, out=out[0])
+    if len(out) > 1:
+        np.negative(decay, out=out[1])
+        np.multiply(swing, (mean * (slope - 0.5 * factor))[:, None], out=out[2])
+    if len(out) > 3:
+        change = swing * (mean_slope * factor + mean * length * slope)[:, None] + decay * sigma
+        np.multiply(change - out[0], per_pole, out=out[3])
+
+
+def _at_times(shape: ReleaseShape, p: ComplexArray, tau: FloatArray, length: float, rows: int) -> ComplexArray:
+    """Return what single samples show (R, P, B), as `Answers`, `tau` (B,) after the onset; zero before it."""
+    whole = np.zeros((rows, len(p), len(tau)), dtype=np.complex128)
+    if np.any(tau[1:] < tau[:-1]):
+        order = np.argsort(tau)
+        whole[:, :, order] = _at_times(shape, p, tau[order], length, rows)
+        return whole
+    start = int(np.searchsorted(tau, 0.0, "right"))
+    stop = max(start, int(np.searchsorted(tau, length)))
+    if stop < len(tau):
+        _after((shape, length), p, tau[stop:] - length, _means(p, 1, 0.0), whole[:, :, stop:])
+    if start < stop:
+        early, p = tau[start:stop], p[:, None]
+        share, value, by_pole = (_along_line if shape == "ramp" else _along_cosine)(p, early, length)
+        during = whole[:, :, start:stop]
+        during[0] = value
+        if rows > 1:
+            by_onset = -(p * value + share)
+            # the answer is T·f(τ/T, pT), so that the derivative to the length follows from those to time and pole
+            by_length = (value + early * by_onset + p * by_pole) / length - 0.5 * by_onset
+            during[1:] = (by_onset, by_length, by_pole)[: rows - 1]
+    return whole
+
+
+def _along_line(p: ComplexArray, tau: FloatArray, length: float) -> tuple[FloatArray, ComplexArray, ComplexArray]:
+    """Return a ramp's load, its response [(exp(pτ) - 1)/p - τ]/(pT) and the derivative to the pole."""
+    away = np.expm1(p * tau)
+    rise = away / p
+    value = (rise - tau) / (p * length)
+    slope = (tau * (away + 1.0) - rise) / p
+    return tau / length, value, slope / (p * length) - value / p
+
+
+def _along_cosine(p: ComplexArray, tau: FloatArray, length: float) -> tuple[FloatArray, ComplexArray, ComplexArray]:
+    """Return the load of half a cosine, its response and the derivative to the pole; with ω = π/T the response is
+    [(exp(pτ) - 1)/p - (p(exp(pτ) - cos ωτ) + ω sin ωτ)/(p² + ω²)]/2."""
+    omega = np.pi / length
+    swing, cosine, sine = np.exp(p * tau), np.cos(omega * tau), np.sin(omega * tau)
+    below, top = p**2 + omega**2, p * (swing - cosine) + omega * sine
+    value = 0.5 * (np.expm1(p * tau) / p - top / below)
+    slope = tau * swing / p - np.expm1(p * tau) / p**2 - (swing - cosine + p * tau * swing) / below
+    return 0.5 * (1.0 - cosine), value, 0.5 * (slope + 2 * p * top / below**2)
+
+
+def _means(p: ComplexArray, size: int, step_s: float) -> tuple[ComplexArray, ComplexArray]:
+    """Return the mean of exp(pt) (P,) over so many samples from t = 0 on, and its derivative to the pole."""
+    if size == 1:
+        return np.ones_like(p), np.zeros_like(p)
+    k = np.arange(size)[:, None]
+    powers = np.exp(k * (p * step_s))
+    return powers.mean(axis=0), (k * powers).mean(axis=0) * step_s
+
+
+def _to_force(load: ReleaseLoad, poles: ComplexArray, samples: BlockMeans) -> BlockResponses:
+    """Return what poles answer to a measured force, exact where it is linear between samples."""
+    from scipy.signal import lfilter
+
+    assert load.force is not None
+    force, step = load.force, samples.step_s
+    first = np.round((samples.time_s - load.start_s) / step).astype(int)
+    value, slope = np.zeros((2, len(force), len(poles)), dtype=np.complex128)
+    for place, p in enumerate(poles):
+        fall, now, next_ = _hold(p, step)
+        value[:, place] = lfilter([next_[0], now[0]], [1.0, -fall], force)
+        moved = lfilter([0.0, step * fall], [1.0, -fall], value[:, place])
+        slope[:, place] = moved + lfilter([next_[1], now[1]], [1.0, -fall], force)
+    start = -force[0] * np.array([_hold(p, step)[2] for p in poles])
+    decay = np.exp(np.arange(len(force))[:, None] * step * poles)
+    value += start[:, 0] * decay
+    slope += (start[:, 1] + start[:, 0] * np.arange(len(force))[:, None] * step) * decay
+    if np.any(samples.length > 1):
+        none = np.zeros((1, len(poles)), dtype=np.complex128)
+        sums = (np.concatenate([none, np.cumsum(part, axis=0)]) for part in (value, slope))
+        value, slope = ((part[first + samples.length] - part[first]) / samples.length[:, None] for part in sums)
+    else:
+        value, slope = value[first], slope[first]
+    blank = np.zeros_like(value)
+    return BlockResponses(value, blank, blank, slope)
+
+
+def _hold(p: complex, step: float) -> tuple[complex, FloatArray, FloatArray]:
+    """Return exp(pΔ) and the weights, with derivatives to p, of a sample and of the next for a straight line."""
+    x = p * step
+    if abs(x) < _SMALL:
+        now = 0.5 + x / 3 + x**2 / 8 + x**3 / 30 + x**4 / 144
+        next_ = 0.5 + x / 6 + x**2 / 24 + x**3 / 120 + x**4 / 720
+        slopes = 1 / 3 + x / 4 + x**2 / 10 + x**3 / 36, 1 / 6 + x / 12 + x**2 / 40 + x**3 / 180
+        return np.exp(x), step * np.array([now, slopes[0] * step]), step * np.array([next_, slopes[1] * step])
+    fall = np.exp(x)
+    now = (fall * (x - 1) + 1) / x**2
+    next_ = (fall - 1 - x) / x**2
+    slopes = fall / x - 2 * now / x, (fall - 1) / x**2 - 2 * next_ / x
+    return fall, step * np.array([now, slopes[0] * step]), step * np.array([next_, slopes[1] * step])

@@ -1,0 +1,332 @@
+"""How many poles a release shows, and what speaks against a fit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Literal
+
+import numpy as np
+
+from shaker.arrays import ComplexArray, FloatArray
+from shaker.lti.system import ModalModel
+from shaker.release.load_response import BlockMeans, ReleaseLoad, block_length, reduce_to_blocks
+from shaker.release.output_error import (
+    FitCovariance,
+    OutputErrorFit,
+    OutputErrorProblem,
+    PoleStructure,
+    design,
+    predicted_gain,
+    solve,
+    squares,
+)
+from shaker.release.poles import UNCLEAR, decimate, instrumental_variables, matrix_pencil, peaks_hz, start_poles
+from shaker.release.record import ReleaseReading, StepRecord
+from shakercal._common.notices import Notice, Severity
+
+# The modes that ring after a release: how many, and where the fit with the release starts from.
+
+MOST = 4  # modes that the rule looks for
+CLEAR = 12.0  # fall of B·ln(sum of squares) by a parameter that is taken for real
+_STEEP = 0.5  # damping ratio above which a further mode is taken for a disturbance
+
+
+def decay_modes(
+    whole: BlockMeans, reading: ReleaseReading, method: Literal["pencil", "arx"], count: int | None
+) -> tuple[ComplexArray, float]:
+    """Return the upper poles (M,) in rad/s that ring after the release, as many as told or supported, and the colour.
+
+    Exponentials with free amplitudes and a level are fitted to the decay alone, so that neither the release nor fast
+    poles matter. A further mode stays where its line stands out of the residual's spectrum, its ζ is between 0 and
+    0.5, and it lowers B·ln(sum of squares) by more than 12 for each of its four parameters. The colour: density of the
+    residual's blocks over that of white noise of the same variance.
+    """
+    start = reading.onset_s + reading.release_s + reading.u_onset_s
+    decay = whole.between(min(start, float(whole.time_s[len(whole.time_s) * 3 // 4])), np.inf)
+    near = peaks_hz(decay.value, decay.step_s, count or 1)
+    if not near.size:
+        raise ValueError(f"{reading.record}, {reading.channel}: no oscillation above the noise after the release")
+    values, coarse = decimate(decay.value, decay.step_s, float(near.max()))
+    find = matrix_pencil if method == "pencil" else instrumental_variables
+    modes = start_poles(find(values - values.mean(), coarse, 2 * (count or 1) + 1), count or 1, near)
+    rung = _rung(decay, modes)
+    while count is None and rung.problem.structure.modes < MOST and (more := _with_another(decay, rung)) is not None:
+        rung = more
+    poles = rung.problem.structure.poles(rung.vector)
+    colour = rung.variance / max(1e-300, float(np.var(_left(decay, rung))))
+    return poles[np.argsort(np.abs(poles))], max(1.0, colour)
+
+
+def _rung(decay: BlockMeans, modes: ComplexArray) -> OutputErrorFit:
+    """Return exponentials with free amplitudes fitted to a decay."""
+    begin = float(decay.time_s[0]) - decay.step_s
+    structure = PoleStructure(len(modes), 0, 2 * len(modes), float(np.exp(np.mean(np.log(np.abs(modes))))))
+    samples = reduce_to_blocks(
+        decay, begin, begin, block_length(1.0 / decay.step_s, float(np.abs(modes).max()) / (2 * np.pi))
+    )
+    start = np.append(structure.vector(modes), begin)
+    pinned = np.append(np.full(structure.order, np.inf), 1e-3 * decay.step_s)
+    return solve(OutputErrorProblem(structure, ReleaseLoad("step", 1.0), samples, start, pinned), start)
+
+
+def _with_another(decay: BlockMeans, found: OutputErrorFit) -> OutputErrorFit | None:
+    """Return the fit with one more mode, None where the decay does not support it."""
+    rest = replace(decay, value=_left(decay, found))
+    near = peaks_hz(rest.value, rest.step_s, 1, local=True)
+    if not near.size:
+        return None
+    values, coarse = decimate(rest.value, rest.step_s, float(near[0]))
+    extra = start_poles(matrix_pencil(values - values.mean(), coarse, 3), 1, near)
+    modes = np.concatenate([found.problem.structure.poles(found.vector), extra])
+    modes = modes[np.argsort(np.abs(modes))]
+    trial = _rung(decay, modes)
+    zeta = trial.vector[len(modes) : 2 * len(modes)]
+    squares = [float(rest @ rest) for rest in (_left(decay, found), _left(decay, trial))]
+    gain = trial.size * float(np.log(squares[0] / squares[1]))
+    return trial if gain > 4 * CLEAR and np.all((zeta > 0) & (zeta < _STEEP)) else None
+
+
+def _left(decay: BlockMeans, found: OutputErrorFit) -> FloatArray:
+    """Return the residual (N,) at every sample."""
+    return np.asarray(decay.value - design(found.problem, found.vector, decay) @ found.linear)
+
+
+# When and how a load goes, how fast the real poles are, how smooth the start is: the best of a grid, modes known.
+
+LENGTHS = (0.25, 0.6, 1.2)  # lengths of the release tried, in rise times
+TERM = 8.0  # fall of B·ln(sum of squares) by a numerator term that is taken for real
+_REAL = (1.5, 4.0, 10.0)  # real poles tried, in frequencies of the lowest mode
+_LAG = (0.0, 0.08, 0.17, 0.25)  # periods by which the half-way point follows the middle of the release
+_LOOSE = (1.5, 2.0)  # standard deviations of what the grid says of logarithms of real poles and of the length
+
+
+def first_vectors(
+    structure: PoleStructure, load: ReleaseLoad, samples: BlockMeans, modes: ComplexArray, reading: ReleaseReading
+) -> list[FloatArray]:
+    """Return, for every number of numerator terms up to all, the grid point that leaves least about the release."""
+    lowest = float(np.abs(modes).min()) / (2 * np.pi)
+    rise = min(reading.rise_s, 3.0 / lowest + reading.release_s)
+    near = samples.between(reading.onset_s - 2.0 / lowest, reading.onset_s + reading.release_s + rise + 2.0 / lowest)
+    rich = replace(structure, terms=structure.order)
+    best, found = np.full(rich.terms, np.inf), [np.zeros(0)] * rich.terms
+    for vector in _grid(structure, load, near, modes, reading, rise):
+        costs = squares(
+            OutputErrorProblem(rich, load, near, vector, np.ones(len(vector)), reading.onset_s), vector[None]
+        )[0]
+        found = [vector if cost < old else kept for cost, old, kept in zip(costs, best, found, strict=True)]
+        best = np.minimum(best, costs)
+    return found
+
+
+def with_loose_prior(
+    problem: OutputErrorProblem, vector: FloatArray, highest_hz: float
+) -> tuple[OutputErrorProblem, FloatArray]:
+    """Return a problem that knows a vector beforehand, widely, and the vector; the onset to 1/`highest_hz`."""
+    modes, order = problem.structure.modes, problem.structure.order
+    wide = np.full(len(vector), np.inf)
+    wide[2 * modes : order] = _LOOSE[0]
+    wide[order : order + 2] = np.array([1.0 / highest_hz, _LOOSE[1]])[: len(vector) - order]
+    return replace(problem, prior=vector, u_prior=wide), vector
+
+
+def _grid(
+    structure: PoleStructure,
+    load: ReleaseLoad,
+    near: BlockMeans,
+    modes: ComplexArray,
+    reading: ReleaseReading,
+    rise: float,
+) -> list[FloatArray]:
+    """Return the vectors that are tried; sets of real poles rise within a set."""
+    lowest = float(np.abs(modes).min()) / (2 * np.pi)
+    change = reading.steady - reading.baseline
+    passed = np.flatnonzero((near.value - reading.baseline) * change >= 0.5 * change**2)
+    later = passed[near.time_s[passed] >= reading.onset_s]
+    half = float(near.time_s[later[0]]) if later.size else reading.onset_s
+    lengths = np.array(LENGTHS) * rise if load.lasting else np.zeros(1)
+    if load.lasting and reading.release_s > 0:
+        lengths = np.array([reading.release_s])
+    corners, vectors = [min(share * lowest, 0.4 / near.step_s) for share in _REAL], []
+    for pick in product(corners, repeat=structure.reals):
+        if list(pick) != sorted(pick):
+            continue
+        reals = -2 * np.pi * np.array(pick) * (1.0 + 0.2 * np.arange(structure.reals))
+        head, lag = structure.vector(np.concatenate([modes, reals + 0j])), float(np.sum(-1.0 / reals))
+        for length in lengths:
+            tail = [np.log(length)] if load.lasting else []
+            middles = [half - lag - share / lowest for share in _LAG] + [reading.onset_s + 0.5 * length]
+            for middle in middles if load.timed else [0.0]:
+                vectors.append(np.concatenate([head, [middle] if load.timed else [], tail]))
+    return vectors
+
+
+# How many poles a record tells, how its load went, and how smoothly its response starts.
+
+_ROUNDING = 1e-9  # share of the output below which a residual is taken for rounding
+
+
+@dataclass(frozen=True)
+class OrderSearch:
+    """What is looked for in a record: `whole` its samples, `loads` that come into question; `modes` and `reals` where
+    they are given; `colour` of the noise as in `Problem`."""
+
+    whole: BlockMeans
+    reading: ReleaseReading
+    loads: tuple[ReleaseLoad, ...]
+    method: Literal["pencil", "arx"]
+    modes: int | None
+    reals: int | None
+    colour: float = 1.0
+
+
+@dataclass(frozen=True)
+class SupportedFit:
+    """A fit that a record supports, and the sums of squares on the way."""
+
+    solution: OutputErrorFit
+    path: tuple[float, ...]
+
+
+def search_order(search: OrderSearch) -> tuple[SupportedFit, ...]:
+    """Return the fits that the record supports, one for each load that comes into question, the likeliest first.
+
+    Modes are counted on the decay. One real pole and the length of the release are always fitted: a lag or a release
+    too short to be told changes the amplitude and the phase of the ringing all the same, and a model without it states
+    a certainty that the record does not give. A second real pole is there, for every load, where it lowers χ² of the
+    likeliest by more than 12, a numerator term where by more than 8; χ² is B·ln(sum of squares), B the number of
+    blocks, over the density of coloured noise, which lowers it without any reason.
+    """
+    ringing, force = search.whole, search.loads[0].force
+    if force is not None:  # what simply follows a measured load is taken off, so that what rings is left
+        follows = np.stack([np.ones(len(force)), force], axis=1)
+        left = ringing.value - follows @ np.linalg.lstsq(follows, ringing.value, rcond=None)[0]
+        ringing = replace(ringing, value=left)
+    modes, colour = decay_modes(ringing, search.reading, search.method, search.modes)
+    search = replace(search, colour=colour)
+    reals = 1 if search.reals is None else search.reals
+    fits = [_fit_one(search, load, modes, reals) for load in search.loads]
+    found = sorted((SupportedFit(fit, fit.path) for fit in fits), key=lambda one: penalised_chi_squared(one.solution))
+    first = _with_real(found[0], CLEAR) if search.reals is None else None
+    if first is not None and penalised_chi_squared(first.solution) < penalised_chi_squared(found[0].solution):
+        rest = [_with_real(one, -np.inf) or one for one in found[1:]]
+        found = sorted([first, *rest], key=lambda one: penalised_chi_squared(one.solution))
+    return tuple(found)
+
+
+def _with_real(found: SupportedFit, least: float) -> SupportedFit | None:
+    """Return the fit with one real pole more, None where χ² is not foretold to fall by as much as asked."""
+    plain = found.solution
+    structure, order = plain.problem.structure, plain.problem.structure.order
+    two = replace(plain.problem, structure=replace(structure, reals=structure.reals + 1))
+    starts = [np.insert(plain.vector, order, plain.vector[order - 1] + further) for further in (-0.7, 0.7, 1.6)]
+    gain, start = predicted_gain(plain, two, starts)
+    if gain < least * plain.problem.colour:
+        return None
+    more = solve(*with_loose_prior(two, start, float(np.exp(plain.vector[: structure.modes].max())) / (2 * np.pi)))
+    return SupportedFit(more, found.path + more.path)
+
+
+def penalised_chi_squared(fit: OutputErrorFit) -> float:
+    """Return χ² of a fit, but for what all fits of its samples share, and 8 for a numerator term, 12 for a pole."""
+    samples, structure = fit.problem.samples, fit.problem.structure
+    least = _ROUNDING**2 * float(np.sum((samples.weight * samples.value) ** 2))
+    chi_square = fit.size * float(np.log(fit.square + least)) / fit.problem.colour
+    return chi_square + TERM * structure.terms + CLEAR * structure.order
+
+
+def _fit_one(search: OrderSearch, load: ReleaseLoad, modes: ComplexArray, reals: int) -> OutputErrorFit:
+    """Return the fit for one load, with the numerator terms that it needs."""
+    reading, whole = search.reading, search.whole
+    highest, lowest = (float(edge) / (2 * np.pi) for edge in (np.abs(modes).max(), np.abs(modes).min()))
+    structure = PoleStructure(len(modes), reals, 1, float(np.exp(np.mean(np.log(np.abs(modes))))))
+    margin = 0.5 / lowest + 3.0 * whole.step_s
+    end = reading.onset_s + reading.release_s + 2.0 * margin
+    samples = reduce_to_blocks(whole, reading.onset_s - margin, end, block_length(1.0 / whole.step_s, highest))
+    starts = first_vectors(structure, load, samples, modes, reading)
+    problem = OutputErrorProblem(structure, load, samples, starts[0], starts[0], reading.onset_s, search.colour)
+    return add_numerator_terms(solve(*with_loose_prior(problem, starts[0], highest)), starts, highest)
+
+
+def add_numerator_terms(found: OutputErrorFit, starts: list[FloatArray], highest_hz: float) -> OutputErrorFit:
+    """Return the fit with the numerator terms that it is worth, each tried from the last fit or from its own start."""
+    problem = found.problem
+    for terms in range(2, problem.structure.order + 1):
+        richer = replace(problem, structure=replace(problem.structure, terms=terms))
+        gain, _ = predicted_gain(found, richer, [found.vector, starts[terms - 1]])
+        if gain > TERM * problem.colour * (terms - found.problem.structure.terms):
+            start = min(found.vector, starts[terms - 1], key=lambda vector: squares(richer, vector[None])[0, -1])
+            firm = 1.0 if terms <= problem.structure.smoothest else 6.0
+            trial = solve(*with_loose_prior(richer, start, firm * highest_hz))
+            found = (
+                replace(trial, path=found.path + trial.path)
+                if penalised_chi_squared(trial) < penalised_chi_squared(found)
+                else found
+            )
+    return found
+
+
+# What the user should know of an identification.
+
+_MORE = 1.5  # residual's variance over that of the noise before the release that a right model would leave
+
+
+def fit_notices(
+    record: StepRecord, reading: ReleaseReading, solution: OutputErrorFit, model: ModalModel, known: FitCovariance
+) -> tuple[Notice, ...]:
+    """Return remarks on the poles, on the residual and on the release."""
+    where = f"{record.name}, {reading.channel}"
+    told = [*_of_poles(model, record.sample_rate_hz), *_of_residual(reading, known)]
+    told += [*_of_release(record, solution, known)]
+    return tuple(Notice(severity, text, where) for severity, text in told)
+
+
+def _of_poles(model: ModalModel, rate_hz: float) -> Iterator[tuple[Severity, str]]:
+    """Yield what is wrong with poles: growing ones, ones that the sampling cannot tell, ones of no clear value."""
+    assert model.covariance is not None
+    u, modes = np.sqrt(np.diag(model.covariance)), len(model.frequency_hz)
+    for hz, zeta, u_zeta in zip(model.frequency_hz, model.damping_ratio, u[modes : 2 * modes], strict=True):
+        if zeta < 0:
+            yield "warning", f"the mode at {hz:.5g} Hz grows, ζ = {zeta:.3g}: the model is unstable"
+        elif u_zeta > UNCLEAR * zeta or zeta > 0.6:
+            yield "warning", f"the mode at {hz:.5g} Hz, ζ = {zeta:.2g} ± {u_zeta:.1g}, may be none of the sensor's"
+        if hz > 0.4 * rate_hz:
+            yield "warning", f"the mode at {hz:.5g} Hz lies near half the sampling rate of {rate_hz:.6g} Hz"
+    for hz, u_hz in zip(model.real_hz, u[4 * modes :], strict=False):
+        if hz > 0.5 * rate_hz or u_hz > UNCLEAR * abs(hz):
+            yield "warning", f"the real pole at {hz:.3g} ± {u_hz:.1g} Hz is hardly told by the record"
+
+
+def _of_residual(reading: ReleaseReading, known: FitCovariance) -> Iterator[tuple[Severity, str]]:
+    """Yield what the residual says of the model's order and of the noise."""
+    ratio = float(np.std(known.residual)) / reading.noise if reading.noise > 0 else np.inf
+    if ratio**2 > _MORE:
+        text = f"the residual is {ratio:.3g} times the noise before the release: the model's order is doubtful"
+        yield "warning", text
+    elif not known.white:
+        text = f"the noise is coloured: the uncertainty of the poles is {np.sqrt(known.excess):.2g} times as large"
+        yield "note", text
+    if reading.clipped:
+        yield "warning", "the output ran into its limit: what was cut off bends the model"
+
+
+def _of_release(record: StepRecord, solution: OutputErrorFit, known: FitCovariance) -> Iterator[tuple[Severity, str]]:
+    """Yield what the release leaves open."""
+    load, samples = solution.problem.load, solution.problem.samples
+    if not load.timed:
+        return
+    middle, length = solution.problem.release(solution.vector)
+    fastest = float(np.exp(np.max(solution.vector[: solution.problem.structure.modes]))) / (2 * np.pi)
+    if known.u_onset_s > 0.1 / fastest:
+        yield (
+            "note",
+            f"the onset is known to {known.u_onset_s:.1g} s only, and with it the phases of the residues; "
+            "poles and static gain do not depend on it",
+        )
+    coarse = samples.time_s[samples.length > 1]
+    if np.any(np.abs(coarse - middle) < 0.5 * length):
+        yield "warning", f"the release at {middle:.6g} s lies outside the part of the record where it was looked for"
+    if record.onset_s is not None and abs(record.onset_s - middle + 0.5 * length) > 1.0 / fastest:
+        onset_s = middle - 0.5 * length
+        yield "warning", f"the onset found, {onset_s:.6g} s, is not the one stated, {record.onset_s:.6g} s"

@@ -1,0 +1,518 @@
+"""Models of a step response by every method, side by side: output error, all orders at once (SIM), evolution."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from shaker.arrays import Brief, FloatArray, check_shape, check_shapes
+from shaker.fitting import REJECT_CHI2, excess_chi2_sigmas
+from shaker.lti.indices import pole_notices
+from shaker.lti.system import LinearSystem, ModalModel
+from shaker.release.load_response import ReleaseLoad, average_blocks, every_sample, reduce_to_blocks
+from shaker.release.model_order import (
+    OrderSearch,
+    SupportedFit,
+    add_numerator_terms,
+    fit_notices,
+    penalised_chi_squared,
+    search_order,
+    with_loose_prior,
+)
+from shaker.release.output_error import OutputErrorProblem, PoleStructure, fit_covariance, modal_model, solve, squares
+from shaker.release.reading import read_release
+from shaker.release.record import ReleaseReading, ReleaseShape, StepRecord
+from shakercal._common.notices import Notice
+
+# What an identification from a step response returns, whatever the method.
+
+Method = Literal["pencil", "arx", "sim", "sim_zoh", "evolution", "evolution_coefficients"]
+
+
+@dataclass(frozen=True, repr=False)
+class StepFit(Brief):
+    """A model of one output for one load component.
+
+    `model`: continuous, in output unit per load unit, None where the poles of `system` have no modal form; `system`:
+    the same, or what the method itself yields, at full precision; `sample_rate_hz`, `decimation`: of the samples that
+    were fitted; `fitted`, `residual` (N,) over `time_s` (N,) in output units; `onset_s`, `u_onset_s`, `release_s`,
+    `u_release_s`: begin and length of the release, taken for one of `shape`; `variance_accounted`:
+    1 - |residual|²/|y - mean|²; `convergence`: loss over iterations or generations, or over the order 1, 2, …;
+    `order`: number of poles; `duration_s`: time taken; `excess`: χ² above that of the likeliest shape.
+    """
+
+    method: Method
+    channel: str
+    component: str
+    unit: str
+    model: ModalModel | None
+    system: LinearSystem
+    time_s: FloatArray
+    fitted: FloatArray
+    residual: FloatArray
+    sample_rate_hz: float
+    decimation: int
+    order: int
+    variance_accounted: float
+    convergence: FloatArray
+    duration_s: float
+    onset_s: float
+    u_onset_s: float
+    release_s: float
+    u_release_s: float
+    shape: ReleaseShape = "step"
+    excess: float = 0.0
+    notices: tuple[Notice, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_shapes(self, (None,), "time_s", "convergence")
+        check_shapes(self, self.time_s.shape, "fitted", "residual")
+
+
+# A solution as what an identification returns.
+
+
+def as_step_fit(
+    record: StepRecord, reading: ReleaseReading, found: SupportedFit, method: Method, began: float
+) -> StepFit:
+    """Return what was found with its covariance from every sample; `began`: when the identification did."""
+    solution = found.solution
+    value = record.samples[record.channels.index(reading.channel)]
+    whole = every_sample(value, record.time_s, 1.0 / record.sample_rate_hz)
+    known = fit_covariance(solution, whole)
+    model = modal_model(solution, known.covariance, record.u_amplitude)
+    middle, length = solution.problem.release(solution.vector)
+    timed = solution.problem.load.timed
+    decimation = int(solution.problem.samples.length[-1])
+    return StepFit(
+        method=method,
+        channel=reading.channel,
+        component=record.component,
+        unit=record.unit,
+        model=model,
+        system=model.system,
+        time_s=whole.time_s,
+        fitted=known.fitted,
+        residual=known.residual,
+        sample_rate_hz=record.sample_rate_hz / decimation,
+        decimation=decimation,
+        order=solution.problem.structure.order,
+        variance_accounted=1.0 - float(np.sum(known.residual**2) / np.sum((value - value.mean()) ** 2)),
+        convergence=np.array(found.path),
+        duration_s=time.perf_counter() - began,
+        onset_s=middle - 0.5 * length if timed else reading.onset_s,
+        u_onset_s=known.u_onset_s if timed else reading.u_onset_s,
+        release_s=length,
+        u_release_s=known.u_release_s,
+        shape=solution.problem.load.shape,
+        notices=fit_notices(record, reading, solution, model, known),
+    )
+
+
+# A model of a sensor from the record of one release.
+
+SHAPES = {"step": "a step", "ramp": "a ramp", "smooth": "half a cosine", "measured": "the measured force"}
+ReleaseOption = Literal["step", "ramp", "smooth", "measured"]
+
+
+def fit_step(
+    record: StepRecord,
+    channel: str,
+    *,
+    reading: ReleaseReading | None = None,
+    modes: int | None = None,
+    real_poles: int | None = None,
+    method: Literal["pencil", "arx"] = "pencil",
+    release: ReleaseOption | None = None,
+) -> StepFit:
+    """Return the model of one output with covariance, by output-error least squares.
+
+    `reading`: what `read_release` says of this channel, read here where it is None; `modes`, `real_poles`: numbers of
+    oscillating modes and of real poles, chosen by rule where None; `release`: how the load goes, "measured" with a
+    measured force and else the likelier of a ramp and half a cosine where None; `method`: what the start comes from.
+    The covariance holds the record's noise, coloured or not, the baseline, the release, its other shape where the
+    record does not refute that, and the load's amplitude.
+
+    >>> import numpy as np
+    >>> from shaker import StepRecord, fit_step
+    >>> time_s, noise = np.arange(4000) / 10e3 - 0.05, 1e-3 * np.random.default_rng(0).normal(size=4000)
+    >>> ring = np.exp(-40.0 * time_s) * np.cos(2 * np.pi * 310.0 * time_s)
+    >>> volts = np.where(time_s < 0.0, 2.0, 2.0 * ring) + noise  # 20 N are taken off
+    >>> record = StepRecord("line 1", ("Fz",), "V", volts[None], 10e3, "Fz", -20.0)
+    >>> model = fit_step(record, "Fz").model
+    >>> print(f"{model.frequency_hz[0]:.0f} Hz, damping ratio {model.damping_ratio[0]:.2f}")
+    310 Hz, damping ratio 0.02
+    """
+    reading = reading or read_release(record, channel)
+    fits = fit_shapes(record, channel, reading, modes, real_poles, method, release)
+    fit = merge_alternatives(fits)
+    told = [text for other in fits[1:] if other.excess < REJECT_CHI2 and (text := describe_difference(fits[0], other))]
+    where = f"{record.name}, {channel}"
+    notices = [Notice("note", f"the record does not tell whether the release is {text}", where) for text in told]
+    return replace(fit, notices=(*fit.notices, *notices))
+
+
+def fit_shapes(
+    record: StepRecord,
+    channel: str,
+    reading: ReleaseReading,
+    modes: int | None = None,
+    real_poles: int | None = None,
+    method: Literal["pencil", "arx"] = "pencil",
+    release: ReleaseOption | None = None,
+) -> tuple[StepFit, ...]:
+    """Return what `fit_step` finds for each shape that the release may have, the likeliest first.
+
+    All have the same numbers of poles; none counts the others in its covariance.
+    """
+    began = time.perf_counter()
+    whole = every_sample(record.samples[record.channels.index(channel)], record.time_s, 1.0 / record.sample_rate_hz)
+    found = search_order(
+        OrderSearch(whole, reading, candidate_loads(record, reading, release), method, modes, real_poles)
+    )
+    fits = [as_step_fit(record, reading, one, method, began) for one in found]
+    least, *_ = costs = [penalised_chi_squared(one.solution) for one in found]
+    return tuple(replace(fit, excess=cost - least) for fit, cost in zip(fits, costs, strict=True))
+
+
+def merge_alternatives(fits: Sequence[StepFit], excess: float | None = None) -> StepFit:
+    """Return the first fit of `fit_shapes` with the others in its uncertainty, where they are not refuted.
+
+    `excess`: by how much χ² of another is larger, that of the record itself where None.
+    """
+    first = fits[0]
+    for other in fits[1:]:
+        more = other.excess if excess is None else excess
+        if more >= REJECT_CHI2 or first.model is None or other.model is None or first.model.covariance is None:
+            continue
+        far = excess_chi2_sigmas(more)
+        away = (other.model.vector - first.model.vector) / far
+        first = replace(
+            first,
+            model=replace(first.model, covariance=first.model.covariance + np.outer(away, away)),
+            u_onset_s=float(np.hypot(first.u_onset_s, (other.onset_s - first.onset_s) / far)),
+            u_release_s=float(np.hypot(first.u_release_s, (other.release_s - first.release_s) / far)),
+        )
+    return first
+
+
+def describe_difference(first: StepFit, other: StepFit) -> str:
+    """Return what it would mean for the model if the load had gone as the other fit has it; "" where that is little."""
+    if first.model is None or other.model is None or first.model.covariance is None:
+        return ""
+    away = np.abs(other.model.vector - first.model.vector)
+    if not np.any(away > np.sqrt(np.diag(first.model.covariance))):
+        return ""
+    shapes = [SHAPES[fit.shape] for fit in (first, other)]
+    poles = [" and ".join(f"{hz:.3g}" for hz in np.sort(fit.model.real_hz)) for fit in (first, other) if fit.model]
+    of_poles = f"the real pole is {poles[0]} Hz or {poles[1]} Hz, and " if poles[0] else ""
+    return f"{shapes[0]} or {shapes[1]}: {of_poles}gains between rest and resonance depend on which; U holds both"
+
+
+def candidate_loads(
+    record: StepRecord, reading: ReleaseReading, release: ReleaseOption | None
+) -> tuple[ReleaseLoad, ...]:
+    """Return the loads that come into question."""
+    if release == "measured" or (release is None and record.force is not None):
+        if record.force is None:
+            raise ValueError(
+                'release: expected "step", "ramp" or "smooth" for a record without force, found "measured"'
+            )
+        rest = record.time_s < reading.onset_s - 3.0 * reading.u_onset_s
+        level = float(np.mean(record.force[rest])) if np.any(rest) else float(record.force[0])
+        return (ReleaseLoad("measured", record.amplitude, record.force - level, record.start_s),)
+    if release is not None:
+        return (ReleaseLoad(release, record.amplitude),)
+    return tuple(ReleaseLoad(shape, record.amplitude) for shape in ("ramp", "smooth"))
+
+
+# Difference equations of every order from one factorisation of the data.
+
+_BEND = 0.15  # share of the whole fall of ln J that may be left beyond the order chosen
+
+
+@dataclass(frozen=True, repr=False)
+class OrderFamily(Brief):
+    """Least-squares difference equations of order 0 … n at once.
+
+    `triangle` (2n + 2, 2n + 2): R of the QR factorisation of the rows [u(k-n) y(k-n) … u(k-1) y(k-1) u(k) y(k)] over
+    all instants k; the interleaved order makes every leading part the data of a lower order (augmented UD
+    identification, also called simultaneous identification of order and parameters). `sample_rate_hz` of the samples.
+    """
+
+    triangle: FloatArray
+    sample_rate_hz: float
+
+    def __post_init__(self) -> None:
+        check_shape("triangle", self.triangle, (None, self.triangle.shape[0]))
+
+    @property
+    def most(self) -> int:
+        """The highest order n."""
+        return len(self.triangle) // 2 - 1
+
+    def loss(self, direct: bool = True) -> FloatArray:
+        """Return J (n,): the sum of squared equation errors of order 1 … n, with or without a term b0·u(k)."""
+        last = 2 * np.arange(1, self.most + 1) + 1
+        own = self.triangle[last, last] ** 2
+        return np.asarray(own if direct else own + self.triangle[last - 1, last] ** 2)
+
+    def parameters(self, order: int, direct: bool = True) -> FloatArray:
+        """Return [b_n, -a_n, …, b_1, -a_1, b_0] (2·order + 1,), without b_0 where not `direct`, of one order."""
+        if not 1 <= order <= self.most:
+            raise ValueError(f"order: expected 1 to {self.most}, found {order}")
+        size = 2 * order + direct
+        return np.asarray(
+            np.linalg.lstsq(self.triangle[:size, :size], self.triangle[:size, 2 * order + 1], rcond=None)[0]
+        )
+
+    def system(self, order: int, direct: bool = True) -> LinearSystem:
+        """Return the difference equation y(k) = Σ b_i u(k-i) - Σ a_i y(k-i) of one order as a sampled system."""
+        own = self.parameters(order, direct)
+        load, past = own[: 2 * order : 2][::-1], own[1 : 2 * order : 2][::-1]
+        numerator = np.concatenate([own[-1:] if direct else [0.0], load])
+        return LinearSystem.from_coefficients(numerator, np.concatenate([[1.0], -past]), self.sample_rate_hz)
+
+    def bend(self, direct: bool = True) -> int:
+        """Return the order at which the loss bends: the first that leaves 15 % of the fall of ln J to higher ones.
+
+        A test of significance is no help here: with noise on the output every further order lowers the loss.
+        """
+        loss = np.log(np.maximum(self.loss(direct), 1e-300))
+        left = (loss - loss.min()) / max(1e-12, loss[0] - loss.min())
+        return int(np.argmax(left <= _BEND)) + 1
+
+
+def fit_all_orders(load: FloatArray, output: FloatArray, sample_rate_hz: float, most: int = 9) -> OrderFamily:
+    """Return the difference equations of order 0 … `most` between a load (N,) and an output (N,)."""
+    check_shape("output", output, load.shape)
+    if len(load) < 4 * most + 4:
+        raise ValueError(f"load: expected at least {4 * most + 4} samples for order {most}, found {len(load)}")
+    windows = [np.lib.stride_tricks.sliding_window_view(part, most + 1) for part in (load, output)]
+    rows = np.stack(windows, axis=2).reshape(len(windows[0]), 2 * most + 2)
+    return OrderFamily(np.asarray(np.linalg.qr(rows)[1]), sample_rate_hz)
+
+
+# Simultaneous identification of order and parameters, as the published work does it.
+
+
+def fit_sim(
+    record: StepRecord,
+    channel: str,
+    *,
+    reading: ReleaseReading | None = None,
+    order: int | None = None,
+    conversion: Literal["tustin", "zoh"] = "tustin",
+    decimation: int = 1,
+    most: int = 9,
+) -> StepFit:
+    """Return the difference equation of one output, made continuous, without covariance.
+
+    `order`: number of poles, by the bend of the loss over order 1 … `most` where None; `conversion` to continuous
+    time: "tustin", as the published model of 100 kHz samples, or "zoh", exact for a load that holds between samples;
+    `decimation`: samples to a mean before anything else. `system.sampled(sample_rate_hz, conversion)` is the
+    difference equation. Least squares of the equation error is biased by output noise, the more the faster the
+    sampling: at 100 kHz and 40 dB a mode of ζ = 0.015 comes out with a multiple of its damping.
+    """
+    began = time.perf_counter()
+    reading = reading or read_release(record, channel)
+    signals = load_and_output(record, reading, decimation)
+    orders = fit_all_orders(signals[0], signals[1], record.sample_rate_hz / decimation, most)
+    direct = conversion == "tustin"
+    chosen = order or orders.bend(direct)
+    fit = difference_fit(record, reading, orders.system(chosen, direct), conversion, signals, orders.loss(direct))
+    return replace(fit, method="sim" if direct else "sim_zoh", order=chosen, duration_s=time.perf_counter() - began)
+
+
+def difference_fit(
+    record: StepRecord,
+    reading: ReleaseReading,
+    sampled: LinearSystem,
+    conversion: Literal["tustin", "zoh"],
+    signals: FloatArray,
+    convergence: FloatArray,
+) -> StepFit:
+    """Return what a difference equation makes of `constructed` signals (3, N), with its continuous system.
+
+    Where a pole has no continuous counterpart the sampled system stays, with a notice.
+    """
+    from scipy.signal import sosfilt
+
+    (load, output, time_s), where = signals, f"{record.name}, {reading.channel}"
+    decimation = record.samples.shape[1] // len(time_s)
+    rate, system, notices = record.sample_rate_hz / decimation, sampled, tuple[Notice, ...]()
+    try:
+        system = sampled.continuous(conversion)
+    except ValueError as error:
+        notices = (Notice("warning", f"no continuous model: {error}", where),)
+    notices += pole_notices(system, rate)
+    with np.errstate(over="ignore", invalid="ignore"):
+        fitted = np.asarray(sosfilt(sampled.sections(), load))
+    if not np.all(np.isfinite(fitted)):
+        notices += (Notice("warning", "the model's output grows without bound: shown is the output's mean", where),)
+        fitted = np.full_like(output, output.mean())
+    with np.errstate(over="ignore"):
+        accounted = 1.0 - float(np.sum((output - fitted) ** 2) / np.sum((output - output.mean()) ** 2))
+    return StepFit(
+        method="evolution_coefficients",
+        channel=reading.channel,
+        component=record.component,
+        unit=record.unit,
+        model=modal_form(system),
+        system=system,
+        time_s=time_s,
+        fitted=fitted + reading.baseline,
+        residual=output - fitted,
+        sample_rate_hz=rate,
+        decimation=decimation,
+        order=len(sampled.poles),
+        variance_accounted=accounted,
+        convergence=convergence,
+        duration_s=0.0,
+        onset_s=reading.onset_s,
+        u_onset_s=reading.u_onset_s,
+        release_s=0.0,
+        u_release_s=0.0,
+        notices=notices,
+    )
+
+
+def load_and_output(record: StepRecord, reading: ReleaseReading, decimation: int) -> FloatArray:
+    """Return load, measured or a step at the onset that was read, output above its baseline, and time (3, N)."""
+    value = record.samples[record.channels.index(reading.channel)] - reading.baseline
+    load = record.amplitude * (record.time_s >= reading.onset_s) if record.force is None else record.force
+    if record.force is not None:
+        load = load - np.mean(load[record.time_s < reading.onset_s])
+    return average_blocks(np.stack([load, value, record.time_s]), decimation)
+
+
+def modal_form(system: LinearSystem) -> ModalModel | None:
+    """Return a continuous system as a sum of modes, None where it has a direct term, double poles or is sampled."""
+    if system.sample_rate_hz is not None or len(system.zeros) == len(system.poles):
+        return None
+    gaps = np.abs(system.poles[:, None] - system.poles) + np.diag(np.full(len(system.poles), np.inf))
+    if np.min(gaps, initial=np.inf) < 1e-6 * np.max(np.abs(system.poles)) or np.any(system.poles == 0):
+        return None
+    residues = system.residues()
+    upper, real = system.poles.imag > 0, system.poles.imag == 0
+    omega = np.abs(system.poles[upper])
+    return ModalModel(
+        omega / (2 * np.pi),
+        -system.poles[upper].real / omega,
+        residues[upper],
+        -system.poles[real].real / (2 * np.pi),
+        residues[real].real,
+    )
+
+
+# Differential evolution: with the published settings, and on parameters that suit the problem.
+
+POPULATION, GENERATIONS, BOUND = 100, 500, 5.0  # the published settings
+_FEWER = (30, 40)  # members and generations that three bounded parameters take
+_DAMPING = (1e-4, 0.5)
+_BLOCKS = 1000  # blocks of the record that the evolution looks at
+
+
+def fit_evolution(
+    record: StepRecord,
+    channel: str,
+    *,
+    rng: np.random.Generator,
+    reading: ReleaseReading | None = None,
+    parametrisation: Literal["coefficients", "modes"] = "modes",
+    order: int = 3,
+) -> StepFit:
+    """Return the model of one output by differential evolution (rand/1/bin, mutation 0.8, crossover 0.7).
+
+    "coefficients": as published, [b_n, a_n, …, b_1, a_1] of H(z) = Σ b z⁻ⁱ/(1 + Σ a z⁻ⁱ) within ±5, population 100, 500
+    generations, loss the squared output error; `convergence` is the best member's over the generations. "modes": fn, ζ
+    and a real pole for order 3 (fn, ζ for order 2), the numerator by linear least squares, then the default method's
+    output-error steps from the best member, which bring the covariance.
+    """
+    from shaker.release.evolution import evolve
+
+    began = time.perf_counter()
+    reading = reading or read_release(record, channel)
+    if parametrisation == "coefficients":
+        return _published(record, reading, rng, order, began)
+    if order not in (2, 3):
+        raise ValueError(f"order: expected 2 or 3 for modes, found {order}")
+    value = record.samples[record.channels.index(channel)]
+    whole = every_sample(value, record.time_s, 1.0 / record.sample_rate_hz)
+    margin, onset_s = reading.rise_s + reading.release_s, reading.onset_s
+    samples = reduce_to_blocks(whole, onset_s - margin, onset_s + 2.0 * margin, max(1, len(value) // _BLOCKS))
+    structure, blank = PoleStructure(1, order - 2, order, 1.0 / reading.rise_s), np.zeros(order + 1)
+    problem = OutputErrorProblem(structure, ReleaseLoad("step", record.amplitude), samples, blank, blank, onset_s)
+    span_s, block_s = samples.time_s[-1] - samples.time_s[0], samples.step_s * samples.length.max()
+    slow, fast, edge = np.log(2 * np.pi * np.array([2.0 / span_s, 0.1 / block_s, 0.4 / samples.step_s])).tolist()
+    # ln ω from two periods in the record to a tenth of the blocks' rate, ζ, ln a up to 0.4 of the samples' rate
+    bounds = [(slow, fast), _DAMPING, *[(slow, edge)] * structure.reals]
+
+    def losses(members: FloatArray, _: FloatArray) -> FloatArray:
+        vectors = np.insert(members, order, onset_s, axis=1)  # as many at once as the processor holds near by
+        return np.concatenate([squares(problem, part)[:, -1] for part in np.array_split(vectors, _FEWER[0] // 10)])
+
+    best, path = evolve(losses, bounds, rng, _FEWER)
+    hz = float(np.exp(best[0])) / (2 * np.pi)
+    start = np.append(best, onset_s)
+    plain = replace(problem, structure=replace(structure, terms=1, scale=2 * np.pi * hz))
+    solution = add_numerator_terms(solve(*with_loose_prior(plain, start, hz)), [start] * order, hz)
+    return as_step_fit(record, reading, SupportedFit(solution, path), "evolution", began)
+
+
+def _published(
+    record: StepRecord, reading: ReleaseReading, rng: np.random.Generator, order: int, began: float
+) -> StepFit:
+    """Return the model found as published, in coefficients of the difference equation."""
+    from shaker.release.evolution import evolve, output_errors
+
+    signals = load_and_output(record, reading, 1)
+    begin = int(np.argmax(signals[0] != 0.0))  # until then no model answers
+    load, output = signals[:2, begin:]
+    before = float(np.sum(signals[1, :begin] ** 2))
+    bounds = [(-BOUND, BOUND)] * (2 * order)
+    best, path = evolve(
+        lambda members, most: output_errors(members, most, load, output, before), bounds, rng, (POPULATION, GENERATIONS)
+    )
+    top, bottom = np.append(0.0, best[-2::-2]), np.append(1.0, best[::-2])
+    sampled = LinearSystem.from_coefficients(top, bottom, record.sample_rate_hz)
+    fit = difference_fit(record, reading, sampled, "zoh", signals, np.array(path))
+    return replace(fit, order=order, duration_s=time.perf_counter() - began)
+
+
+# Every method on the same record.
+
+METHODS: tuple[Method, ...] = ("pencil", "arx", "sim", "sim_zoh", "evolution", "evolution_coefficients")
+
+
+def fit_all_methods(
+    record: StepRecord,
+    channel: str,
+    *,
+    rng: np.random.Generator,
+    reading: ReleaseReading | None = None,
+    methods: Sequence[Method] = METHODS,
+    modes: int | None = None,
+    real_poles: int | None = None,
+) -> tuple[StepFit, ...]:
+    """Return the fits of one output by several methods, in the order of `methods`.
+
+    All share one reading of the release. `modes` and `real_poles` are those of the two methods that take them; the
+    published ones choose their order themselves or keep the published three poles. `rng` draws the first generation.
+    """
+    reading = reading or read_release(record, channel)
+
+    def fitted(method: Method) -> StepFit:
+        if method in ("pencil", "arx"):
+            start: Literal["pencil", "arx"] = "arx" if method == "arx" else "pencil"
+            return fit_step(record, channel, reading=reading, modes=modes, real_poles=real_poles, method=start)
+        if method in ("sim", "sim_zoh"):
+            return fit_sim(record, channel, reading=reading, conversion="tustin" if method == "sim" else "zoh")
+        own: Literal["modes", "coefficients"] = "modes" if method == "evolution" else "coefficients"
+        return fit_evolution(record, channel, rng=rng, reading=reading, parametrisation=own)
+
+    return tuple(map(fitted, methods))

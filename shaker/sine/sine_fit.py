@@ -1,0 +1,407 @@
+"""Sine approximation over exact times, and its stationarity over blocks of whole periods."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, Stacked, check_shape, check_shapes
+from shaker.sine.aliasing import (
+    MAX_CONDITION,
+    alias_frequency,
+    sampling_grid,
+    separation_bins,
+    sine_columns,
+)
+from shaker.sine.noise import LineNoise, line_noise
+from shaker.sine.normal_equations import (
+    SineSamples,
+    Times,
+    UniformTimes,
+    as_complex,
+    check_samples,
+    solve_sines,
+    timeline,
+)
+from shaker.sine.solve import (
+    Estimate,
+    SineFit,
+    SineModel,
+    apply_step,
+    estimate,
+    factor_of,
+    find_spikes,
+    frequency_step,
+    noise_at_lines,
+    phasors_at_zero,
+    sum_remainder,
+)
+from shakercal._common.notices import Notice
+
+_PLAIN = SineModel()
+_ROUNDING = 1e-15  # of a channel's lines: no residual is known better
+
+
+def fit_sines(
+    time_s: Times,
+    values: FloatArray | Stacked,
+    frequency_hz: FloatArray,
+    channels: Sequence[str],
+    unit: Sequence[str],
+    *,
+    model: SineModel = _PLAIN,
+    variance: FloatArray | None = None,
+) -> SineFit:
+    """Fit offset, lines (K,) and what `model` adds to `values` (S, C) at `time_s` (S,) by least squares.
+
+    The three-parameter fit of IEEE 1057 and method 3 of ISO 16063-11 for any number of lines and channels at once,
+    above or below the Nyquist rate alike; with free frequencies the four-parameter fit, its frequencies common to all
+    channels. Rows with a NaN in any channel are dropped. `variance` (S,) or (S, C): noise variances of the samples, up
+    to a common factor for each channel.
+
+    The covariance of a line is (XᵀX)⁻¹ ⊗ Σ with the residuals' covariance Σ = F·Fᵀ (C, C), plus what frequency and
+    decay add. Where the times lie on a grid and the record is long enough, Σ = F·diag(S)·Fᵀ instead, S the spectral
+    density around the line's alias of the series F⁻¹·residual: noise counts where it acts, and combinations of channels
+    that are known better than each channel keep their own.
+
+    Uniform records above 10⁵ samples pass through block by block; neither columns nor residual are ever held.
+
+    >>> import numpy as np
+    >>> from shaker import fit_sines
+    >>> time_s = np.arange(400) / 21.3  # a camera far below the Nyquist rate
+    >>> position = 2e-6 * np.cos(2 * np.pi * 80.0 * time_s + 0.5) + 1e-9 * np.sin(time_s**2)
+    >>> fit = fit_sines(time_s, position[:, None], np.array([80.0]), ["z"], ["m"])
+    >>> fit.phasors
+    Phasors(1 line from 80 to 80 Hz: z [m])
+    >>> print(f"{abs(fit.phasors.value[0, 0]):.2e} m, {np.angle(fit.phasors.value[0, 0]):.2f} rad")
+    2.00e-06 m, 0.50 rad
+    """
+    _check_arguments(time_s, values, frequency_hz, channels, unit)
+    present = rows_present(values)
+    samples = SineSamples(timeline(time_s, present), values, _root(values, variance, present))
+    names = (tuple(channels), tuple(unit))
+    where = ", ".join(channels)
+    notices: tuple[Notice, ...] = ()
+    if present is not None:
+        missing = len(time_s) - int(np.count_nonzero(present))
+        notices = (Notice("note", f"{missing} of {len(time_s)} samples are missing", where),)
+    parameters = 2 * len(frequency_hz) + (2 if model.drift else 1) + int(model.exponents(frequency_hz).shape[1])
+    check_samples(samples.count, parameters)
+    if not model.robust:
+        return _fitted(time_s, samples, frequency_hz, model, names, notices)
+    spikes, limit = find_spikes(samples, frequency_hz, model)
+    if spikes.any():
+        text = (
+            f"{np.count_nonzero(spikes)} of {samples.count} samples stand out of the noise by more than {limit:.2g} "
+            f"standard deviations and are left out, the first at {_written_out(time_s)[np.argmax(spikes)]:.6g} s"
+        )
+        notices += (Notice("warning", text, where),)
+        samples = samples.drop_rows(spikes)
+    check_samples(samples.count, parameters)
+    return replace(_fitted(time_s, samples, frequency_hz, model, names, notices), spikes=np.flatnonzero(spikes))
+
+
+def _fitted(
+    time_s: Times,
+    samples: SineSamples,
+    frequency_hz: FloatArray,
+    model: SineModel,
+    names: tuple[tuple[str, ...], tuple[str, ...]],
+    notices: tuple[Notice, ...],
+) -> SineFit:
+    """Fit the samples kept, and turn parameters about the middle of the record into the result."""
+    lines, unknown = len(frequency_hz), model.exponents(frequency_hz)
+    columns, system, coefficients = estimate(samples, frequency_hz, model, slopes=True)
+    columns = columns if unknown.shape[1] else replace(columns, slopes=False)
+    left = sum_remainder(samples, columns, coefficients)
+    channels = samples.values.shape[1]
+    free = samples.count - system.linear - unknown.shape[1] / channels
+    # The last step, on the exact residual.
+    change = system.coefficients(left.right)
+    gained = left.right[: system.linear].T @ change
+    power = left.power - (gained + gained.T) / 2.0
+    power += np.diag(np.maximum(0.0, -power.diagonal()))
+    factor, whitening = factor_of(power / free)
+    noise = noise_at_lines(
+        samples, columns, left, whitening, _written_out(time_s) if left.residual is not None else None
+    )
+    if noise is None:
+        noise = LineNoise(np.ones((lines + 1, channels)), np.full(lines + 1, free))
+    best = Estimate(columns, coefficients + change, system, factor, noise.variance, unknown, None)
+    if unknown.shape[1]:
+        value = as_complex(coefficients, lines)
+        rounding = (_ROUNDING * np.abs(value).max(axis=0)) ** 2
+        step = frequency_step(system, left.right, value, unknown, np.maximum(power.diagonal() / free, rounding))
+        best = replace(best, columns=apply_step(columns, unknown, step.change), step=step)
+        best = replace(best, coefficients=best.coefficients + best.linear_change() @ step.change)
+    covariance, carried = best.exponent_covariance(), best.linear_change()[2 * lines]
+    spread = system.spread()[:, :, 2 * lines, 2 * lines]
+    middle = samples.timeline.middle_s
+    turns = np.array([samples.timeline.middle_turns(float(f)) for f in best.columns.frequency_hz])
+    to_zero = np.asarray(np.exp(best.columns.decay_per_s * middle - 2j * np.pi * turns))
+    return SineFit(
+        phasors=phasors_at_zero(best, covariance, to_zero, middle, np.minimum(noise.dof, free)[:lines], names),
+        offset=best.coefficients[2 * lines],
+        offset_covariance=spread * best.noise_between(lines, lines) + carried @ covariance @ carried.T,
+        drift_per_s=best.coefficients[2 * lines + 1] if model.drift else np.zeros(channels),
+        middle_s=middle,
+        u_frequency_hz=np.sqrt(np.einsum("kq,qr,kr->k", unknown.imag, covariance, unknown.imag)) / (2.0 * np.pi),
+        decay_per_s=best.columns.decay_per_s,
+        u_decay_per_s=np.sqrt(np.einsum("kq,qr,kr->k", unknown.real, covariance, unknown.real)),
+        slopes=-system.project[:, : 2 * lines],
+        residual_rms=np.sqrt(power.diagonal() / samples.count),
+        spikes=np.zeros(0, dtype=np.int64),
+        condition=system.condition,
+        notices=notices,
+    )
+
+
+def rows_present(values: FloatArray | Stacked) -> BoolArray | None:
+    """Return which rows (S,) have finite values in all channels, None where all have."""
+    stacked = Stacked.from_array(values)
+    with np.errstate(over="ignore", invalid="ignore"):
+        if all(np.isfinite(np.sum(part)) for part in stacked.iterate_row_blocks()):
+            return None
+    present = np.concatenate([np.isfinite(part).all(axis=1) for part in stacked.iterate_row_blocks()])
+    return None if present.all() else present
+
+
+def _root(values: FloatArray | Stacked, variance: FloatArray | None, present: BoolArray | None) -> FloatArray | None:
+    """Return weights 1/σ (S,) or (S, C) with mean square one over the rows present, zero elsewhere; None for ones."""
+    if variance is None:
+        return None if present is None else present.astype(np.float64)
+    if variance.shape not in (values.shape, values.shape[:1]):
+        expected = f"an array of shape {values.shape[:1]} or {values.shape}"
+        raise ValueError(f"variance: expected {expected}, found {variance.shape}")
+    kept = np.ones(len(values), dtype=np.bool_) if present is None else present
+    if not np.all((variance[kept] > 0.0) & np.isfinite(variance[kept])):
+        raise ValueError("variance: expected positive numbers, found others")
+    root = np.zeros(variance.shape)
+    root[kept] = 1.0 / np.sqrt(variance[kept])
+    return np.asarray(root / np.sqrt(np.mean(root[kept] ** 2, axis=0)))
+
+
+def _written_out(time_s: Times) -> FloatArray:
+    return time_s.array() if isinstance(time_s, UniformTimes) else time_s
+
+
+def _check_arguments(
+    time_s: Times, values: FloatArray | Stacked, frequency_hz: FloatArray, channels: Sequence[str], unit: Sequence[str]
+) -> None:
+    if not isinstance(time_s, UniformTimes):
+        check_shape("time_s", time_s, (None,))
+        if not np.all(np.isfinite(time_s)):
+            raise ValueError(f"time_s: expected finite times, found {int(np.sum(~np.isfinite(time_s)))} that are not")
+    check_shape("values", values, (len(time_s), len(channels)))
+    check_shape("frequency_hz", frequency_hz, (None,))
+    if len(unit) != len(channels):
+        raise ValueError(f"unit: expected {len(channels)} units, one per channel, found {len(unit)}")
+
+
+# Whether amplitude and phase of lines stay the same through a record, from blocks of whole periods.
+
+MAX_BLOCKS = 10
+_FULL, _FEWEST = 0.5, 2  # of the mean number of samples in a block that it must have; blocks that show a drift
+_UNUSED = 0.02  # of the record may be left over for the sake of more blocks
+_APART = 8.0  # bins between lines from which on a drift can be taken off without touching their noise
+_SLOPES = ("amplitude_per_s", "u_amplitude_per_s", "phase_rad_per_s", "u_phase_rad_per_s", "p_value")
+_TURNS = 3  # of estimating a wrong rate
+_NO_NOISE = 1e-200  # variance that stands for none: sums of its inverse are numbers
+_NOISE_SAMPLES = 1 << 17  # of a longer record no more are needed for its noise density
+
+
+@dataclass(frozen=True)
+class Stationarity:
+    """Phasors of K lines in C channels over B blocks of a record, and what they say of a drift.
+
+    `time_s` (B,) middles of the blocks, of `block_s` each; `periods`, how many of the first line's periods a block
+    holds (below twice its frequency, those of its alias), `whole` whether that is a whole number. `value` (B, K, C),
+    referred to time zero as those of the whole record, with `u` (B, K, C), standard uncertainty of either part.
+    `amplitude_per_s` and `phase_rad_per_s` (K, C): slope of a straight line through the blocks, with their `u_`.
+    `p_value` (K, C): how often noise alone moves the blocks that far from their mean; `dof` (K,): of that noise.
+    """
+
+    frequency_hz: FloatArray
+    channels: tuple[str, ...]
+    time_s: FloatArray
+    block_s: float
+    periods: float
+    whole: bool
+    value: ComplexArray
+    u: FloatArray
+    amplitude_per_s: FloatArray
+    u_amplitude_per_s: FloatArray
+    phase_rad_per_s: FloatArray
+    u_phase_rad_per_s: FloatArray
+    p_value: FloatArray
+    dof: FloatArray
+
+    def __post_init__(self) -> None:
+        per_line = len(self.frequency_hz), len(self.channels)
+        check_shape("time_s", self.time_s, (None,))
+        check_shapes(self, (len(self.time_s), *per_line), "value", "u")
+        check_shapes(self, per_line, *_SLOPES)
+        check_shape("dof", self.dof, per_line[:1])
+
+    def p_value_with_rate(self, u_phase_rad_per_s: ArrayLike) -> FloatArray:
+        """Return how often noise, and times or a frequency of a wrong rate, move the blocks that far, as `p_value`.
+
+        `u_phase_rad_per_s` (K,) or number: standard uncertainty of the phase's slope by what turns all blocks in
+        proportion to time, such as the rate of a clock. It widens the covariance of the blocks along one direction, so
+        that χ² falls, to first order by that of the slope times the share of this variance in that of the slope
+        (Sherman & Morrison).
+        """
+        return _by_chance(self._chi_square(u_phase_rad_per_s), len(self.time_s), self.dof)
+
+    def excess_variance(self, u_phase_rad_per_s: ArrayLike) -> FloatArray:
+        """Return the variance (K, C) of the blocks beyond noise and such a rate (`p_value_beside`), both parts."""
+        blocks = len(self.time_s)
+        more = np.maximum(self._chi_square(u_phase_rad_per_s) - 2.0 * (blocks - 1), 0.0)
+        return np.asarray(more / np.sum(1.0 / np.maximum(self.u**2, _NO_NOISE), axis=0))
+
+    def _chi_square(self, u_phase_rad_per_s: ArrayLike) -> FloatArray:
+        """Return the weighted sum of squares (K, C) of the blocks about their mean and of the likeliest wrong rate."""
+        rate = np.broadcast_to(np.asarray(u_phase_rad_per_s, dtype=np.float64), self.frequency_hz.shape)[:, None] ** 2
+        weight = 1.0 / np.maximum(self.u**2, _NO_NOISE)
+        total = np.sum(weight, axis=0)
+        time = self.time_s[:, None, None] - np.sum(weight * self.time_s[:, None, None], axis=0) / total
+        own = np.maximum(self.u_phase_rad_per_s, np.finfo(np.float64).tiny) ** 2
+        part = rate / (own + rate)
+        # Turned back by the likeliest rate, not subtracted: a tenth of a radian bends the blocks beyond their noise.
+        rest, turn = self.value, part * self.phase_rad_per_s
+        for _ in range(_TURNS):
+            rest = self.value * np.exp(-1j * turn * time)
+            mean = np.sum(weight * rest, axis=0) / total
+            across = (rest * np.exp(-1j * np.angle(mean))).imag / np.maximum(np.abs(mean), np.finfo(np.float64).tiny)
+            turn = part * (turn + np.sum(weight * time * across, axis=0) / np.sum(weight * time**2, axis=0))
+        rest = self.value * np.exp(-1j * turn * time)
+        mean = np.sum(weight * rest, axis=0) / total
+        wrong = np.divide(turn**2, rate, out=np.zeros(turn.shape), where=rate > 0.0)
+        return np.asarray(np.sum(weight * np.abs(rest - mean) ** 2, axis=0) + wrong)
+
+    @property
+    def length_s(self) -> float:
+        """Time from the beginning of the first block to the end of the last."""
+        return float(self.time_s[-1] - self.time_s[0]) + self.block_s
+
+    def select(self, channel: str) -> Stationarity:
+        """Return one channel."""
+        if channel not in self.channels:
+            raise ValueError(f"channel: expected one of {', '.join(self.channels)}, found {channel}")
+        place = self.channels.index(channel)
+        names = ("value", "u", *_SLOPES)
+        chosen = {name: getattr(self, name)[..., place : place + 1] for name in names}
+        return replace(self, channels=(channel,), **chosen)
+
+
+def stationarity(
+    time_s: FloatArray, values: FloatArray | Stacked, frequency_hz: FloatArray, channels: Sequence[str]
+) -> Stationarity | None:
+    """Fit the lines (K,) to blocks of `values` (S, C) at ascending times (S,), the blocks holding whole periods.
+
+    The periods are those of the first line's alias, so that beyond the Nyquist rate a block holds whole beats; where
+    the record has fewer than two, its halves are the blocks. At most ten blocks. Phasors of a block come from the fit
+    of all lines and an offset to its samples, their noise from the density around each line of what the whole record's
+    fit leaves, without the sidebands that a drift makes. The test is that of Fisher for 2(B - 1) real residuals about
+    the weighted mean. None where the blocks are too short to tell the lines apart, or gaps leave one only.
+    Blocks with less than half of their samples are left out, and so are rows with a NaN.
+    """
+    tiny = np.finfo(np.float64).tiny
+    check_shape("time_s", time_s, (None,))
+    check_shape("values", values, (len(time_s), len(channels)))
+    present = rows_present(values)
+    time, data = time_s if present is None else time_s[present], Stacked.from_array(values).select_rows(present)
+    block_s, periods, whole = _block_length(time, frequency_hz)
+    interval = float(time[-1] - time[0]) / (len(time) - 1)
+    length = float(time[-1] - time[0]) + interval
+    count = int(np.floor(length / block_s + 0.5 / len(time)))  # the last block may lack half a sample
+    start = float(time[0]) - interval / 2.0 + (length - count * block_s) / 2.0  # the blocks lie in the record's middle
+    blocks = [slice(low, high) for low, high in pairwise(np.searchsorted(time, start + block_s * np.arange(count + 1)))]
+    blocks = [rows for rows in blocks if rows.stop - rows.start > _FULL * len(time) / count]
+    if len(blocks) < _FEWEST:
+        return None
+    try:
+        every = (solve_sines(sine_columns(time[rows], frequency_hz), data[rows]) for rows in blocks)
+        found = [(one.condition, *one.phasors(len(frequency_hz))) for one in every]  # the residuals are not held
+    except ValueError:
+        return None
+    condition, value, spread = (np.stack(part) for part in zip(*found, strict=True))
+    if condition.max() > MAX_CONDITION:
+        return None
+    first = max(0, (len(time) - _NOISE_SAMPLES) // 2)
+    inner = slice(first, first + _NOISE_SAMPLES)
+    variance, dof = _noise(time[inner], data[inner], frequency_hz)
+    u = np.sqrt(spread[:, :, None] * variance[None])
+    middle = np.array([time[rows].mean() for rows in blocks])
+    weight = 1.0 / np.maximum(u**2, _NO_NOISE)
+    mean = np.sum(weight * value, axis=0) / np.sum(weight, axis=0)
+    # Along the mean phasor the change of amplitude, across it that of phase times amplitude.
+    turned = (value - mean) * np.exp(-1j * np.angle(mean))
+    chi2 = np.sum(weight * np.abs(turned) ** 2, axis=0)
+    centred = middle[:, None, None] - np.sum(weight * middle[:, None, None], axis=0) / np.sum(weight, axis=0)
+    information = np.sum(weight * centred**2, axis=0)
+    slope, u_slope = np.sum(weight * centred * turned, axis=0) / information, 1.0 / np.sqrt(information)
+    size = np.maximum(np.abs(mean), tiny)
+    return Stationarity(
+        frequency_hz=frequency_hz,
+        channels=tuple(channels),
+        time_s=middle,
+        block_s=block_s,
+        periods=periods,
+        whole=whole,
+        value=value,
+        u=u,
+        amplitude_per_s=slope.real,
+        u_amplitude_per_s=u_slope,
+        phase_rad_per_s=slope.imag / size,
+        u_phase_rad_per_s=u_slope / size,
+        p_value=_by_chance(chi2, len(middle), dof),
+        dof=dof,
+    )
+
+
+def _by_chance(chi2: FloatArray, blocks: int, dof: FloatArray) -> FloatArray:
+    """Return how often 2(B - 1) normal variables over noise of `dof` (K,) exceed χ² (K, C): Fisher's distribution."""
+    from scipy.special import fdtrc
+
+    free = 2.0 * (blocks - 1)
+    return np.asarray(fdtrc(free, dof[:, None], chi2 / free))
+
+
+def _block_length(time: FloatArray, frequency_hz: FloatArray) -> tuple[float, float, bool]:
+    """Return length of a block in s, the first line's periods in it, and whether these are whole."""
+    grid = sampling_grid(time)
+    if grid is None:
+        length, seen_hz = float(time[-1] - time[0]), float(frequency_hz[0])
+    else:
+        length, seen_hz = grid.length / grid.rate_hz, float(alias_frequency(frequency_hz[0], grid.rate_hz))
+    # A tenth of a period more or less is no harm: each block is fitted, not averaged.
+    total = int(np.floor(length * seen_hz + 0.1))
+    if total < 2:
+        return length / 2.0, length * seen_hz / 2.0, False
+    counts = np.arange(2, min(total, MAX_BLOCKS) + 1)
+    used = counts * (total // counts)
+    count = int(np.max(counts[used >= min((1.0 - _UNUSED) * total, used.max())]))
+    periods = total // count
+    return min(periods / seen_hz, length / count), float(periods), True
+
+
+def _noise(time: FloatArray, data: FloatArray, frequency_hz: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the noise variance (K, C) around the lines, and its degrees of freedom (K,)."""
+    columns, lines, grid = sine_columns(time, frequency_hz), len(frequency_hz), sampling_grid(time)
+    if grid is not None and separation_bins(frequency_hz, grid.rate_hz, grid.length) >= _APART:
+        # A drift of amplitude and phase makes skirts around each line that would count as noise.
+        span = np.sqrt(3.0) * (2.0 * (time - time[0]) / (time[-1] - time[0]) - 1.0)
+        columns = np.hstack([columns, columns[:, : 2 * lines] * span[:, None]])
+    solution = solve_sines(columns, data)
+    residual, free = solution.residual, float(len(time) - len(solution.coefficients))
+    if grid is not None:
+        line_bin = alias_frequency(frequency_hz, grid.rate_hz) * grid.length / grid.rate_hz
+        noise = line_noise(grid.filled(residual), len(time), line_bin, blocks=False)
+        if noise is not None:
+            return noise.variance, np.minimum(noise.dof, free)
+    return np.tile(np.sum(residual**2, axis=0) / free, (lines, 1)), np.full(lines, free)

@@ -1,0 +1,207 @@
+"""Notices and errors that users read: declared once with a code, raised with the numbers of the case."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any, Literal
+
+Severity = Literal["error", "warning", "note"]
+"""`error`: refused. `warning`: the result may be wrong or U incomplete. `note`: good to know."""
+Value = str | int | float | bool
+
+
+def plain_value(value: Any) -> Value:
+    """Return a value of a notice as Python's text, number or truth value; numpy's scalars become these."""
+    return value.item() if hasattr(value, "item") else value  # type: ignore[no-any-return]
+
+
+@dataclass(frozen=True)
+class DeclaredNotice:
+    """A kind of notice or error, declared once next to the stage that raises it.
+
+    Attributes
+    ----------
+    code : `SC-` and three digits; it never changes its meaning.
+    severity : `error`, `warning` or `note`.
+    template : one sentence that states what was found, with the fields of `str.format`.
+    effect : what it does to the result; may use the same fields.
+    remedy : what the user can do; may use the same fields.
+    link : page of the documentation, with its heading, such as `tracking.md#lost-subsets`.
+    possible_size : of an influence that no recording of a kind can assess: how large it may be. Pages list such notes
+        in the table "Not assessed".
+    acknowledgeable : whether a manifest may acknowledge it; False where it must stop a certificate.
+
+    Examples
+    --------
+    >>> from shakercal._common.notices import DeclaredNotice, Notice
+    >>> LOST = DeclaredNotice("SC-999", "warning", "{lost} of {total} subsets are lost.", remedy="Reduce the motion.")
+    >>> Notice(LOST, "camera left", lost=3, total=40).text
+    '3 of 40 subsets are lost.'
+    """
+
+    code: str
+    severity: Severity
+    template: str
+    effect: str = ""
+    remedy: str = ""
+    link: str = ""
+    possible_size: str = ""
+    acknowledgeable: bool = True
+
+
+@dataclass(frozen=True, init=False)
+class Notice:
+    """A declared notice that occurred: what was found, where, and the numbers of the case.
+
+    Attributes
+    ----------
+    code, severity : those of the declaration.
+    where : the channel, camera, file or stage that it concerns.
+    text, effect, remedy, possible_size : the texts of the declaration with the values of the case.
+    values : the values by name; numbers in the unit that the name ends with.
+    """
+
+    code: str
+    severity: Severity
+    text: str
+    where: str
+    effect: str
+    remedy: str
+    possible_size: str
+    values: Mapping[str, Value] = field(hash=False)
+
+    def __init__(self, declared: DeclaredNotice | str, where: str = "", /, *legacy: str, **values: Value) -> None:
+        if isinstance(declared, str):  # until every notice is declared
+            severity: Any = {"info": "note"}.get(declared, declared)
+            declared, where, values = DeclaredNotice("", severity, "{text}"), legacy[0], {"text": where}
+        values = {name: plain_value(value) for name, value in values.items()}
+        set_field = object.__setattr__
+        set_field(self, "code", declared.code)
+        set_field(self, "severity", declared.severity)
+        set_field(self, "text", declared.template.format(**values))
+        set_field(self, "where", where)
+        set_field(self, "effect", declared.effect.format(**values))
+        set_field(self, "remedy", declared.remedy.format(**values))
+        set_field(self, "possible_size", declared.possible_size.format(**values))
+        set_field(self, "values", values)
+
+    @classmethod
+    def from_row(cls, row: Mapping[str, str]) -> Notice:
+        """Return the notice that `as_row` describes; of an older file, one without a code."""
+        severity: Any = {"info": "note"}.get(row["severity"], row["severity"])
+        notice = cls(DeclaredNotice(row.get("code", ""), severity, ""), row["where"])
+        for name in ("text", "effect", "remedy", "possible_size"):
+            object.__setattr__(notice, name, row.get(name, ""))
+        object.__setattr__(notice, "values", json.loads(row.get("values", "{}")))
+        return notice
+
+    def as_row(self) -> dict[str, str]:
+        """Return every field as text; the values as one JSON object."""
+        row = {one.name: getattr(self, one.name) for one in fields(self)}
+        values = self.values.items()
+        finite = {name: value if isinstance(value, str) or math.isfinite(value) else None for name, value in values}
+        return {**row, "values": json.dumps(finite, ensure_ascii=False)}
+
+    def at(self, where: str) -> Notice:
+        """Return the same notice of another place."""
+        notice = object.__new__(Notice)
+        for one in fields(self):
+            object.__setattr__(notice, one.name, getattr(self, one.name))
+        object.__setattr__(notice, "where", where)
+        return notice
+
+    @property
+    def explanation(self) -> str:
+        """The sentence with its effect and remedy."""
+        return " ".join(text for text in (self.text, self.effect, self.remedy) if text)
+
+
+# The notices of one result, and of several recordings.
+
+
+def warnings_first(notices: Iterable[Notice]) -> list[Notice]:
+    """Return every notice once, warnings first; one of several places names them all."""
+    places: dict[Notice, dict[str, None]] = {}
+    for notice in notices:
+        places.setdefault(notice.at(""), {})[notice.where] = None
+    once = [notice.at(", ".join(filter(None, where))) for notice, where in places.items()]
+    return sorted(once, key=lambda notice: notice.severity != "warning")
+
+
+NUMBER = re.compile(r"(?<![\w.])[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+"""A number in a notice; digits within a name, such as that of a channel, do not count."""
+
+
+@dataclass(frozen=True)
+class GatheredNotice:
+    """A notice of several recordings, with the ranges of its numbers.
+
+    `recordings`: names of all that it concerns, `everywhere`: whether these are all there are of several; `each`: every
+    notice with the recordings that state it.
+    """
+
+    text: str
+    recordings: tuple[str, ...]
+    everywhere: bool
+    each: tuple[tuple[Notice, tuple[str, ...]], ...]
+
+    @property
+    def first(self) -> Notice:
+        """The notice of the first recording: its code, severity and place are those of all."""
+        return self.each[0][0]
+
+    @property
+    def code(self) -> str:
+        """The code, one for all recordings."""
+        return self.first.code
+
+    @property
+    def severity(self) -> Severity:
+        """The severity, one for all recordings."""
+        return self.first.severity
+
+    @property
+    def where(self) -> str:
+        """The place, one for all recordings."""
+        return self.first.where
+
+    @property
+    def possible_size(self) -> str:
+        """How large an influence that is not assessed may be."""
+        return self.first.possible_size
+
+    @property
+    def concerned(self) -> str:
+        """Return the names of all recordings that it concerns."""
+        return f"all {len(self.recordings)} recordings" if self.everywhere else ", ".join(self.recordings)
+
+
+def gather(groups: Sequence[tuple[str, Iterable[Notice]]]) -> list[GatheredNotice]:
+    """Return the notices of named recordings, each once: warnings first, then those of most recordings."""
+    found: dict[tuple[object, ...], dict[Notice, dict[str, None]]] = {}
+    for name, notices in groups:
+        for notice in notices:
+            key = notice.code, notice.severity, notice.where, *NUMBER.split(notice.text)
+            found.setdefault(key, {}).setdefault(notice, {})[name] = None
+    gathered = []
+    for members in found.values():
+        names = dict.fromkeys(name for stating in members.values() for name in stating)
+        each = tuple((notice, tuple(stating)) for notice, stating in members.items())
+        everywhere = len(names) == len(groups) > 1
+        text = _in_ranges([notice.text for notice in members])
+        gathered.append(GatheredNotice(text, tuple(names), everywhere, each))
+    return sorted(gathered, key=lambda notice: (notice.severity != "warning", -len(notice.recordings)))
+
+
+def _in_ranges(texts: Sequence[str]) -> str:
+    """Return texts that differ in numbers alone as one, with the least and the largest of every number."""
+    words, columns = NUMBER.split(texts[0]), zip(*(NUMBER.findall(text) for text in texts), strict=True)
+    ranges = []
+    for numbers in columns:
+        ordered = sorted(set(numbers), key=lambda number: float(number.replace("−", "-")))
+        ranges.append(ordered[0] if len(ordered) == 1 else f"{ordered[0]} to {ordered[-1]}")
+    return "".join(part for pair in zip(words, [*ranges, ""], strict=True) for part in pair)
