@@ -10,6 +10,7 @@ import numpy as np
 
 from photogram.arrays import Arrays, BoolArray, FloatArray, RunningMean, derivatives
 from photogram.camera import StereoRig, epipolar_residual, triangulate
+from photogram.epipolar_notices import CAMERA_DRIFTS, CAMERA_MOVED, PAIR_CHANGED, PAIR_TURNED
 from photogram.geometry import RigidTransform, rotation_from_vector
 from shakercal._common.notices import Notice
 
@@ -139,7 +140,7 @@ def check_epipolar(
     travel = float(np.sqrt(np.nanmean(np.sum(path**2, axis=-1))) / extent)
     passing_px = travel * float(np.sqrt(np.mean(mean[good] ** 2)))
     notices = [
-        None if excess is None else Notice("warning", excess + _turn_text(rig, matches) + "; calibrate again", _WHERE),
+        None if excess is None else _pair_notice(rig, matches, excess),
         _course_notice(change, u_course, float(np.hypot(bias_px, passing_px))),
     ]
     return EpipolarCheck(
@@ -208,7 +209,17 @@ def _course(residual: FloatArray, variance: FloatArray, basis: FloatArray) -> tu
     return np.where(enough, value, np.nan), np.where(enough, u, np.nan)
 
 
-def _turn_text(rig: StereoRig, matches: tuple[FloatArray, FloatArray]) -> str:
+def _pair_notice(rig: StereoRig, matches: tuple[FloatArray, FloatArray], values: dict[str, float | str]) -> Notice:
+    """Return the warning of a residual that the calibration does not explain, with a turn that would."""
+    turn = _turn_text(rig, matches)
+    if turn is None:
+        return Notice(PAIR_CHANGED, _WHERE, **values)
+    (about_x, about_z), displaced_m = turn
+    angles = {"about_x_mrad": round(1e3 * about_x, 2) + 0.0, "about_z_mrad": round(1e3 * about_z, 2) + 0.0}
+    return Notice(PAIR_TURNED, _WHERE, **values, **angles, displaced_mm=1e3 * displaced_m)
+
+
+def _turn_text(rig: StereoRig, matches: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, float] | None:
     """Say which turn of the right camera about its centre puts the points on their epipolar lines, if one does.
 
     Of the turns that do, it is the one without a part across the plane of sight, which no residual shows.
@@ -220,16 +231,11 @@ def _turn_text(rig: StereoRig, matches: tuple[FloatArray, FloatArray]) -> str:
     )
     turn, *_ = np.linalg.lstsq(derivative, -residual, rcond=None)
     if np.linalg.norm(residual + derivative @ turn) > _TURN_EXPLAINS * np.linalg.norm(residual):
-        return ""
+        return None
     turned = _turned(rig, axes @ turn)
     pairs = matches[0][None], matches[1][None]
     moved = triangulate(turned, *pairs).position_m - triangulate(rig, *pairs).position_m
-    displaced = float(np.sqrt(np.nanmean(np.sum(moved**2, axis=-1))))
-    about_x, about_z = (f"{round(1e3 * angle, 2) + 0.0:.2f} mrad" for angle in turn)  # no negative zero
-    return (
-        f"; as if the right camera were turned by {about_x} about its x axis and {about_z} "
-        f"about its optical axis, which places the points at least {1e3 * displaced:.3f} mm off"
-    )
+    return np.asarray(turn), float(np.sqrt(np.nanmean(np.sum(moved**2, axis=-1))))
 
 
 def _turned(rig: StereoRig, vector_rad: FloatArray) -> StereoRig:
@@ -238,7 +244,7 @@ def _turned(rig: StereoRig, vector_rad: FloatArray) -> StereoRig:
     return replace(rig, right_from_left=turn @ rig.right_from_left)
 
 
-def _unexplained(pattern: FloatArray, covariance: FloatArray | None) -> str | None:
+def _unexplained(pattern: FloatArray, covariance: FloatArray | None) -> dict[str, float | str] | None:
     """Return what is wrong where the pattern over the recording is more than calibration and matching explain."""
     from scipy.special import chdtri
 
@@ -246,13 +252,13 @@ def _unexplained(pattern: FloatArray, covariance: FloatArray | None) -> str | No
     if covariance is None:
         if size <= UNCALIBRATED_PX:
             return None
-        explained = f"a calibration without uncertainties is trusted within {UNCALIBRATED_PX} px"
+        source, explained_px = "a calibration without uncertainties", UNCALIBRATED_PX
     else:
         square = float(pattern @ np.linalg.pinv(covariance, hermitian=True) @ pattern)
         if size <= REMARKABLE_PX or square <= chdtri(3, RARE):
             return None
-        explained = f"the calibration explains {COVERAGE * np.sqrt(np.trace(covariance)):.3f} px (k = 2)"
-    return f"the cameras no longer are what was calibrated: the epipolar residual is {size:.3f} px, {explained}"
+        source, explained_px = "the calibration (k = 2)", float(COVERAGE * np.sqrt(np.trace(covariance)))
+    return {"residual_px": size, "source": source, "explained_px": explained_px}
 
 
 def _course_notice(change: FloatArray, u_noise: FloatArray, bias_px: float) -> Notice | None:
@@ -287,8 +293,6 @@ def _course_notice(change: FloatArray, u_noise: FloatArray, bias_px: float) -> N
     scatter = float(np.sqrt(np.mean(np.sum((about_line if drifts else about_step) ** 2, axis=1))))
     if change_px <= max(MOVED_PX + COVERAGE * bias_px, CLEAR * scatter):
         return None
-    what = f"a camera moved during the recording, before frame {frames[split]} (counted from 0)"
-    where = "there"
     if drifts:
-        what, where = "a camera drifts during the recording", "from the first to the last frame"
-    return Notice("warning", f"{what}: the epipolar residual changes by {change_px:.3f} px {where}", _WHERE)
+        return Notice(CAMERA_DRIFTS, _WHERE, change_px=change_px)
+    return Notice(CAMERA_MOVED, _WHERE, frame=int(frames[split]), change_px=change_px)

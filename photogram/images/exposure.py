@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photogram.arrays import FloatArray
+from photogram.images.image_notices import COLOUR_MOSAIC, SENSOR_CLIPS
 from photogram.images.sequence import GreyImage, ImageSequence
 from shakercal._common.notices import Notice
 
@@ -110,19 +111,19 @@ def inspect_first_image(images: ImageSequence, first: GreyImage) -> ImageSequenc
     level = clip_level(first)
     if level is not None and level < images.full_scale:
         share = 100.0 * np.count_nonzero(first == level) / first.size
-        text = (
-            f"the sensor clips at {level}, below full scale {images.full_scale}: {share:.2g} % of the pixels of the "
-            "first image are saturated. These pixels are left out; use less light or a shorter exposure"
+        notice = Notice(
+            SENSOR_CLIPS,
+            images.names[0],
+            clip_level=level,
+            full_scale=images.full_scale,
+            saturated_percent=share,
         )
-        images = replace(images, clips_at=level, notices=(*images.notices, Notice("warning", text, images.names[0])))
+        images = replace(images, clips_at=level, notices=(*images.notices, notice))
     images.check(0, first)
     colours = mosaic_contrast(first)
     if colours:
-        text = (
-            f"neighbouring pixels differ by {100.0 * colours:.2g} % in a pattern of 2 x 2, as in the raw mosaic of a "
-            "colour camera. The pattern counts as texture and biases positions. Use a monochrome camera or one colour"
-        )
-        images = replace(images, notices=(*images.notices, Notice("warning", text, images.names[0])))
+        notice = Notice(COLOUR_MOSAIC, images.names[0], contrast_percent=100.0 * colours)
+        images = replace(images, notices=(*images.notices, notice))
     return images
 
 

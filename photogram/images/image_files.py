@@ -10,6 +10,7 @@ from typing import cast
 
 import numpy as np
 
+from photogram.images.image_notices import LOSSY_IMAGES
 from photogram.images.numbering import numbers_of_names
 from photogram.images.orientation import PNG_SIGNATURE, read_orientation, tag_notices
 from photogram.images.sequence import (
@@ -97,8 +98,7 @@ def _header_notices(files: Sequence[Path], headers: Sequence[ImageHeader]) -> tu
     count = headers[0].pages if headers[0].pages > 1 else len(files)
     lossy = next((path for path, header in zip(files, headers, strict=True) if header.lossy), None)
     if lossy is not None:
-        text = f"{count} pictures with lossy compression, which changes grey values; such errors are in no uncertainty"
-        found.append(Notice("warning", text, str(lossy)))
+        found.append(Notice(LOSSY_IMAGES, str(lossy), images=count))
     tags = {path: header.orientation for path, header in zip(files, headers, strict=True)}
     return (*found, *tag_notices(tags))
 

@@ -9,6 +9,7 @@ from os import SEEK_CUR
 from pathlib import Path
 from typing import BinaryIO
 
+from photogram.images.image_notices import ORIENTATION_NOT_APPLIED
 from photogram.images.sequence import wrap_read_errors
 from shakercal._common.notices import Notice
 
@@ -32,13 +33,8 @@ def tag_notices(tags: Mapping[Path, int]) -> tuple[Notice, ...]:
     if not turned:
         return ()
     path, tag = next(iter(turned.items()))
-    share = f"{len(turned)} of {len(tags)} image files"
-    text = (
-        f"orientation tag {tag} ({TURNED[tag]}) of {share} is not applied: the pixels are used as the sensor stored "
-        "them. A calibration by a program that applies such tags does not fit; calibrate by "
-        "shakercal cameras, or with images without the tag"
-    )
-    return (Notice("warning", text, str(path)),)
+    values = {"tag": tag, "rotation": TURNED[tag], "tagged": len(turned), "files": len(tags)}
+    return (Notice(ORIENTATION_NOT_APPLIED, str(path), **values),)
 
 
 def read_orientations(paths: Iterable[Path]) -> dict[Path, int]:

@@ -15,6 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photogram.arrays import FloatArray
+from photogram.images.image_notices import (
+    COMPANDED_CODES,
+    COMPRESSED_VIDEO,
+    EXPOSURE_VARIES,
+    FILM_DECODED,
+    RAW_PHOTRON_FRAMES,
+)
 from photogram.images.numbering import numbers_of_times
 from photogram.images.orientation import ROTATED, tag_notices
 from photogram.images.sequence import (
@@ -100,8 +107,7 @@ def open_photron(header: Path, bit_depth: int | None) -> ImageSequence:
     shift = 16 - bits if side == "higher" else 0
     rate_hz, exposure_s = (_stated(entries, key) for key in ("Record Rate(fps)", "Shutter Speed(s)"))
     step = _stated(entries, "Save Step") or 1.0
-    told = "its frames are called raw, as those of 12 bits are; taken for monochrome, not for the mosaic of colours"
-    notices = (Notice("note", told, str(header)),) if colour.lower() == "raw" else ()
+    notices = (Notice(RAW_PHOTRON_FRAMES, str(header)),) if colour.lower() == "raw" else ()
     return ImageSequence(
         _names(path, frames),
         size_px,
@@ -264,10 +270,10 @@ def open_cine(path: Path, bit_depth: int | None) -> ImageSequence:
         exposure_s = float(np.median(each))
         other = int(np.count_nonzero(np.abs(each - exposure_s) > 0.01 * exposure_s))
         if other:
-            told = f"exposure of {1e6 * exposure_s:.4g} µs, but another one stated for {other} of {frames} frames"
-            notices.append(Notice("warning", told, str(path)))
+            values = {"exposure_us": 1e6 * exposure_s, "different": other, "frames": frames}
+            notices.append(Notice(EXPOSURE_VARIES, str(path), **values))
     if packing == PACKED_10:
-        notices.append(Notice("note", "10 bits a pixel, companded: rounded to 0.1 % of full scale", str(path)))
+        notices.append(Notice(COMPANDED_CODES, str(path)))
     scale = full_scale_of(path, bits, bit_depth)
     names, remarks = _names(path, frames), tuple(notices)
     return ImageSequence(names, cine.size_px, scale, cine.read, time_s, exposure_s, remarks, glimpse=cine.glimpse)
@@ -392,14 +398,11 @@ def open_film(path: Path, bit_depth: int | None) -> ImageSequence:
     if not stamps:
         raise ValueError(f"{path}: expected frames, found none that can be decoded")
     name = codec.decode("latin-1").strip(" \0").upper()
-    told = (
-        f"a film of {bits} bits, whose player may have changed grey values; raw frames of the camera are better"
-        if name in LOSSLESS
-        else f"compressed video ({name}): its codec moves grey values and edges by what it leaves out, differently "
-        "from frame to frame. Such errors are in no uncertainty; record uncompressed frames (TIFF, cine, raw video)"
-    )
-    codec_told = Notice("note" if name in LOSSLESS else "warning", told, str(path))
-    notices = (codec_told, *tag_notices({path: ROTATED.get(turned, 1)}))
+    if name in LOSSLESS:
+        codec_notice = Notice(FILM_DECODED, str(path), bits=bits)
+    else:
+        codec_notice = Notice(COMPRESSED_VIDEO, str(path), codec=name)
+    notices = (codec_notice, *tag_notices({path: ROTATED.get(turned, 1)}))
     scale, film = full_scale_of(path, bits, bit_depth), _Film(path, tag in (GREY_8, GREY_16))
     time_s = np.array(stamps) - stamps[0]
     numbers = numbers_of_times(time_s, STAMP_S)

@@ -28,6 +28,7 @@ from photogram.measure.follow import (
     iterate_blocks,
     prepare_body,
 )
+from photogram.measure.rigid_notices import BODY_DEFORMS, FRAMES_WITHOUT_GREY_FIT, GREY_FIT_DISAGREES
 from photogram.motion import Deformation, DeformationMean, RigidMotion, fit_motion, overlap_correlation
 from photogram.subsets.find import BodyNotFound, DepthRange
 from photogram.subsets.icgn import TrackSettings, subset_noise, subset_positions
@@ -399,26 +400,18 @@ def _joined(parts: Sequence[RigidMotion]) -> RigidMotion:
 
 def _rigid_notices(sums: _Sums, motion: RigidMotion, of_points: RigidMotion, missed: tuple[int, int]) -> list[Notice]:
     """Warnings about points that move unlike a rigid body, frames without a direct fit, and one against the points."""
-    texts = []
+    notices, where = list[Notice](), "rigid motion"
     known = np.isfinite(of_points.residual_m[1:])
     if known.any():
         misfit, noise = np.median(of_points.residual_m[1:][known]), np.sqrt(sums.variance_m2.median)
         if misfit >= LARGEST_BENDING * noise:
-            texts.append(
-                f"the points depart from a rigid motion by {1e6 * misfit:.1f} µm rms, {misfit / noise:.0f} times their "
-                "noise: the body bends, or parts of it move on their own"
-            )
+            notices.append(Notice(BODY_DEFORMS, where, misfit_um=1e6 * misfit, ratio=misfit / noise))
     if missed[0]:
-        texts.append(
-            f"in {missed[0]} of {missed[1]} frames the motion could not be fitted to the grey values; its points count"
-        )
+        notices.append(Notice(FRAMES_WITHOUT_GREY_FIT, where, failed=missed[0], frames=missed[1]))
     difference = (motion.pose - of_points.pose)[1:]
     both = np.isfinite(difference).all(axis=1)
     squares = difference[both] ** 2 / np.diagonal(of_points.covariance[1:], axis1=1, axis2=2)[both]
     ratio = float(np.sqrt(np.mean(squares))) if both.any() else 0.0
     if ratio > LARGEST_DIFFERENCE:
-        texts.append(
-            f"the motion fitted to the grey values is {ratio:.1f} standard uncertainties off that of the tracked "
-            "points: the body bends, something in front of it moves, or its texture is not resolved"
-        )
-    return [Notice("warning", text, "rigid motion") for text in texts]
+        notices.append(Notice(GREY_FIT_DISAGREES, where, ratio=ratio))
+    return notices

@@ -13,6 +13,7 @@ from photogram.arrays import Arrays, BoolArray, FloatArray, check_shape
 from photogram.images.noise import NoiseModel
 from photogram.subsets.reference import ReferenceSubsets, TrackStatus
 from photogram.subsets.search import score_peaks
+from photogram.subsets.subset_notices import UNRESOLVED_TEXTURE, UNUSED_SUBSETS
 from shakercal._common.notices import Notice
 
 Image = NDArray[Any]
@@ -309,8 +310,8 @@ class SubsetQuality(Arrays, shapes="predicted_sigma_px N 2; noise_grey N; status
         parts = [f"{count} {reason}" for count, reason in lost if count > 0]
         if not parts:
             return ()
-        text = f"{np.sum(~self.usable)} of {len(self.status)} subsets are not used: {', '.join(parts)}"
-        return (Notice("note", text, where),)
+        values = {"unused": int(np.sum(~self.usable)), "subsets": len(self.status), "reasons": ", ".join(parts)}
+        return (Notice(UNUSED_SUBSETS, where, **values),)
 
 
 def assess_subsets(reference: ReferenceSubsets, image: Image, noise: NoiseModel, full_scale: int) -> SubsetQuality:
@@ -400,13 +401,14 @@ def aliasing_notice(
     if not (speckle_px < SMALLEST_SPECKLE_PX or bias.mean_px > LARGEST_BIAS_PX):
         return None
     share = fine_texture_share(image, area, float(np.nan_to_num(noise_grey)))
-    text = (
-        f"texture is finer than the camera resolves (speckle of {speckle_px:.1f} px, {100 * share:.1f} % of its power "
-        f"beyond 0.4 cycles per pixel): positions may err by {bias.subset_px:.2g} px per subset and "
-        f"{bias.mean_px:.2g} px in the mean of all, periodic in the pixel, which appears as false harmonics of the "
-        "motion; use speckle of 4 to 5 px with soft rims or defocus slightly"
+    return Notice(
+        UNRESOLVED_TEXTURE,
+        where,
+        speckle_px=speckle_px,
+        share_percent=100 * share,
+        subset_bias_px=bias.subset_px,
+        mean_bias_px=bias.mean_px,
     )
-    return Notice("warning", text, where)
 
 
 def _periodogram(image: Image, area: BoolArray, step_px: int) -> FloatArray | None:

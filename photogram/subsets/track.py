@@ -30,6 +30,7 @@ from photogram.subsets.find import (
 from photogram.subsets.icgn import Registration, TrackSettings, position_covariance, subset_noise, subset_positions
 from photogram.subsets.reference import ReferenceSubsets, TrackStatus, prepare_reference
 from photogram.subsets.search import HISTORY, LARGEST_COEFFICIENT, predict_warp
+from photogram.subsets.subset_notices import LOST_SUBSETS, OFF_EPIPOLAR_LINES
 from photogram.subsets.sweep import TOLERANCE_PX
 from photogram.subsets.texture import (
     aliasing_bias,
@@ -257,11 +258,7 @@ def lay_stereo_grid(
                     f"pattern repeats every {period:.1f} px: a copy was taken for the original, or the calibration "
                     "does not belong to these images"
                 )
-            text = (
-                f"matched points lie {off:.1f} px off their epipolar lines on average: the calibration does not belong "
-                "to these images, or a camera has moved since"
-            )
-            notices.append(Notice("warning", text, "stereo calibration"))
+            notices.append(Notice(OFF_EPIPOLAR_LINES, "stereo calibration", offset_px=off))
     if kept.sum() < 3:
         raise BodyNotFound(
             f"right: expected the body of {left.names[0]}, found {kept.sum()} of its {len(points)} subsets "
@@ -408,8 +405,7 @@ class EpipolarMonitor:
             if lost > LARGEST_LOST_SHARE * counts.sum():
                 most = np.argmax(np.where(np.arange(len(counts)) == TrackStatus.OK, -1, counts))
                 why = TrackStatus(int(most)).name.lower().replace("_", " ")
-                text = f"{100 * lost / counts.sum():.0f} % of the subset positions are missing, most often: {why}"
-                notices.append(Notice("warning", text, where))
+                notices.append(Notice(LOST_SUBSETS, where, lost_percent=100 * lost / counts.sum(), status=why))
             levels.append(noise)
             biases.append(bias.mean_px)
         return TrackSummary(tuple(notices), np.array(speckle), np.array(levels), np.array(biases))
