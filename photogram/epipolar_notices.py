@@ -10,15 +10,13 @@ PAIR_CHANGED = DeclaredNotice(
     remedy="Calibrate again.",
     link="tracking.md#whether-the-cameras-still-are-what-was-calibrated",
 )
-PAIR_TURNED = DeclaredNotice(
+CAMERA_ROTATED = DeclaredNotice(
     "SC-231",
     "warning",
-    "The epipolar residual is {residual_px:.3f} px, but {source} explains {explained_px:.3f} px: the right "
-    "camera seems"
-    "turned by {about_x_mrad:.2f} mrad about its x axis and {about_z_mrad:.2f} mrad about its optical axis.",
-    effect="The cameras no longer agree with their calibration. The turn displaces the points by at least "
-    "{displaced_mm:.3f}"
-    "mm.",
+    "The epipolar residual is {residual_px:.3f} px, but {source} explains {explained_px:.3f} px: the right camera "
+    "seems rotated by {about_x_mrad:.2f} mrad about its x axis and {about_z_mrad:.2f} mrad about its optical axis.",
+    effect="The cameras no longer agree with their calibration. The rotation displaces the points by at least "
+    "{displaced_mm:.3f} mm.",
     remedy="Calibrate again.",
     link="tracking.md#whether-the-cameras-still-are-what-was-calibrated",
 )

@@ -14,7 +14,7 @@ from contracts import refused
 
 from photogram.images.image_files import open_sequence
 from photogram.images.noise import NoiseModel, fit_noise_model
-from photogram.images.sequence import AHEAD, ImageSequence
+from photogram.images.sequence import FRAMES_AHEAD, ImageSequence
 from photogram.point_tables import read_point_tables
 from photogram.synthetic.scene import ImageSensor
 
@@ -98,7 +98,7 @@ def test_pictures_are_read_ahead_in_turn_until_nobody_asks():
     assert [int(next(ahead)[0, 0]) for _ in range(3)] == [2, 3, 4]
     ahead.close()
     assert asked == list(range(2, 2 + len(asked)))
-    assert len(asked) <= 3 + AHEAD
+    assert len(asked) <= 3 + FRAMES_AHEAD
     seen = []
     with pytest.raises(ValueError, match="frame 6: damaged"):
         seen.extend(int(image[0, 0]) for image in images.read_ahead(range(4, 50)))

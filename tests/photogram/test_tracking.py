@@ -20,7 +20,7 @@ from speckle import render_images, sequence
 from photogram.camera import Camera, StereoRig, triangulate
 from photogram.geometry import RigidTransform
 from photogram.images.image_files import open_sequence
-from photogram.images.sequence import AHEAD, ImageSequence
+from photogram.images.sequence import FRAMES_AHEAD, ImageSequence
 from photogram.kernels import device as device_module
 from photogram.kernels.device import resolve_device
 from photogram.motion import RigidMotion, fit_motion
@@ -190,7 +190,7 @@ def test_wrong_pairs_are_named(pair, rig):
 # Frames stream: what a series needs does not grow with its length, but for the numbers that it is after.
 
 WANDERING = ((0, 0), (1, 0), (2, 1), (1, 2), (0, 1))
-MOST_HELD = 4 + AHEAD  # per camera: the first frame, the present one, what is read ahead and about to be handed out
+MOST_HELD = 4 + FRAMES_AHEAD  # per camera: the first frame, the present one, what is read ahead and about to be handed out
 
 
 @dataclass
