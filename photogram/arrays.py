@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from shakercal._common.notices import Notice
 
-__version__ = "0.2.0"  # as in pyproject.toml: to look for the installed one takes longer than many a module
+__version__ = "0.2.0"  # as in pyproject.toml: reading the installed one takes long
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -19,7 +19,7 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 
-GOLDEN = (5.0**0.5 - 1.0) / 2.0
+GOLDEN = (5.0**0.5 - 1.0) / 2.0  # the golden ratio, least approximable by fractions
 
 
 def spread_choice(numbers: IntArray, share: float) -> BoolArray:
@@ -92,7 +92,7 @@ class Arrays:
         return f"{type(self).__name__}({', '.join(parts)})"
 
 
-# What is known of all frames of a series that comes some frames at a time.
+# Statistics over the frames of a series that arrives in blocks.
 
 
 class RunningMean:
@@ -119,7 +119,7 @@ class RunningMean:
         return np.asarray(self._total / np.where(self.count > 0, self.count, np.nan))
 
 
-SAMPLED = 1 << 19
+SAMPLED = 1 << 19  # values of a sample: 4 MB
 
 
 class Sample:

@@ -42,15 +42,15 @@ from photogram.kernels.lanes import (
     store,
 )
 
-PADDING_PX = 4
+PADDING_PX = 4  # half the support of degree 7
 POLES = {
     3: (sqrt(3.0) - 2.0,),
     5: (sqrt(67.5 - sqrt(4436.25)) + sqrt(26.25) - 6.5, sqrt(67.5 + sqrt(4436.25)) - sqrt(26.25) - 6.5),
     7: (-0.53528043079643816554, -0.12255461519232669052, -0.0091486948096082769286),
 }
 REACH = 32  # pixels after which the slowest of all poles leaves 2·10⁻⁹ of a start
-DARK = np.float32(1e-20)  # far below rounding; what rings on in pure black else gets too small for fast arithmetic
-LINES, TILE = 32, 8  # rows or columns that are filtered at once; pixels of a row that change places at once
+DARK = np.float32(1e-20)  # far below rounding; avoids denormal numbers, which are slow, in black areas
+LINES, TILE = 32, 8  # rows or columns that are filtered at once; pixels of a row that are transposed at once
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -401,7 +401,7 @@ def _evaluate(coefficients, degree, points, values, gradients):  # type: ignore[
 
 # Spline values along straight lines of points, a vector of them at a time: the inner loop of every registration.
 
-SMALLEST_DRIFT = 1e-30
+SMALLEST_DRIFT = 1e-30  # of a line that never leaves its row or column
 
 
 def sample_squares(spline: Spline, centre_px: FloatArray, radius_px: int) -> FloatArray:

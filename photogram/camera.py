@@ -19,7 +19,7 @@ from photogram.arrays import Arrays, FloatArray, IntArray, check_shape, derivati
 from photogram.geometry import RigidTransform, invert, rotation_from_vector, skew
 from photogram.kernels import njit
 
-_NEWTON_STEPS = 60  # damped Newton steps of the inverse; a handful is the rule
+_NEWTON_STEPS = 60  # damped Newton steps of the inverse; usually five are needed
 _RESIDUAL = 1e-13  # largest residual, in normalised units, of a converged inverse
 
 
@@ -113,16 +113,16 @@ def undistort_all(pixels: FloatArray, camera: FloatArray) -> FloatArray:
 # The pinhole camera with lens distortion, and the stereo pair.
 
 CAMERA_PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "skew")
-_PLAIN = 9  # of these make a camera whose further ones are zero
+_PLAIN = 9  # parameters of a camera whose further ones are zero
 RIG_PARAMETERS = (
     *(f"{side}.{name}" for side in ("left", "right") for name in CAMERA_PARAMETERS[:_PLAIN]),
     *(f"{part}.{axis}" for part in ("rotation", "translation") for axis in "xyz"),
     *(f"{side}.{name}" for side in ("left", "right") for name in CAMERA_PARAMETERS[_PLAIN:]),
 )
-_PLAIN_RIG = 24
+_PLAIN_RIG = 24  # 2 x 9 of the cameras, 6 of the pose
 ROTATION, TRANSLATION = slice(18, 21), slice(21, 24)
 LEFT, RIGHT = (np.array([RIG_PARAMETERS.index(f"{s}.{n}") for n in CAMERA_PARAMETERS]) for s in ("left", "right"))
-"""Places of the two cameras' parameters among those of the rig."""
+"""Indices of the two cameras' parameters among those of the rig."""
 
 
 def _padded(name: str, array: FloatArray, plain: int, full: int) -> FloatArray:
@@ -319,7 +319,7 @@ def principal_components(covariance: FloatArray) -> FloatArray:
 
 # Stereo pixels to points in space, by maximum likelihood, with covariance.
 
-_GAUSS_NEWTON_STEPS = 20  # Gauss-Newton steps allowed; two or three are the rule
+_GAUSS_NEWTON_STEPS = 20  # Gauss-Newton steps allowed; usually two or three are needed
 _CONVERGED = 1e-12  # a step this small relative to the depth ends the iteration
 
 
@@ -398,10 +398,10 @@ def triangulate(
     )
 
 
-# A camera alone: what it sees lies on a face that is known otherwise.
+# A single camera: its points lie on a face of stated position.
 
 FACE_PARAMETERS = (*CAMERA_PARAMETERS, "face.distance", "face.tilt_1", "face.tilt_2")
-ALONG = 1e4  # standard deviation along a ray over that across it: an open depth, and matrices that can be inverted
+ALONG = 1e4  # standard deviation along a ray over that across it: undetermined depth, invertible matrices
 _FACE_STEP_M = 1e-6  # of the derivative of a pixel by its point
 
 

@@ -17,20 +17,20 @@ from shakercal._common.notices import Notice
 if TYPE_CHECKING:
     from photogram.subsets.track import StereoTracks
 
-FEWEST_POINTS = 8
-FEWEST_FRAMES = 4
+FEWEST_POINTS = 8  # for three coefficients with a scatter
+FEWEST_FRAMES = 4  # two on either side of a step
 UNCALIBRATED_PX = 0.1  # residual that is accepted where the calibration states no uncertainty
-REMARKABLE_PX = 0.02  # residual that is not worth a word, even if the calibration promised less
-MOVED_PX = 0.005  # change within a recording that is not worth a word
+REMARKABLE_PX = 0.02  # smallest reported residual, even if the calibration is more precise
+MOVED_PX = 0.005  # smallest reported change within a recording
 UNUSABLE = 10.0  # standard uncertainties of the pattern beyond which no error of the calibration explains it
-UNUSABLE_PX = 1.0  # least residual, rms over the points, of a pair that is not what was calibrated in any sense
-RARE = 1e-4  # probability of a warning on a pair that is what was calibrated, for either test
-CLEAR = 3.0  # times the scatter of the frames that a change within the recording has to be
-OUTLIER = 5.0  # robust standard deviations beyond which a point says nothing about the cameras
-COVERAGE = 2.0
+UNUSABLE_PX = 1.0  # smallest residual, rms over the points, of a pair that is rejected
+RARE = 1e-4  # probability of a false warning, for either test
+CLEAR = 3.0  # smallest reported change within a recording over the scatter of the frames
+OUTLIER = 5.0  # robust standard deviations beyond which a point is ignored
+COVERAGE = 2.0  # k of expanded uncertainties
 _STEP = 1e-3  # of a standard uncertainty, for derivatives by the parameters
 _TURN_RAD = 1e-5  # step of the derivatives by a turn
-_TURN_EXPLAINS = 0.3  # share of the residuals that a turn may leave and still count as their cause
+_TURN_EXPLAINS = 0.3  # share of the residuals that remains after a turn that is their cause
 _WHERE = "epipolar residual"
 
 
@@ -157,8 +157,8 @@ def check_epipolar(
         derivative = solver @ derivatives(lambda delta: epipolar_residual(rig.perturbed(delta), *matches)[0], step)
         covariance = derivative @ rig.covariance @ derivative.T + matching
     excess = _unexplained_residual(pattern, covariance)
-    # A residual that belongs to places in the picture changes as the body passes over it: by the share of how far the
-    # body goes, rms over the frames, in the extent of its points.
+    # A residual that depends on the position in the image changes with the body's motion: by the ratio of its travel,
+    # rms over the frames, to the extent of its points.
     extent = np.sqrt(np.mean(np.sum((position[good] - position[good].mean(axis=0)) ** 2, axis=-1)))
     travel = float(np.sqrt(np.nanmean(np.sum(path**2, axis=-1))) / extent)
     passing_px = travel * float(np.sqrt(np.mean(mean[good] ** 2)))
@@ -303,7 +303,7 @@ def _change_notice(change: FloatArray, u_noise: FloatArray, bias_px: float) -> N
     if len(frames) < FEWEST_FRAMES:
         return None
     values, u = change[frames], np.hypot(u_noise[frames], bias_px)
-    # Factor, at least 1, by which neighbouring frames differ more than their noise lets expect
+    # Factor, at least 1, by which neighbouring frames differ more than expected from their noise
     difference = np.abs(np.diff(values, axis=0)) / np.sqrt(u[1:] ** 2 + u[:-1] ** 2)
     weight = 1.0 / (max(1.0, 1.4826 * float(np.median(difference))) * u) ** 2
     # The first frame after the most significant step, the step (3,), and its square in standard uncertainties. Both

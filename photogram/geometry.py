@@ -12,7 +12,7 @@ import numpy as np
 from photogram.arrays import Arrays, BoolArray, FloatArray, check_shape
 from photogram.kernels import njit
 
-_ORTHONORMAL = 1e-6  # largest departure of RᵀR from the identity that is taken for a rotation
+_ORTHONORMAL = 1e-6  # largest departure of RᵀR from the identity for a rotation
 _COLLINEAR = 1e-6  # smallest ratio of width to length of a point set that fixes a rotation
 
 
@@ -39,11 +39,11 @@ class RigidTransform(Arrays, shapes="rotation 3 3; translation_m 3"):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        rows = self.rotation.tolist()  # numbers: for so few of them arrays take longer
+        rows = self.rotation.tolist()  # plain numbers: arrays take longer for so few
         pairs = combinations_with_replacement(rows, 2)
         if not all(abs(sum(map(mul, one, other)) - (one is other)) <= _ORTHONORMAL for one, other in pairs):
             departure = float(np.abs(self.rotation.T @ self.rotation - np.eye(3)).max())
-            raise ValueError(f"rotation: expected an orthonormal matrix, found one {departure:.1e} away from it")
+            raise ValueError(f"rotation: expected an orthonormal matrix, found a departure of {departure:.1e}")
         (a, b, c), (d, e, f), across = rows
         if sum(map(mul, (b * f - c * e, c * d - a * f, a * e - b * d), across)) < 0.0:
             raise ValueError("rotation: expected determinant +1, found -1 (a reflection)")
@@ -68,7 +68,7 @@ class RigidTransform(Arrays, shapes="rotation 3 3; translation_m 3"):
     def apply(self, points_m: FloatArray) -> FloatArray:
         """Return R·x + t of points (..., 3)."""
         points = np.asarray(points_m)
-        flat = points.reshape(-1, 3) @ self.rotation.T  # one product, where numpy makes one for each of the first axes
+        flat = points.reshape(-1, 3) @ self.rotation.T  # one product instead of one for each of the first axes
         return (flat + self.translation_m).reshape(points.shape)
 
     def inverse(self) -> RigidTransform:
@@ -198,7 +198,7 @@ def fit_rigid(source_m: FloatArray, target_m: FloatArray) -> RigidTransform:
     source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
     scatter = (target - target_mean).T @ (source - source_mean)
     if not fixes_rotation(scatter):
-        raise ValueError("source_m: expected points that are not all on one line, found a set of rank below 2")
+        raise ValueError("source_m: expected points that determine a rotation, found all on one line")
     rotation = nearest_rotation(scatter)
     return RigidTransform(rotation, target_mean - rotation @ source_mean)
 

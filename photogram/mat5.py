@@ -21,7 +21,7 @@ _CELL, _STRUCT, _OBJECT, _CHAR, _SPARSE, _FUNCTION, _OPAQUE = 1, 2, 3, 4, 5, 16,
 _PLAIN = range(6, 16)  # classes of arrays of numbers
 _DEEPEST = 64  # cells and structs inside one another
 _LETTER = 8  # bytes in memory for each byte of text
-_BLOCK = 1 << 20
+_BLOCK = 1 << 20  # bytes that are read at once
 
 
 def check_mat5(path: Path, most_bytes: int, most_arrays: int) -> None:
@@ -72,7 +72,7 @@ class _Walk:
         self._count_bytes(size, end)
         data = self.stream.read(size)
         if len(data) < size:
-            raise self.wrong("a whole variable", "its end too early")
+            raise self.wrong("a complete variable", "a shorter one")
         return data
 
     def _count_bytes(self, size: int, end: int) -> None:
@@ -113,7 +113,7 @@ class _Walk:
         data = self._take(min(size, first_bytes), end)
         self._skip(size - len(data), end)
         over = -size % 8
-        self.at += over  # which the last element of a variable may lack
+        self.at += over  # missing after the last element of some variables
         self.stream.seek(over, io.SEEK_CUR) if self.seeks else self.stream.read(over)
         return kind, size, data
 

@@ -56,13 +56,13 @@ def overlap_correlation(points_px: FloatArray, radius_px: int) -> csr_array:
 
 START_ROUNDS = 8  # rounds of the robust start
 _START_POINTS = 200  # of a frame that are enough to begin with
-_CHOICE_ROUNDS = 8  # rounds in which points may be rejected and come back
-_ROUNDS = 16  # rounds altogether; two or three are the rule
+_CHOICE_ROUNDS = 8  # rounds in which points may be rejected and return
+_ROUNDS = 16  # rounds in total; usually two or three are needed
 REJECTED = 25.0  # squared distance, in scaled standard deviations, beyond which a point is an outlier
 _MEDIAN_CHI2 = 2.3659738843753377  # median of χ² with three degrees of freedom
 MEDIAN_CHI2_OF_TWO = 1.3862943611198906  # with two degrees of freedom
 _BENT = 25.0  # reduced χ² beyond which points depart from a rigid motion by more than their noise
-FEWEST = 6  # with fewer points nobody is rejected
+FEWEST = 6  # with fewer points none is rejected
 _ROUNDING = 1e-12  # of the coordinates: errors below it are rounding, never outliers
 SINGULAR = 1e-13  # smallest eigenvalue of a solvable system, scaled to a unit diagonal
 _CONVERGED = 1e-13  # a step (m, rad) this small ends the iteration
@@ -202,7 +202,7 @@ def points_with_estimated_noise(position_m: FloatArray, reference_m: FloatArray 
     accepted = (inside & (count >= 2))[..., None]
     tracks = int(np.count_nonzero(count >= 2))
     if tracks < 3:
-        raise ValueError("position_m: expected at least 3 points in 2 frames besides the reference to estimate noise")
+        raise ValueError("position_m: expected at least 3 points in 2 frames after the reference to estimate noise")
     error = np.where(accepted, error, 0.0)
     deviation = np.where(accepted, error - error.sum(axis=0) / np.maximum(count, 1)[:, None], 0.0)
     freedom = (int(accepted.sum()) - tracks) * (1 - 2 / tracks)
@@ -221,7 +221,7 @@ def _fit(
 ) -> RigidMotion:
     """Fit the frames that can be fitted; the others are NaN."""
     source, target = np.where(np.isfinite(source), source, 0.0), np.where(usable[..., None], target, 0.0)
-    some = slice(None, None, max(1, usable.shape[1] // _START_POINTS))  # where enough of them are known
+    some = slice(None, None, max(1, usable.shape[1] // _START_POINTS))  # if enough of them are finite
     if usable[:, some].sum(axis=1).min(initial=_START_POINTS) < _START_POINTS // 2:
         some = slice(None)
     rotation, translation, fixed = _robust_start(source[some], target[:, some], usable[:, some])
@@ -243,7 +243,7 @@ def _fit(
             limit = REJECTED * np.maximum(correction * _median(squares, usable) / _MEDIAN_CHI2, smallest)
             used = usable & ((count < FEWEST)[:, None] | (squares <= limit[:, None]))
         normal, gradient = _normal_equations(arm, error, precision, used)
-        # which normal matrices (F, 6, 6) fix all six components
+        # which normal matrices (F, 6, 6) determine all six components
         diagonal = np.diagonal(normal, axis1=1, axis2=2)
         positive = (diagonal > 0).all(axis=1)
         scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
@@ -371,7 +371,7 @@ def _normal_equations(arm, error, precision, used):  # type: ignore[no-untyped-d
     return normal, gradient
 
 
-# What a body does beside its rigid motion: residual of every point, with covariance.
+# Deformation of a body: residual of every point from the rigid motion, with covariance.
 
 
 @dataclass(frozen=True, eq=False, repr=False)

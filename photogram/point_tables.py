@@ -191,7 +191,7 @@ def _point_indices(frames: Sequence[_TableFrame]) -> tuple[list[IntArray], int]:
         if not named and len(frame.position_m) != count:
             raise ValueError(
                 f"{frame.name}: expected {count} rows as in {first.name}, found {len(frame.position_m)} "
-                "(columns named id… tell points apart)"
+                "(columns named id… identify points)"
             )
         if frame.identity.shape[1] != first.identity.shape[1]:
             raise ValueError(f"{frame.name}: expected the columns of {first.name}, found others")
@@ -252,7 +252,7 @@ def _is_number(field: str) -> bool:
     return True
 
 
-# Tables whose header says what they hold.
+# Tables whose header shows their layout.
 
 _LOST = (
     "",
@@ -261,7 +261,7 @@ _LOST = (
     "non numérique",
     "n. def.",
     "neun",
-)  # a number that is none, as .NET writes it
+)  # texts of a missing number, as .NET writes them
 _UNITS = {"m": 1.0, "mm": 1e-3, "µm": 1e-6, "um": 1e-6, "in": 0.0254}
 _QUANTITY = re.compile(r"_([A-Za-z]+) *\[(\w+)\]\.csv$")
 _MATRIX = "MatchID"
@@ -309,7 +309,7 @@ _LAYOUTS = (
 )  # fmt: skip
 
 _Columns = dict[str, tuple[str, FloatArray]]
-"""Unit, empty where none is stated, and values (R,) of every column by its name."""
+"""Unit, empty for none, and values (R,) of every column by its name."""
 
 
 def _header_frames(paths: Sequence[Path], scale: float | None) -> tuple[str, list[_TableFrame]]:
@@ -327,7 +327,7 @@ def _header_frames(paths: Sequence[Path], scale: float | None) -> tuple[str, lis
             names = ", ".join(list(columns)[:8]) or "none"
             programs = ", ".join(candidate.program for candidate in _LAYOUTS)
             raise ValueError(
-                f"{path}: expected points in space and their displacements under the names of {programs}, "
+                f"{path}: expected coordinates and displacements with the names of {programs}, "
                 f"found {names}; name the columns of other programs"
             )
         frames.append(_frame(path, columns, layout, scale))
@@ -349,7 +349,7 @@ def _frame(path: Path, columns: _Columns, layout: _Layout, scale: float | None) 
     position, before = (
         (first_position, first_position - moves) if layout.moved else (first_position + moves, first_position)
     )
-    position[(first_position == 0.0).all(axis=1)] = np.nan  # zeros stand where nothing was found
+    position[(first_position == 0.0).all(axis=1)] = np.nan  # zeros represent missing points
     if layout.flag is not None and layout.flag[0] in columns:
         position[~(columns[layout.flag[0]][1] >= layout.flag[1])] = np.nan
     names: tuple[str, ...] = next((names for names in layout.identities if set(names) <= set(columns)), ())
@@ -422,9 +422,9 @@ def _mat_columns(path: Path) -> _Columns:
     try:
         plain = {name: size for name, size, kind in whosmat(path) if kind in _MAT_NUMBERS}
         if sum(8 * math.prod(size) for size in plain.values()) > 1100 * path.stat().st_size:
-            raise ValueError("more numbers declared than a file of its length can hold")
+            raise ValueError("more numbers declared than fit into a file of its length")
         found = loadmat(path, variable_names=list(plain))
-    except Exception as error:  # whatever damaged bytes lead to
+    except Exception as error:  # any error of damaged bytes
         raise ValueError(f"{path}: expected a .mat file up to version 7, found {type(error).__name__} in it") from error
     arrays = {
         name: value for name, value in found.items() if isinstance(value, np.ndarray) and value.dtype.kind in "fiu"

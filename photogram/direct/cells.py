@@ -21,8 +21,8 @@ from photogram.images.noise import NoiseModel
 from photogram.kernels import njit
 from photogram.subsets.reference import RUN_SUMS, run_sums
 
-SMALLEST_GAIN = 0.1  # of the reference's contrast, below which a cell shows nothing
-MIN_FILLED_SHARE = 0.1  # of a cell, below which it is left out
+SMALLEST_GAIN = 0.1  # of the reference's contrast, below which a cell does not show the body
+MIN_FILLED_SHARE = 0.1  # of a cell, below which it is excluded
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -178,7 +178,7 @@ def _weighted(
     scalars, moments = np.zeros((len(centre), 4)), np.zeros((len(centre), 8, 8))
     extent = np.zeros((len(centre), 3))
     _prepare(centre, runs, first, pixels, scalars, moments, extent)
-    mean, total, energy, count = np.ascontiguousarray(scalars.T)  # copied or not, kernels see them alike
+    mean, total, energy, count = np.ascontiguousarray(scalars.T)  # one type of array for kernels
     solid = energy > 0.0
     safe_total, safe_energy = np.where(solid, total, 1.0), np.where(solid, energy, 1.0)
     removed = np.stack([moments[:, 0, 2:] / safe_total[:, None], moments[:, 1, 2:] / safe_energy[:, None]], axis=1)

@@ -28,18 +28,18 @@ from photogram.images.noise import QUANTISATION, NoiseModel, fit_noise_model
 from photogram.kernels import njit
 from photogram.motion import MEDIAN_CHI2_OF_TWO
 
-REACH_CELLS = 4.0  # how far from the nearest known point a cell's surface may lie
-EVALUATIONS = 12
-CORRECTED = 0.3  # of the share by which noise makes a step too short, that may be left once it is corrected
-DECIMATION, MIN_DECIMATED = 3, 24  # one cell of so many makes an approach, and how many that has to leave in a view
-COARSE_STEPS, MAX_COARSE_STEP = 4, 100.0  # steps of it, and standard uncertainties of one that may be the last
+REACH_CELLS = 4.0  # distance from the nearest triangulated point within which a cell's surface is extrapolated
+EVALUATIONS = 12  # usually two or three are needed
+CORRECTED = 0.3  # of the shortening of a step by noise that may remain after its correction
+DECIMATION, MIN_DECIMATED = 3, 24  # one cell of so many is in a coarse fit; cells that a view has to have then
+COARSE_STEPS, MAX_COARSE_STEP = 4, 100.0  # their limit, and the size of the last one in standard uncertainties
 LEFT_OVER = 0.02  # standard uncertainties that may remain between the motion and the converged one
 LARGEST_STEP = 20.0  # standard uncertainties of a step that may be the last one
-MISFIT = 3.0  # times the median misfit per pixel, beyond which a cell shows something else than the body
-REJECTED = 25.0  # squared standard deviations by which a cell may move unlike the body
-FEWEST_CELLS = 4
+MISFIT = 3.0  # times the median misfit per pixel, beyond which a cell does not show the body
+REJECTED = 25.0  # squared standard deviations by which a cell may depart from the body's motion
+FEWEST_CELLS = 4  # three determine six components, without a check
 SINGULAR = 1e-12  # smallest eigenvalue of solvable information, scaled to a unit diagonal
-SMALLEST_EXCESS = 1e-2
+SMALLEST_EXCESS = 1e-2  # of the information's smallest eigenvalue that remains without its noise part
 SMALLEST_MISFIT = 1e-12  # of the expected one: images without noise
 
 

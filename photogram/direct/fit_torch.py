@@ -159,7 +159,7 @@ def fit_frames(
     numbers = [torch.tensor(list(which), device=device) for _, which in targets]
     size = views[0].rates.shape[2]
     matrices = torch.zeros((2, len(starts), size, size), dtype=torch.float64, device=device)
-    slopes = torch.zeros((2, len(starts), size), dtype=torch.float64, device=device)  # what is asked for, the last step
+    slopes = torch.zeros((2, len(starts), size), dtype=torch.float64, device=device)  # and last steps
     scales, counts = torch.full((2, len(starts)), torch.nan, dtype=torch.float64, device=device)
     active = torch.arange(len(starts), device=device)
     for _ in range(EVALUATIONS):
@@ -168,7 +168,7 @@ def fit_frames(
             for view, (frames, _), number in zip(views, targets, numbers, strict=True)
         ]
         step = torch.zeros((len(active), 6), dtype=torch.float64, device=device)
-        for _ in range(2):  # which cells count is judged where the step of all of them leads
+        for _ in range(2):  # the cells are judged after the step of all of them
             parts = [_sum_cells(view, cells, step) for view, cells in zip(views, compared, strict=True)]
             total = _CellSums(*(torch.stack(values).sum(dim=0) for values in zip(*parts, strict=True)))
             of_motion, noise_part = total.information[:, :6, :6], total.noise_part[:, :6, :6]

@@ -14,10 +14,10 @@ from photogram.geometry import RigidTransform
 from photogram.kernels import njit
 from photogram.motion import FEWEST, MEDIAN_CHI2_OF_TWO, REJECTED, SINGULAR, START_ROUNDS
 
-NEIGHBOURS = 24
+NEIGHBOURS = 24  # points of a local plane: two rings of a square grid
 OUTLIER = 4.0  # robust standard deviations from the local plane
 RATE_STEP = 1e-6  # m and rad, of the derivative by the six components
-NEAR_PX = 0.02  # by which the last step of a motion that is only a start may move a point
+NEAR_PX = 0.02  # by which the last step of a start value may move a point
 AT_REST = RigidTransform.identity()
 
 
@@ -63,11 +63,11 @@ def body_patches(
     """
     from scipy.spatial import cKDTree
 
-    check_shape("known_m", surface_m, (None, 3))
+    check_shape("surface_m", surface_m, (None, 3))
     check_shape("centre_px", centre_px, (None, 2))
     surface = camera.camera_from_body.apply(surface_m[np.isfinite(surface_m).all(axis=1)])
     if len(surface) < 3:
-        raise ValueError(f"known_m: expected at least 3 finite points, found {len(surface)}")
+        raise ValueError(f"surface_m: expected at least 3 finite points, found {len(surface)}")
     tree = cKDTree(camera.camera.project(surface))
     distance, nearest = tree.query(centre_px, k=min(NEIGHBOURS, len(surface)))
     centre = camera.camera.undistort(centre_px)

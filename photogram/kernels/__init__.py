@@ -24,12 +24,12 @@ from pathlib import Path
 from types import FunctionType
 from typing import Any
 
-UNUSED_S = 30 * 86400.0
-DIGEST_BYTES = 32
+UNUSED_S = 30 * 86400.0  # a month, after which kernels of other versions are removed
+DIGEST_BYTES = 32  # of SHA-256
 COMPILER_BYTES = 600_000_000
 """Of addresses: the kernels of a run that tracks subsets took 500 MB."""
 LEAN_VERSIONS = ((0, 68),)
-"""Of numba, in which a kept kernel was seen to need nothing but the memory of arrays; with others it loads as usual."""
+"""Of numba, in which a cached kernel was tested to need only the memory of arrays; others load it as usual."""
 
 
 def njit(*, error_model: str = "python", inline: str = "never") -> Callable[[Callable[..., Any]], Any]:
@@ -57,11 +57,11 @@ class Kernel:
         return self._made(*arguments)
 
     def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):  # what Python asks of any object
+        if name.startswith("__"):  # Python's protocols
             raise AttributeError(name)
         if name != "_made":
             return getattr(self._made, name)
-        # Of two threads that call it first, the one that is later takes what the other made.
+        # Of two threads that call it first, the later one uses the result of the other.
         return self.__dict__.setdefault(name, _dispatcher(self.py_func, self._options))
 
     def plain(self, *arguments: Any) -> Any:
@@ -105,7 +105,7 @@ def _dispatcher(function: Callable[..., Any], options: dict[str, Any]) -> Any:
             return found
 
         def save_overload(self, sig: Any, data: Any) -> None:
-            if not data.lifted and not data.library.has_dynamic_globals:  # which hold for this process alone
+            if not data.lifted and not data.library.has_dynamic_globals:  # which are valid in this process only
                 self._cache_file.save(self._index_key(sig, data.codegen), self._impl.reduce(data))
 
     dispatcher, (folder, _) = numba.njit(**options)(function), _cache_folder()
@@ -126,7 +126,7 @@ def check_memory() -> None:
         limit = resource.getrlimit(resource.RLIMIT_AS)[0]
         taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
         if limit != resource.RLIM_INFINITY and limit - taken < COMPILER_BYTES:
-            available = f"{limit / 1e6:.0f} MB of addresses (ulimit -v), of which {taken / 1e6:.0f} MB are taken"
+            available = f"{limit / 1e6:.0f} MB of addresses (ulimit -v), of which {taken / 1e6:.0f} MB are used"
             raise MemoryError(f"expected {COMPILER_BYTES / 1e6:.0f} MB to compile functions, found {available}")
 
 
@@ -207,7 +207,7 @@ def _cache_folder() -> tuple[Path | None, str]:
             with contextlib.suppress(OSError):
                 if other.stat().st_mtime < folder.stat().st_mtime - UNUSED_S:
                     shutil.rmtree(other, ignore_errors=True)
-    except (OSError, RuntimeError) as error:  # the latter of a user without a home
+    except (OSError, RuntimeError) as error:  # RuntimeError: a user without a home
         return None, str(error) if isinstance(error, RuntimeError) else f"{error.filename}: {error.strerror}"
     return folder, ""
 

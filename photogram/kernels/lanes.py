@@ -22,7 +22,7 @@ def _register_bytes() -> int:
     """
     try:
         return 64 if get_host_cpu_features().get("avx512f") else 32
-    except RuntimeError:  # LLVM does not know this system's way to ask
+    except RuntimeError:  # LLVM does not support this query on every system
         return 32
 
 

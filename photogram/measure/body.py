@@ -43,7 +43,7 @@ from photogram.subsets.track import (
 )
 from shakercal._common.notices import Notice
 
-MAX_CACHED_POSITIONS = 500_000  # subsets times frames of a series that is held with its points: some 100 MB
+MAX_CACHED_POSITIONS = 500_000  # subsets times frames of a series that is cached with its points: about 100 MB
 LARGEST_BENDING = 4.0  # rms, in standard deviations of the points; the reference's noise makes it 1.4
 LARGEST_DIFFERENCE = 2.0  # rms, in standard uncertainties of the motion of the points
 
@@ -196,9 +196,9 @@ def body_motion(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> BodyMotion
     sums = _Sums()
     for block, points in tracked.with_points():
         if sums.mean is None:
-            seen = int(np.count_nonzero(np.isfinite(points.position_m[0]).all(axis=1)))  # in some later frame as well
+            seen = int(np.count_nonzero(np.isfinite(points.position_m[0]).all(axis=1)))  # also in a later frame
             if seen < 3:
-                text = f"at least 3 points that every camera sees in a later frame too, found {seen}"
+                text = f"at least 3 points that every camera shows in a later frame, found {seen}"
                 raise BodyNotFound(f"rig: expected {text}")
             sums.mean, sums.subsets_px = DeformationMean(points.position_m[0]), block.left.position_px[0]
         of_points = fit_motion(points, sums.mean.reference_m, np.zeros(3), shared)
@@ -231,7 +231,7 @@ def body_motion(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> BodyMotion
     )
 
 
-# What was followed, gone through some frames at a time.
+# Iteration over the tracked frames, some at a time.
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -33,11 +33,11 @@ from photogram.subsets.reference import ReferenceSubsets, TrackStatus, prepare_r
 
 MotionSeries = tuple[FloatArray, FloatArray]
 """Rotations (..., 3, 3) and shifts (..., 3)."""
-ROUNDS = 2  # of places, and the instants of the rows that show them
-PATH_TIMES = 16  # Gauss-Legendre, in which the path of an exposure is summed up
-BAND_PX = 24  # rows that are blurred alike where they are exposed one after the other
-WIDEST_CELL = 1.0 / 3.0  # periods of a line, in which the rows of one cell are exposed
-MOST_POINTS = 200  # of a surface that tell how their paths differ
+ROUNDS = 2  # iterations of positions and the instants of their rows
+PATH_TIMES = 16  # nodes of Gauss-Legendre quadrature over an exposure
+BAND_PX = 24  # rows with the same blur in a rolling shutter
+WIDEST_CELL = 1.0 / 3.0  # periods of a line in which the rows of one cell are exposed
+MAX_POINTS = 200  # of a surface, for the change of the path across it
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -213,7 +213,7 @@ class ExposureCorrection(Arrays):
         swing, (number, moved), camera = self.swing, by, self.scene.seen[side].camera
         nodes, share = np.polynomial.legendre.leggauss(PATH_TIMES)
         finite_m = self.scene.rest_m[np.isfinite(self.scene.rest_m).all(axis=1)]
-        finite_m = finite_m[:: 1 + len(finite_m) // MOST_POINTS]
+        finite_m = finite_m[:: 1 + len(finite_m) // MAX_POINTS]
         design = np.column_stack([np.ones(len(finite_m)), camera.project(at.apply(finite_m))])
         bands = max(1, len(image) // BAND_PX) if swing.rolling_shutter else 1
         middle = swing.time_s[number] + self._delay_s(side, (np.arange(bands) + 0.5) * len(image) / bands - 0.5)
@@ -327,7 +327,7 @@ def _motion_since(scene: BodyScene, swing: ExposureMotion, number: int, side: in
 def _points(scene: BodyScene, positions_px: list[FloatArray]) -> FloatArray:
     """Return points (N, 3) in the body's frame from positions (N, 2) in both cameras."""
     left, right = positions_px
-    assert isinstance(scene.rig, StereoRig)  # of a camera alone all rows are exposed at once
+    assert isinstance(scene.rig, StereoRig)  # a single camera has no rolling shutter
     return np.asarray(triangulate(scene.rig, left[None], right[None]).transformed(scene.body_from_left).position_m[0])
 
 

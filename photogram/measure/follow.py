@@ -38,31 +38,29 @@ Progress = Callable[[int], None]
 Splines = tuple[Spline, ...]
 Noise = tuple[NoiseModel, ...]
 Registrations = tuple[Registration, ...]
-"""Of each camera: the left and the right one of a pair, or the only one."""
+"""Of each camera: left and right of a pair, or the only one."""
 UNIFORM = NoiseModel(1.0, 0.0)
 BLOCK_FRAMES = 64
-"""A constant, so that results do not depend on who computes them; few enough to share, many enough to start seldom."""
+"""Constant, so that results do not depend on the number of processes: a compromise of sharing and restarts."""
 GPU_BLOCK_FRAMES = 1024
-"""On a GPU, which follows frames in batches: more than most series have, few enough to hold."""
+"""On a GPU, which tracks frames in batches: more than most series have."""
 MIN_PREDICTION_FRAMES = 4
-"""Frames in a row that foretell the next: as many as the rule of one sine about any mean takes."""
-FEWEST_CONTINUED = 6
-"""Frames in a row that a mean and one line are fitted to, to foretell the next."""
+"""Consecutive frames that predict the next: required for the rule of one sine about any mean."""
+MIN_EXTRAPOLATION_FRAMES = 6
+"""Consecutive frames for the fit of a mean and one line."""
 MAX_PREDICTION_ERROR = 8.0
-"""Standard uncertainties by which a motion that its terms foretell may be off: less than half of the step that may be
-the last one of a fit."""
-LEAST_CELL_PX = 9  # of which gain and offset leave most of what its pixels tell
-MAX_FITS = 128  # as far back as sines are fitted that foretell many frames
-FEW_MORE = 1.25  # times the frames wanted, below which subsets are looked for in all
+"""Standard uncertainties of a motion predicted by its terms: less than half of the last step that a fit permits."""
+MIN_CELL_PX = 9  # in which gain and offset use up little of the information
+MAX_FITS = 128  # frames to which predicting sines are fitted
+FEW_MORE = 1.25  # times the desired frames, below which subsets are searched in all
 MAX_NOISE_RATIO = 4.0
-"""Times the noise of the frames before, beyond which a foretold fit is not believed without subsets."""
+"""Times the noise of the frames before, beyond which a predicted fit is checked by subsets."""
 MAX_DISPLACEMENT_PX = 0.5
-"""Median distance of subsets from where the motion takes them, beyond which one of both is wrong."""
+"""Median distance of subsets from their predicted positions, beyond which one of both is wrong."""
 
 FollowedFrame = tuple[Registrations | None, DirectFit | None]
 FollowedBlock = tuple[FollowedFrame, ...]
-"""Successive frames: where the subsets are in each camera, None where they were not looked for, and
-the direct fit, None for none."""
+"""Successive frames: the registrations in each camera, None where not searched, and the direct fit or None."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -283,7 +281,7 @@ class BodyTracker:
         earlier poses, s the rms residual of the last of them.
         """
         terms, count = self.scene.body.terms, len(self.fits)
-        if terms is None or count < FEWEST_CONTINUED:
+        if terms is None or count < MIN_EXTRAPOLATION_FRAMES:
             return np.empty((0, 6))
         used = terms[numbers.start - count : numbers.stop, : (count // 2 - 1) | 1]
         earlier, coming = used[:count], used[count:]
@@ -420,7 +418,7 @@ def cameras_about(scene: BodyScene, rest_m: FloatArray) -> tuple[PlacedCamera, .
     """
     placed = int(np.count_nonzero(np.isfinite(rest_m).all(axis=1)))
     if placed < 3:
-        text = f"at least 3 points that both cameras see in one place, found {placed} of {len(rest_m)}"
+        text = f"at least 3 points on which both cameras agree, found {placed} of {len(rest_m)}"
         raise BodyNotFound(f"rig: expected {text}; the calibration does not belong to these images")
     left_from_body = scene.body_from_left.inverse()
     return tuple(PlacedCamera(camera, from_left @ left_from_body) for camera, from_left in scene.rig.camera_poses)
@@ -431,7 +429,7 @@ def body_views(scene: BodyScene, splines: Splines, most_px: float = np.inf) -> t
 
     most_px: largest side of a cell.
     """
-    side_px, shapes = int(min(2 * scene.settings.radius_px + 1, max(LEAST_CELL_PX, most_px))), scene.shapes
+    side_px, shapes = int(min(2 * scene.settings.radius_px + 1, max(MIN_CELL_PX, most_px))), scene.shapes
     return tuple(
         view_body(one.camera, (spline, area, float(images.saturation)), one.points_m, side_px, UNIFORM, shapes)
         for one, spline, area, images in zip(scene.seen, splines, scene.grid.areas, scene.images, strict=True)
@@ -444,7 +442,7 @@ def _fit(scene: BodyScene, found: Registrations, splines: Splines) -> DirectFit 
         return None
     start = motion_from_positions(scene.seen, _positions(scene, found))
     fit = None if start is None else fit_direct(scene.views, splines, start)
-    if fit is None:  # from all that the points tell, whatever it costs
+    if fit is None:  # from a fit of the points, which takes longer
         pose = fit_motion(_locate(scene, found), scene.rest_m, np.zeros(3)).pose[0]
         fit = fit_direct(scene.views, splines, RigidTransform.from_pose(pose)) if np.isfinite(pose).all() else None
     return fit

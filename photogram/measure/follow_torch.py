@@ -39,9 +39,9 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 MOST_FRAMES, FIRST_FRAMES = 128, 12
-"""Frames of a batch, and of the first one, which nothing foretells."""
+"""Frames of a batch, and of the first one, which has no prediction."""
 MOST_PIXELS, BYTES_PER_PIXEL, SHARE_OF_MEMORY = 2**29, 32, 0.2
-"""Pixels of a batch, what it holds on a device for each, and how much of the device's memory it may take."""
+"""Pixels of a batch, memory for each on a device, and share of the device's memory."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ def find_in_batches(tracker: BodyTracker, frames: range, device: str) -> Iterato
             part, lost = batch.part(done, max(1, len(starts))), False
             found = engine.find(part, starts) if len(starts) else [None]
             for number, images, one in zip(part.numbers, part.images, found, strict=True):
-                if one is None and lost:  # two in a row: what was foretold is not so
+                if one is None and lost:  # two consecutive ones: the prediction is wrong
                     break
                 yield tracker.find(number, images) if one is None else tracker.add_frame(*one)
                 done, lost = done + 1, one is None
@@ -175,14 +175,14 @@ class _Engine:
         }
 
 
-# What the frames before foretell of many.
+# Prediction of many frames by those before.
 
 FEWEST = 8  # frames to which sines are fitted
-LINES = 4
-TRUSTED_PX, CLOSE_PX = 0.5, 0.05
-NEAR_PX = 3.0  # rms, from which a body is found, mostly
-POINTS = 16
-FINER, REFINEMENTS = 33, 4
+LINES = 4  # of a periodic motion
+TRUSTED_PX, CLOSE_PX = 0.5, 0.05  # error of a prediction from which a fit converges, and that of one that suffices
+NEAR_PX = 3.0  # rms displacement from which a fit usually converges
+POINTS = 16  # of the body, at which predictions are compared
+FINER, REFINEMENTS = 33, 4  # frequencies of a refined grid, and how often it is refined
 
 
 def previous_fits(tracker: BodyTracker) -> list[DirectFit]:

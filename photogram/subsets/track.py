@@ -115,7 +115,7 @@ class StereoTracks(Arrays, shapes="cameras C; speckle_px C; noise_grey C; bias_p
 
 @dataclass(frozen=True)
 class FollowedImage:
-    """One image, its spline, and the registration of the subsets in it."""
+    """One image with its spline and the registration of the subsets."""
 
     image: GreyImage
     spline: Spline
@@ -221,10 +221,7 @@ def follow_sequence(
 def track_sequence(
     sequence: ImageSequence, points_px: FloatArray, settings: TrackSettings, progress: Progress | None = None
 ) -> Tracks:
-    """Return positions in every frame of the subsets centred at points_px (N, 2) in frame 0.
-
-    `progress` is called with the number of finished frames.
-    """
+    """Return the tracks of subsets centred at points_px (N, 2) in frame 0; report finished frames."""
     reference = prepare_sequence(sequence, points_px, settings)
     found = []
     for frame in follow_sequence(sequence, reference, settings):

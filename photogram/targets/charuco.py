@@ -12,9 +12,9 @@ from photogram.arrays import FloatArray, IntArray
 from photogram.targets.chessboard import SEARCHED_PX, corner_view, downscale, eight_bit, lattice_powers
 from photogram.targets.target_view import Target, TargetNotFound, TargetView, image_fault, refuse_second
 
-_NEAR = 1.3  # squares between a corner and the nearest marker that was seen
+_NEAR = 1.3  # squares between a corner and the nearest detected marker
 _SECOND = 6  # markers that make a second board
-_FIT_SHARE = 0.7  # of the markers seen that have to be in their places
+_FIT_SHARE = 0.7  # of the detected markers that have to be at their positions
 
 
 def find_charuco(image: NDArray[Any], target: Target, name: str, full_scale: float) -> TargetView:
@@ -38,7 +38,7 @@ def find_charuco(image: NDArray[Any], target: Target, name: str, full_scale: flo
     expected = f"{target.size[0]} x {target.size[1]} squares"
     if len(board.lattice_position) < _FIT_SHARE * board.seen:
         fitting = f"{len(board.lattice_position)} of {board.seen} markers"
-        raise TargetNotFound(f"another target: only {fitting} are where a ChArUco board of {expected} has them")
+        raise TargetNotFound(f"another target: only {fitting} are at the positions of a ChArUco board of {expected}")
     another = _second_board(markers, board, target.size, grey.shape)
     if another is not None and len(another.lattice_position) >= max(_SECOND, _FIT_SHARE * another.seen):
         refuse_second(f"a ChArUco board of {expected}")
@@ -123,17 +123,17 @@ def _reason(
     flipped = np.ascontiguousarray(grey[:, ::-1])
     mirrored = dictionary or _dictionary(flipped, size)
     if mirrored is not None and _search(flipped, _detect(flipped, mirrored), size, mirrored) is not None:
-        return "mirrored: the markers can be read in the picture's mirror image"
+        return "mirrored: the markers can be read in the image's mirror image"
     seen = 0 if dictionary is None else len(find_markers(grey, dictionary).number)
     expected = f"a ChArUco board of {size[0]} x {size[1]} squares"
     if seen == 0:
         return f"no markers of {expected}" + (f" in {target.dictionary}" if target.dictionary else "")
-    return f"another target, or too little of it: {seen} markers are seen, not in the places of {expected}"
+    return f"another target, or too little of it: {seen} markers are visible, not at the positions of {expected}"
 
 
-# Markers: which are seen where, from which dictionary, in which of the two patterns.
+# Detected markers, their dictionary, and which of the two patterns they form.
 
-# Families of predefined dictionaries; the smaller dictionaries of a family are the beginning of the largest.
+# Families of predefined dictionaries, whose smaller ones are the first markers of the largest.
 _FAMILIES = (
     ("DICT_4X4_50", "DICT_4X4_100", "DICT_4X4_250", "DICT_4X4_1000"),
     ("DICT_5X5_50", "DICT_5X5_100", "DICT_5X5_250", "DICT_5X5_1000"),
@@ -146,10 +146,10 @@ _FAMILIES = (
     ("DICT_APRILTAG_25h9",),
     ("DICT_APRILTAG_16h5",),
 )
-_TOLERANCE = 0.3  # squares between a marker's centre and where the board's other markers put it
+_TOLERANCE = 0.3  # squares between a marker's centre and its position by the board's other markers
 _ON_LATTICE = 0.15  # the same, beyond the board
 _ALIGNED = 0.9  # least cosine between a marker's upper edge and the board's first direction
-_FEWEST = 4
+_FEWEST = 4  # markers of a homography
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,7 +23,7 @@ from photogram.targets.target_view import (
 
 _LEAST_CONTRAST = 0.4  # of a corner, in units of the median over the target
 _MARGIN = 0.75  # squares around the outermost corners that belong to the target's area
-_FEWEST = 6
+_FEWEST = 6  # corners of a view, for a homography with a check
 _STRIP = 0.08  # of a square, along the edges of squares with markers, at first
 _CLEAR, _NARROWEST, _WIDEST = 0.15, 0.05, 0.12  # the same later: the first less 2σ of the blur, between the others
 
@@ -75,7 +75,7 @@ def corner_view(
     if good.sum() < _FEWEST:
         raise TargetNotFound(_measured(status, total))
     if np.linalg.matrix_rank(index[good] - index[good].mean(axis=0)) < 2:
-        raise TargetNotFound(f"{_measured(status, total)}; those measured lie on one line")
+        raise TargetNotFound(f"{_measured(status, total)}, all on one line")
     lost = int((~good & (status != OUTSIDE)).sum())
     return TargetView(
         name,
@@ -134,9 +134,9 @@ def _measured(status: IntArray, total: int) -> str:
     return f"{int((status == GOOD).sum())} of {total} corners can be measured" + (f" (lost: {lost})" if lost else "")
 
 
-# A chessboard in a picture: coarse search by OpenCV, which corner is which, sub-pixel positions.
+# A chessboard in an image: coarse search by OpenCV, numbers of the corners, sub-pixel positions.
 
-SEARCHED_PX = 1400  # longest side of the picture in which the board is searched first
+SEARCHED_PX = 1400  # longest side of the reduced image in which the board is searched first
 
 
 def find_chessboard(image: NDArray[Any], target: Target, name: str, full_scale: float) -> TargetView:
@@ -154,7 +154,7 @@ def find_chessboard(image: NDArray[Any], target: Target, name: str, full_scale: 
     if corners is None:
         small, factor = downscale(grey, SEARCHED_PX)
         boards = _boards(small, target.size)
-        for board in boards:  # the one wanted may be another
+        for board in boards:  # the target may be another one
             corners = _search(_covered(grey, (board + 0.5) * factor - 0.5), target.size)
             if corners is not None:
                 break
@@ -275,7 +275,7 @@ def _boards(small: NDArray[np.uint8], size: tuple[int, int]) -> list[FloatArray]
     import cv2
 
     lattices = []
-    for less in (1, 2, 4, max(size)):  # smaller lattices, which OpenCV lets grow
+    for less in (1, 2, 4, max(size)):  # smaller lattices, which OpenCV extends
         seed = (max(size[0] - less, 3), max(size[1] - less, 3))
         flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_NORMALIZE_IMAGE
         found, corners, meta = cv2.findChessboardCornersSBWithMeta(small, seed, flags=flags)
@@ -315,7 +315,7 @@ def _reason(
     sides = [np.rot90(lattice, turn) for turn in range(4)]
     beyond = np.concatenate([side[0] + 1.5 * (side[0] - side[1]) for side in sides])
     if ((beyond < 0) | (beyond > [small.shape[1] - 1, small.shape[0] - 1])).any():
-        return f"runs over the edge of the picture: {seen} of {expected} inner corners are seen"
+        return f"extends beyond the edge of the image: {seen} of {expected} inner corners are visible"
     return f"another target, or one partly covered: a chessboard of {seen} inner corners, expected {expected}"
 
 

@@ -15,16 +15,16 @@ from photogram.kernels import njit
 
 PARAMETERS = 10  # centre x, y, angles of both edges' normals, mean, half contrast, relative slope x, y, blur of both
 GOOD, OUTSIDE, SATURATED, NO_CROSSING, FAINT = 0, 1, 2, 3, 4
-FULL, STATUS, CHI2 = PARAMETERS, PARAMETERS + 1, PARAMETERS + 2  # columns of what is fitted, after the parameters
+FULL, STATUS, CHI2 = PARAMETERS, PARAMETERS + 1, PARAMETERS + 2  # columns after those of the parameters
 SATURATION, AMOUNT, RADIUS = 3, 4, 5  # of the camera's response
 REACH = 3  # px over which noise may be correlated
-_ROUNDS = 30
-_MOST_PIXELS = 20_000  # of a window
+_ROUNDS = 30  # usually fewer than ten are needed
+_MAX_PIXELS = 20_000  # of a window
 _CENTRED_PX, _CONVERGED_PX = 1e-3, 1e-4
-"""Steps of the centre that end a fit: of the one that places the window, and of the last, which errs by far less."""
+"""Steps of the centre that end a fit: for the position of the window, and for the result, with a far smaller error."""
 _SMALLEST_WINDOW_PX = 4.0  # half width
 _SHARPEST_PX = 0.25  # smallest blur σ of the model
-_FARTHEST = 0.35  # of a square's side, that a corner may lie from where it was expected
+_FARTHEST = 0.35  # of a square's side, between a corner and its start
 
 
 @njit(error_model="numpy")
@@ -152,7 +152,7 @@ def _normal_equations(image, pixels, p, bend, response, weight, matrix, vector):
         for i in range(PARAMETERS):
             weighted = weight[k] * slope[i]
             vector[i] += weighted * residual
-            for j in range(PARAMETERS):  # all of them, for the compiler knows their number
+            for j in range(PARAMETERS):  # all of them: their number is fixed for the compiler
                 matrix[i, j] += weighted * slope[j]
     return total
 
@@ -315,7 +315,7 @@ def _correlate(patch, out):  # type: ignore[no-untyped-def]
                 xy += patch[2, i, j] * patch[3, k, m] + patch[3, i, j] * patch[2, k, m]
                 yy += patch[3, i, j] * patch[3, k, m]
         out[0, lag] = product / max(weight, 1.0)
-        both = 1.0 if down == 0 else 2.0  # lags (0, ±k) are both there
+        both = 1.0 if down == 0 else 2.0  # lags (0, ±k) are both present
         out[1, lag], out[2, lag], out[3, lag] = both * xx, both * 0.5 * xy, both * yy
 
 
@@ -330,7 +330,7 @@ def fit_crossings(image, corners, response, fitted, lags):  # type: ignore[no-un
     value that counts as saturated; amount and radius of the sharpening.
     """
     start, axes, bend, window = corners
-    buffer, weight, taper = np.empty((_MOST_PIXELS, 2), dtype=np.int32), np.empty(_MOST_PIXELS), np.empty(_MOST_PIXELS)
+    buffer, weight, taper = np.empty((_MAX_PIXELS, 2), dtype=np.int32), np.empty(_MAX_PIXELS), np.empty(_MAX_PIXELS)
     inverse, p, size = np.empty((2, PARAMETERS)), np.empty(PARAMETERS), np.empty(3)
     for n in range(start.shape[0]):
         out = fitted[n]
@@ -374,23 +374,23 @@ def fit_crossings(image, corners, response, fitted, lags):  # type: ignore[no-un
 
 REASONS = {
     GOOD: "found",
-    OUTSIDE: "too close to the picture's edge",
+    OUTSIDE: "too close to the image's edge",
     SATURATED: "overexposed",
     NO_CROSSING: "no crossing of two edges",
-    FAINT: "with less than 0.4 of the others' contrast, or the colours exchanged",
+    FAINT: "with less than 0.4 of the usual contrast, or exchanged colours",
 }
 _WINDOW = 0.55  # of a square's side, to either side of the corner
-_WIDEST_PX = 14.0  # the same, in px: beyond it edges hardly add what their curvature takes
+_WIDEST_PX = 14.0  # the same, in px: beyond it the edges' curvature costs more than they add
 _APERTURE = 1.0 / 12.0  # variance of a pixel's width, part of the fitted blur
 _SATURATED = 0.995  # of full scale
-_MOST_SATURATED = 0.3  # share of a window; a corner that fails with more of it fails for that
+_MOST_SATURATED = 0.3  # share of a window, above which it is the reason of a failure
 _LEAST_SIGNAL = 4.0  # half contrast in standard deviations of the noise
 _PROBES = 8  # corners from which the sharpening is found
 _AMOUNTS = (0.5, 1.5, 3.0)  # tried first
 _PRECISION = 0.03  # of amount and radius
 _SHARPENINGS = ((0.0, 8.0), (0.4, 4.0))  # amount, radius in px
-_FEWEST = 6  # corners that tell the noise
-_COLOURED = 0.25  # autocovariance, of the noise assumed, from which it is taken from the residuals
+_FEWEST = 6  # corners that determine the noise
+_COLOURED = 0.25  # autocovariance, relative to the assumed noise, above which that of the residuals is used
 _LEAST_VARIANCE = 0.05  # of that for independent noise
 _BETTER = 0.98  # χ² with sharpening over that without, for there to be any
 

@@ -21,12 +21,12 @@ from photogram.targets.target_view import (
     refuse_second,
 )
 
-LEAST_DOTS = 12
-MOST_SATURATED = 0.9  # share of the pixels: a whole sheet at full scale shows smaller dots, not shifted ones
-_SECOND = 0.5  # of the dots of the grid found that make another one
-WINDOWS = (1 / 6, 1 / 20, 2 / 5)
-ROUGHNESS = (0.5, 0.06)
-OFF_LATTICE = 0.1
+MIN_DOTS = 12  # a grid by chance has fewer
+MOST_SATURATED = 0.9  # share of the pixels: an overexposed sheet has smaller dots, not shifted ones
+_SECOND = 0.5  # of the dots of the grid found, for a second one
+WINDOWS = (1 / 6, 1 / 20, 2 / 5)  # of the image's longer side, for usual, small and large dots
+ROUGHNESS = (0.5, 0.06)  # of a round dot, in px and in radii
+OFF_LATTICE = 0.1  # spacings between a dot and its position
 QUARTER_TURN = np.array([[0, -1], [1, 0]])
 
 
@@ -76,7 +76,7 @@ def find_dots(image: NDArray[Any], target: Target, name: str, full_scale: int) -
             except _NoGrid as failure:
                 failures.append(failure)
     worth = max(failures, key=lambda failure: failure.dots)
-    fault = image_fault(image, full_scale) if worth.dots < LEAST_DOTS else None
+    fault = image_fault(image, full_scale) if worth.dots < MIN_DOTS else None
     raise TargetNotFound(fault or str(worth))
 
 
@@ -84,12 +84,12 @@ def _view(image: NDArray[Any], blobs: Blobs, target: Target, name: str, full_sca
     """Return the view of these patches; raise `_NoGrid` for no grid."""
     lattice = find_lattice(blobs.centre_px, blobs.shape_px2)
     seen = len(lattice.member)
-    if seen < LEAST_DOTS:
-        few = f"no grid of dots: {seen} on a lattice, at least {LEAST_DOTS} are needed"
+    if seen < MIN_DOTS:
+        few = f"no grid of dots: {seen} on a lattice, at least {MIN_DOTS} are needed"
         raise _NoGrid(seen, few if seen else "no dots")
     grid = _measure(image, blobs, lattice)
     dots = len(grid.index)
-    if dots < LEAST_DOTS:
+    if dots < MIN_DOTS:
         raise _NoGrid(dots, f"no round dots: {seen} patches on a lattice, but only {dots} are elliptic")
     spacing_px = float(np.median(_spacing(grid.jacobian)))
     check_exposure(image, outline(grid.ellipses.centre_px), full_scale, MOST_SATURATED)
@@ -114,7 +114,7 @@ def _refuse_another(image: NDArray[Any], blobs: Blobs, member: IntArray, target:
     rest = np.setdiff1d(np.arange(len(blobs.ring)), member)
     left = Blobs(blobs.centre_px[rest], blobs.shape_px2[rest], blobs.ring[rest])
     lattice = find_lattice(left.centre_px, left.shape_px2)
-    if len(lattice.member) < max(LEAST_DOTS, _SECOND * len(member)):
+    if len(lattice.member) < max(MIN_DOTS, _SECOND * len(member)):
         return
     try:
         _lattice_positions(_measure(image, left, lattice), target, image.shape)
@@ -156,7 +156,7 @@ def _lattice_positions(grid: _DotGrid, target: Target, shape: tuple[int, ...]) -
     if target.kind == "dots" and rings == 3:
         return _positions_from_rings(grid)
     if target.kind == "dots" and rings:
-        raise _NoGrid(dots, f"{rings} of {dots} dots are ring markers, expected three that are seen whole")
+        raise _NoGrid(dots, f"{rings} of {dots} dots are ring markers, expected three that are wholly visible")
     if target.size is None:
         raise _NoGrid(dots, f"no ring markers among {dots} dots: give the number of dots, columns x rows")
     return _positions_from_size(grid, target.kind == "asymmetric-dots", target.size, shape)
@@ -175,7 +175,7 @@ def _positions_from_rings(grid: _DotGrid) -> IntArray:
         if (lengths[0] < lengths[1]) or (lengths[0] == lengths[1] and not up):
             axes, up = axes[::-1], not up
         if not up:
-            raise _NoGrid(len(grid.index), "mirrored: the ring markers run the wrong way round")
+            raise _NoGrid(len(grid.index), "mirrored: the order of the ring markers is reversed")
         return np.asarray((grid.index - rings[corner]) @ axes.T)
     raise _NoGrid(len(grid.index), "the three ring markers do not form an L")
 
@@ -192,12 +192,12 @@ def _positions_from_size(grid: _DotGrid, asymmetric: bool, size: tuple[int, int]
     if fitting:  # the one whose first index runs most to the right
         return max(fitting, key=lambda fit: float(fit[0][0, 0] / np.linalg.norm(fit[0][:, 0])))[1]
     if any(_same(_from_corner(positions * np.array([-1, 1])), expected) for _, positions in rotated):
-        raise _NoGrid(dots, "mirrored: the rows of the dots are shifted the wrong way")
-    edge = "runs over the edge of the picture: " if dots < len(expected) and _leaves(grid, shape) else ""
+        raise _NoGrid(dots, "mirrored: the shift of the rows is reversed")
+    edge = "extends beyond the edge of the image: " if dots < len(expected) and _leaves(grid, shape) else ""
     if dots < len(expected):
         raise _NoGrid(dots, f"{edge}{dots} dots on a lattice, expected all {columns} x {rows}")
     extent = np.ptp(grid.index, axis=0) + 1
-    seen = f"{dots} dots within {extent[0]} x {extent[1]} places"
+    seen = f"{dots} dots within {extent[0]} x {extent[1]} positions"
     raise _NoGrid(dots, f"another grid: {seen}, expected {columns} x {rows}")
 
 
@@ -220,19 +220,19 @@ def _leaves(grid: _DotGrid, shape: tuple[int, ...]) -> bool:
     return bool((empty & outside).any())
 
 
-# Patches that lie on a lattice, seen in perspective and through a lens.
+# Patches that lie on a lattice, in perspective and through a lens.
 
-AREA_SPAN = 4.0
-NEIGHBOURS = 12
-SEED_TOLERANCE = 0.3
-LEAST_SEED_MATCHES = 3
-MOST_GROUPS = 4
-SEEDS = 4
-TOLERANCE = 0.2
-AREA_RATIO = (0.4, 2.5)
-RINGS_ABOUT_A_CELL = (2, 3)
-LEAST_POINTS = 9
-FEW_POINTS, LEAST_PAIRS = 16, 1.0
+AREA_SPAN = 4.0  # ratio of the areas of one target's dots, in perspective
+NEIGHBOURS = 12  # patches around a seed, of which eight are those of the lattice
+SEED_TOLERANCE = 0.3  # spacings between a seed's neighbours and their positions
+MIN_SEED_MATCHES = 3  # neighbours of a seed
+MAX_GROUPS = 4  # of patches of similar area that are tried
+SEEDS = 4  # of a group that are tried
+TOLERANCE = 0.2  # spacings between a patch and its extrapolated position
+AREA_RATIO = (0.4, 2.5)  # of a patch and its neighbours
+RINGS_ABOUT_A_CELL = (2, 3)  # from which a position is extrapolated, the second if the first is too empty
+MIN_POINTS = 9  # of a group
+FEW_POINTS, MIN_PAIRS = 16, 1.0  # patches that are always accepted; pairs of neighbours per patch beyond that
 AROUND = np.array([[1, 0], [0, 1], [-1, 0], [0, -1], [1, 1], [-1, 1], [-1, -1], [1, -1]])
 
 
@@ -263,8 +263,8 @@ def find_lattice(centre_px: FloatArray, shape_px2: FloatArray) -> Lattice:
     area = np.sqrt(np.linalg.det(shape_px2))
     octaves = np.arange(np.floor(np.log2(area.min())) - 1, np.ceil(np.log2(area.max())) + 1)
     groups = [np.flatnonzero((area >= 2.0**k) & (area < AREA_SPAN * 2.0**k)) for k in octaves]
-    large = [group for group in groups if len(group) >= LEAST_POINTS]
-    for group in sorted(large, key=lambda group: -area[group].sum())[:MOST_GROUPS]:  # those that cover most first
+    large = [group for group in groups if len(group) >= MIN_POINTS]
+    for group in sorted(large, key=lambda group: -area[group].sum())[:MAX_GROUPS]:  # those that cover most first
         tried: set[int] = set()
         for seed in _seeds(centre_px[group], shape_px2[group]):
             if int(group[seed[0]]) in tried:
@@ -321,7 +321,7 @@ def _seeds(centre: FloatArray, shape: FloatArray) -> IntArray:
     corner = hit[:, :4] & np.roll(hit[:, :4], -1, axis=1)
     order = np.argsort(-score)
     usable = np.asarray(corner.any(axis=1))
-    order = order[usable[order] & (hit.sum(axis=1)[order] >= LEAST_SEED_MATCHES)][:SEEDS]
+    order = order[usable[order] & (hit.sum(axis=1)[order] >= MIN_SEED_MATCHES)][:SEEDS]
     first_axis = corner.argmax(axis=1)[order]
     along, across_axis = (near[order, nearest[order, (first_axis + turn) % 4]] for turn in (0, 1))
     return np.column_stack([order, along, across_axis])
@@ -353,7 +353,7 @@ class _Growth:
     def _is_dense(self) -> bool:
         """Return whether most positions next to filled ones are filled, unlike random patches."""
         pairs = sum((i + 1, j) in self.at for i, j in self.at) + sum((i, j + 1) in self.at for i, j in self.at)
-        return len(self.at) < FEW_POINTS or pairs > LEAST_PAIRS * len(self.at)
+        return len(self.at) < FEW_POINTS or pairs > MIN_PAIRS * len(self.at)
 
     def _extend(self, starts: list[tuple[int, int]], reach: int) -> list[tuple[int, int]]:
         """Fill empty positions within `reach` steps of given ones; return those that were filled."""

@@ -13,14 +13,14 @@ from photogram.arrays import Arrays, BoolArray, FloatArray, check_shape
 from photogram.kernels import njit
 from photogram.targets.crossing import cholesky, solve
 
-LEAST_AREA_PX = 20
-EDGE_PX = 3
-WINDOW_CELLS = 24
-LEAST_CONTRAST = 0.15
-FULL_ELLIPSE = (0.85, 1.12)
-MOST_ELONGATED = 3.5
-HOLE = (0.03, 0.6)
-HOLE_OFF_CENTRE = 0.15
+MIN_AREA_PX = 20  # of a dot with a measurable ellipse
+EDGE_PX = 3  # margin of the image
+WINDOW_CELLS = 24  # pixels of a window after reduction
+MIN_CONTRAST = 0.15  # of the usual one
+FULL_ELLIPSE = (0.85, 1.12)  # area over that of the ellipse of the same moments
+MOST_ELONGATED = 3.5  # ratio of the semi-axes, a tilt of 73°
+HOLE = (0.03, 0.6)  # area over that of the dot
+HOLE_OFF_CENTRE = 0.15  # radii
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -57,7 +57,7 @@ def find_blobs(image: NDArray[Any], window_px: float) -> tuple[Blobs, Blobs]:
     square = cv2.getStructuringElement(cv2.MORPH_RECT, (side, side))
     upper, lower = (cv2.morphologyEx(coarse, kind, square) for kind in (cv2.MORPH_CLOSE, cv2.MORPH_OPEN))
     contrast = upper - lower
-    distinct = contrast > LEAST_CONTRAST * float(np.quantile(contrast, 0.9))
+    distinct = contrast > MIN_CONTRAST * float(np.quantile(contrast, 0.9))
     level = cv2.resize((upper + lower) / 2, (width, height), interpolation=cv2.INTER_LINEAR)
     used = cv2.resize(distinct.view(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST).view(np.bool_)
     smooth = cv2.blur(grey, (3, 3)) if factor > 1 else grey
@@ -90,7 +90,7 @@ class _Patches:
         inside &= (right <= mask.shape[1] - EDGE_PX) & (bottom <= mask.shape[0] - EDGE_PX)
         longer, shorter = np.maximum(width, height), np.minimum(width, height)
         accepted = (
-            inside & (area >= LEAST_AREA_PX / 4) & (area < mask.size / 20) & (longer <= MOST_ELONGATED * shorter + 1)
+            inside & (area >= MIN_AREA_PX / 4) & (area < mask.size / 20) & (longer <= MOST_ELONGATED * shorter + 1)
         )
         accepted &= area > 0.2 * width * height
         accepted[0] = False
@@ -131,21 +131,21 @@ def _elliptic(patches: _Patches, others: _Patches) -> Blobs:
     fullness = area / np.maximum(4 * np.pi * np.sqrt(determinant), 1e-9)
     difference = np.sqrt(np.maximum(half_trace**2 - determinant, 0.0))
     slim = half_trace + difference <= MOST_ELONGATED**2 * (half_trace - difference)
-    good = slim & (fullness > FULL_ELLIPSE[0]) & (fullness < FULL_ELLIPSE[1]) & (area >= LEAST_AREA_PX)
+    good = slim & (fullness > FULL_ELLIPSE[0]) & (fullness < FULL_ELLIPSE[1]) & (area >= MIN_AREA_PX)
     return Blobs(centre[good], 4 * moments[good], ring[good])
 
 
-# The blurred ellipse that a round dot shows: its centre to a few thousandths of a pixel, with covariance.
+# The blurred ellipse of a round dot: its centre to a few thousandths of a pixel, with covariance.
 
-PARAMETERS = 10
-SECTORS = 16
-FIRST_BLUR_PX = 1.5
-COARSE_RADIUS_PX = 12.0
-FIRST_STEP_PX, LAST_STEP_PX = 0.1, 0.003
-MOST_STEPS = 25
-FIRST_DAMPING = 1e-4
-BAND_SIGMAS, LEAST_BAND_PX = 3.0, 2.0
-RING_SHARE = 0.25
+PARAMETERS = 10  # centre, shape (3), blur, background, contrast, slope of the lighting (2)
+SECTORS = 16  # of the edge, for its roughness
+FIRST_BLUR_PX = 1.5  # start of the fit
+COARSE_RADIUS_PX = 12.0  # from which the first fit uses every second pixel
+FIRST_STEP_PX, LAST_STEP_PX = 0.1, 0.003  # last steps of both fits; the error is far smaller
+MAX_STEPS = 25  # usually fewer than ten are needed
+FIRST_DAMPING = 1e-4  # of Levenberg-Marquardt
+BAND_SIGMAS, MIN_BAND_PX = 3.0, 2.0  # half width of the band about the edge
+RING_SHARE = 0.25  # of the radius, outside the hole
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -248,8 +248,8 @@ def _collect(image, origin, parameters, reach, ring, stride):  # type: ignore[no
     a, b, c = parameters[2], parameters[3], parameters[4]
     determinant, half = a * c - b * b, (a + c) / 2.0
     minor = 1.0 / math.sqrt(half + math.sqrt(max(half * half - determinant, 0.0)))
-    wide = BAND_SIGMAS * parameters[5] + LEAST_BAND_PX
-    inside, outside = min(wide, RING_SHARE * minor) if ring else wide, min(wide, max(reach, LEAST_BAND_PX))
+    wide = BAND_SIGMAS * parameters[5] + MIN_BAND_PX
+    inside, outside = min(wide, RING_SHARE * minor) if ring else wide, min(wide, max(reach, MIN_BAND_PX))
     half_x = math.sqrt(c / determinant) + outside + 1.0
     half_y = math.sqrt(a / determinant) + outside + 1.0
     top, bottom = max(0, math.ceil(parameters[1] - half_y)), min(image.shape[0], math.floor(parameters[1] + half_y) + 1)
@@ -359,7 +359,7 @@ def _descend(pixels, parameters, small_step_px):  # type: ignore[no-untyped-def]
     squares = _dot(residual, residual)
     scale = _normal_equations(residual, jacobian, matrix, vector)
     damping = FIRST_DAMPING
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_STEPS):
         if not cholesky(matrix + damping * np.eye(PARAMETERS), lower):
             damping *= 10.0
             continue

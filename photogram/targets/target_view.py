@@ -12,7 +12,7 @@ from photogram.arrays import Arrays, FloatArray, IntArray, check_shape
 from photogram.images.noise import NoiseModel, fit_noise_model
 from photogram.images.sequence import GreyImage
 
-SHORTEST_M, LONGEST_M = 1e-4, 2.0  # of targets
+SHORTEST_M, LONGEST_M = 1e-4, 2.0  # of plausible targets
 TargetKind = Literal["chessboard", "charuco", "dots", "asymmetric-dots"]
 
 
@@ -110,14 +110,14 @@ class TargetNotFound(ValueError):
     """No target, or none that may be used, in an image; the text is the fault of the image."""
 
 
-# Whether a picture of a target is good enough to measure in: exposure, contrast, blur, and its noise.
+# Quality of an image of a target: exposure, contrast, blur, and its noise.
 
 SATURATED = 0.995  # of full scale: what counts as saturated
-MOST_SATURATED = 0.6  # share of the target's pixels that may be saturated, where the fit leaves these out
+MOST_SATURATED = 0.6  # permitted share of the target's pixels, which the fit excludes
 _LEAST_CONTRAST = 0.02  # between bright and dark, of full scale
 _BLUR_PX, _BLUR_CELL = 2.6, 0.12  # blur σ that always passes, in px, and in units of the target's cells
-_FEWEST_PIXELS = 1000  # that tell the noise
-_FLAT = 0.02  # gradient per px, of the picture's contrast, below which a pixel counts as flat
+_FEWEST_PIXELS = 1000  # that determine the noise
+_FLAT = 0.02  # gradient per px, relative to the image's contrast, of a flat pixel
 
 
 def check_exposure(image: NDArray[Any], area: FloatArray, full_scale: float, most: float = MOST_SATURATED) -> None:
@@ -133,7 +133,7 @@ def check_exposure(image: NDArray[Any], area: FloatArray, full_scale: float, mos
     cv2.fillPoly(filled, [np.rint(area).astype(np.int32)], 1)
     grey = image[filled > 0]
     if grey.size == 0:
-        raise ValueError("area: expected a part of the picture, found none of its pixels")
+        raise ValueError("area: expected a part of the image, found no pixel")
     fault = _exposure_fault(grey, full_scale, most, (5, 95), "target's")
     if fault is not None:
         raise TargetNotFound(fault)
@@ -157,8 +157,9 @@ def _exposure_fault(
 
 def refuse_second(target: str) -> None:
     """Raise `TargetNotFound` for an image with a second target equal to the one found."""
-    told = "cover one, or nobody can tell which of them the other pictures show"
-    raise TargetNotFound(f"two targets: {target} is seen twice; {told}")
+    raise TargetNotFound(
+        f"two targets: {target} is visible twice; cover one, since other images may show either of them"
+    )
 
 
 def check_blur(blur_px: float, cell_px: float) -> None:
@@ -178,7 +179,7 @@ def image_fault(image: NDArray[Any], full_scale: float) -> str | None:
     """
     from scipy.ndimage import gaussian_gradient_magnitude
 
-    fault = _exposure_fault(image, full_scale, 0.5, (1, 99), "picture's")
+    fault = _exposure_fault(image, full_scale, 0.5, (1, 99), "image's")
     if fault is not None:
         return fault
     low, high = np.percentile(image, [1, 99])
