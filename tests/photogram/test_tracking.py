@@ -190,7 +190,9 @@ def test_wrong_pairs_are_named(pair, rig):
 # Frames stream: what a series needs does not grow with its length, but for the numbers that it is after.
 
 WANDERING = ((0, 0), (1, 0), (2, 1), (1, 2), (0, 1))
-MOST_HELD = 4 + FRAMES_AHEAD  # per camera: the first frame, the present one, what is read ahead and about to be handed out
+MOST_HELD = (
+    4 + FRAMES_AHEAD
+)  # per camera: the first frame, the present one, what is read ahead and about to be handed out
 
 
 @dataclass
