@@ -41,7 +41,7 @@ def check_shape(name: str, array: NDArray[Any], shape: tuple[int | None, ...]) -
 
 
 def derivatives(of: Callable[[FloatArray], FloatArray], step: FloatArray) -> FloatArray:
-    """Return the derivatives (..., N) of a function at zero by central differences of steps (N,).
+    """Return the derivatives (...,N) of a function at zero by central differences of steps (N,).
 
     They are zero for numbers whose step is zero, which are exact.
     """

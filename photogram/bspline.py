@@ -79,7 +79,7 @@ def poles_of(degree: int) -> tuple[float, ...]:
 
 
 def spline_of_image(image: NDArray[np.generic], degree: int = 5) -> Spline:
-    """Return the spline through the grey values of image (H, W), mirrored at the outermost pixels.
+    """Return the spline through the grey values of image (H,W), mirrored at the outermost pixels.
 
     Recursive prefilter c = Π_z (1−z)² · causal and anticausal first-order filters with the poles z of the B-spline
     (Unser, Aldroubi, Eden 1993, IEEE Trans. Signal Process. 41, 834, eqs 2.4 and 2.5), in rows and columns. Both start
@@ -122,13 +122,16 @@ def grey_gradients(spline: Spline) -> tuple[FloatArray, FloatArray]:
 
 
 def third_differences(spline: Spline) -> FloatArray:
-    """Return third differences (−1 3 −3 1) in x of those in y (H−3, W−3) of the spline's image."""
+    """Return third differences (H−3,W−3) in x of those in y.
+
+    (−1 3 −3 1), of the image of the spline.
+    """
     values = np.convolve(_at_pixels(spline.degree)[0], (-1.0, 3.0, -3.0, 1.0))
     return _weighted(spline, values, values)[2:-1, 2:-1]
 
 
 def _at_pixels(degree: int) -> tuple[FloatArray, FloatArray]:
-    """Return values and slopes of the B-splines at a whole pixel, without the last one (zero)."""
+    """Return values and slopes of the B-splines at a whole pixel."""
     values, slopes = np.empty(8), np.empty(8)
     basis(0.0, degree, values, slopes)
     return values[:degree], slopes[:degree]
@@ -154,7 +157,7 @@ def noise_gain(fraction_px: FloatArray, degree: int = 5) -> FloatArray:
 
 
 def mean_noise_gain(centre_px: FloatArray, warp: FloatArray, offset_px: FloatArray, degree: int = 5) -> FloatArray:
-    """Return the mean variance (N,) of interpolated white noise of variance 1 over offsets (P, 2).
+    """Return the mean variance (N,) of interpolated white noise of variance 1 over offsets (P,2).
 
     The points about centre_px (N, 2) are moved by the affine warps (N, 6) [u, u_x, u_y, v, v_x, v_y].
     """
@@ -163,9 +166,9 @@ def mean_noise_gain(centre_px: FloatArray, warp: FloatArray, offset_px: FloatArr
 
 @njit()
 def _mean_gains(centres, warps, offsets, table):  # type: ignore[no-untyped-def]
-    """Return means (N,) of the gains of x times those of y, NaN for a warp that is not finite.
+    """Return means (N,) of the gains in x times those in y.
 
-    The gains are linear in a table over one pixel.
+    NaN for a warp that is not finite. The gains are linear in a table over one pixel.
     """
     gains = np.full(centres.shape[0], np.nan)
     for n in range(centres.shape[0]):
@@ -199,7 +202,7 @@ def noise_gain_table(degree: int) -> FloatArray:
 
 @cache
 def slope_noise_gain(degree: int = 5) -> float:
-    """Return the variance of the spline's slope at a pixel for white noise of variance 1.
+    """Return the variance of the spline's slope for white noise of variance 1.
 
     Σ_k h′(k)² of the cardinal spline h.
     """
@@ -268,7 +271,7 @@ def _copy(source, target, gain):  # type: ignore[no-untyped-def]
 
 @njit()
 def _mirror(lines, count):  # type: ignore[no-untyped-def]
-    """Fill the first and last `REACH` rows with mirror images of the `count` rows between them."""
+    """Fill the first and last `REACH` rows with mirror images of those between."""
     period = 2 * count - 2
     for k in range(1, REACH + 1):
         before, behind = k % period, (count - 1 + k) % period
@@ -278,7 +281,10 @@ def _mirror(lines, count):  # type: ignore[no-untyped-def]
 
 @intrinsic
 def _recurse(typing, lines, poles):  # type: ignore[no-untyped-def]
-    """Filter lines (n, LINES) in place, down and up, with y_k = x_k + z·y_k−1 for three poles z."""
+    """Filter lines (n,LINES) in place, down and up, for three poles.
+
+    y_k = x_k + z·y_k−1.
+    """
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Sequence[Any]) -> Any:
         table = array_of(context, builder, signature, arguments, 0)
@@ -303,7 +309,10 @@ def _recurse(typing, lines, poles):  # type: ignore[no-untyped-def]
 
 
 def weights_cubic(t: Lanes) -> tuple[Lanes, ...]:
-    """Return the four cubic B-splines at offset t in [0, 1) (Thévenaz et al. 2000, eq. 18)."""
+    """Return the four cubic B-splines at offset t in [0,1).
+
+    Thévenaz et al. 2000, eq. 18.
+    """
     last = t * t * t / 6.0
     first = 1.0 / 6.0 + 0.5 * t * (t - 1.0) - last
     third = t + first - 2.0 * last
@@ -405,7 +414,7 @@ SMALLEST_DRIFT = 1e-30  # of a line that never leaves its row or column
 
 
 def sample_squares(spline: Spline, centre_px: FloatArray, radius_px: int) -> FloatArray:
-    """Return values and gradients (N, 3, P) [f, f_x, f_y] on squares around centre_px (N, 2).
+    """Return values and gradients (N,3,P) [f,f_x,f_y] on squares around centre_px (N,2).
 
     P = (2·radius+1)² points, a pixel from each other. NaN for squares that are not wholly in the image. Points of a
     square have the same weights, applied along x, then y.
@@ -446,7 +455,7 @@ def sample_points(c, degree, positions, grey, span):  # type: ignore[no-untyped-
 
 @njit(inline="always")
 def warp_inside(coefficients, x, y, radius, warp):  # type: ignore[no-untyped-def]
-    """Return whether all corners of a square, warped by (6,) or (12,), lie in the image.
+    """Return whether a square, warped by (6,) or (12,), lies in the image.
 
     The square is about (x, y). False for NaN.
     """
@@ -462,7 +471,7 @@ def warp_inside(coefficients, x, y, radius, warp):  # type: ignore[no-untyped-de
 
 @njit(inline="always")
 def _end_of_run(start, count, s, t, drift_x, drift_y):  # type: ignore[no-untyped-def]
-    """Return the first point at which s + i·drift_x or t + i·drift_y leaves [0, 1)."""
+    """Return the first point at which s + i·drift_x or t + i·drift_y leaves [0,1)."""
     steps = float(count - start)
     if drift_x > SMALLEST_DRIFT:
         steps = min(steps, (1.0 - s) / drift_x)
@@ -477,7 +486,7 @@ def _end_of_run(start, count, s, t, drift_x, drift_y):  # type: ignore[no-untype
 
 @njit()
 def _sample_squares(c, degree, centres, radius, squares):  # type: ignore[no-untyped-def]
-    """Sample squares within the image: rows are weighted along x, all of them then along y."""
+    """Sample squares within the image, first along x, then along y."""
     right, bottom, side = c.shape[1] - 2 * PADDING_PX - 1, c.shape[0] - 2 * PADDING_PX - 1, 2 * radius + 1
     taps, points = degree + 1, (2 * radius + 1) ** 2
     wx, sx, wy, sy = np.empty(8), np.empty(8), np.empty(8), np.empty(8)
@@ -527,7 +536,10 @@ def _weigh(typing, source, position, weights, taps, target, span):  # type: igno
 
 
 def _run_by(weights: Callable[[Lanes], tuple[Lanes, ...]]) -> Any:
-    """Return the kernel of one run for the B-spline `weights`: whole blocks, then a masked one."""
+    """Return the kernel of one run for the B-spline `weights`.
+
+    Whole blocks of points, then a masked one.
+    """
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Sequence[Any]) -> Any:
         table, grey = (array_of(context, builder, signature, arguments, k) for k in (0, 4))
@@ -556,9 +568,9 @@ def _run_by(weights: Callable[[Lanes], tuple[Lanes, ...]]) -> Any:
 
     @intrinsic
     def run(typing, c, corner, offset, drift, grey, span):  # type: ignore[no-untyped-def]
-        """Fill grey with Σ_k b_k(t) Σ_j a_j(s) c[row + k, column + j + i] at points i of one run.
+        """Fill grey with the spline's values at the points of one run.
 
-        s and t = offset + i·drift.
+        Σ_k b_k(t) Σ_j a_j(s) c[row + k, column + j + i] at point i. s and t = offset + i·drift.
         """
         return kernel_signature(c, corner, offset, drift, grey, span), generate
 

@@ -2,8 +2,9 @@
 
 To the compiled kernels a camera is the vector [fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6 s]. The model is OpenCV's rational
 one with skew (Brown 1971, Photogrammetric Engineering 37, 855; Claus and Fitzgibbon 2005, CVPR, 213). With r² = x² + y²
-and g = (1 + k1·r² + k2·r⁴ + k3·r⁶)/(1 + k4·r² + k5·r⁴ + k6·r⁶), x_d = x·g + 2·p1·x·y + p2·(r² + 2·x²), y_d = y·g +
-p1·(r² + 2·y²) + 2·p2·x·y, u = fx·x_d + s·y_d + cx and v = fy·y_d + cy.
+the radial factor is `g = (1 + k1·r² + k2·r⁴ + k3·r⁶)/(1 + k4·r² + k5·r⁴ + k6·r⁶)`. Distorted coordinates are `x_d = x·g
++ 2·p1·x·y + p2·(r² + 2·x²)` and `y_d = y·g + p1·(r² + 2·y²) + 2·p2·x·y`. Pixels are `u = fx·x_d + s·y_d + cx` and `v =
+fy·y_d + cy`.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ def distort(x: float, y: float, camera: FloatArray) -> tuple[float, float, float
 
 @njit()
 def undistort(u: float, v: float, camera: FloatArray) -> tuple[float, float]:
-    """Return the normalised x, y of the pixel u, v, NaN where the distortion has no inverse.
+    """Return the normalised x, y of a pixel, NaN where the distortion is not invertible.
 
     Newton's method from the distorted point, each step halved until the residual falls, to the last digit.
     """
@@ -94,7 +95,7 @@ def project_one(x: float, y: float, z: float, camera: FloatArray) -> tuple[float
 
 @njit()
 def project_all(points: FloatArray, camera: FloatArray) -> FloatArray:
-    """Return the pixels (N, 2) of points (N, 3) in the camera frame; NaN behind it."""
+    """Return the pixels (N,2) of points (N,3) in the camera frame; NaN behind it."""
     pixels = np.empty((points.shape[0], 2))
     for i in range(points.shape[0]):
         pixels[i, 0], pixels[i, 1] = project_one(points[i, 0], points[i, 1], points[i, 2], camera)
@@ -126,7 +127,6 @@ LEFT, RIGHT = (np.array([RIG_PARAMETERS.index(f"{s}.{n}") for n in CAMERA_PARAME
 
 
 def _padded(name: str, array: FloatArray, plain: int, full: int) -> FloatArray:
-    """Return an array with `full` entries along each axis; one of the `plain` ones is padded by zeros."""
     array = np.asarray(array, dtype=np.float64)
     if array.shape == (plain,) * array.ndim:
         return np.pad(array, (0, full - plain))
@@ -182,15 +182,15 @@ class Camera(Arrays, shapes="matrix 3 3; distortion 8; size_px 2"):
         return np.array([k[0, 0], k[1, 1], k[0, 2], k[1, 2], *self.distortion, k[0, 1]], dtype=np.float64)
 
     def project(self, points_m: FloatArray) -> FloatArray:
-        """Return the pixels (..., 2) of points (..., 3) in the camera frame, NaN if not in front of it."""
+        """Return the pixels (...,2) of points (...,3) in the camera frame; NaN behind it."""
         points = np.asarray(points_m, dtype=np.float64)
         flat = np.ascontiguousarray(points.reshape(-1, 3))
         return np.asarray(project_all(flat, self.parameters)).reshape(*points.shape[:-1], 2)
 
     def undistort(self, pixels: FloatArray) -> FloatArray:
-        """Return the normalised coordinates (..., 2), x = X/Z and y = Y/Z, of pixels (..., 2).
+        """Return the normalised coordinates (...,2), x = X/Z and y = Y/Z, of pixels (...,2).
 
-        The inverse of `project` to the last digits; NaN where the distortion polynomial reaches no such pixel.
+        The inverse of `project`; NaN where the distortion reaches no such pixel.
         """
         flat = np.ascontiguousarray(np.asarray(pixels, dtype=np.float64).reshape(-1, 2))
         return np.asarray(undistort_all(flat, self.parameters)).reshape(np.shape(pixels))
@@ -266,7 +266,7 @@ class StereoRig(Arrays, shapes="covariance 32 32"):
         )
 
     def project(self, points_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the left and right pixels (..., 2) of points (..., 3) in the left camera's frame."""
+        """Return the left and right pixels (...,2) of points (...,3) in the left camera's frame."""
         return self.left.project(points_m), self.right.project(self.right_from_left.apply(points_m))
 
     @property
@@ -275,7 +275,7 @@ class StereoRig(Arrays, shapes="covariance 32 32"):
         return skew(self.right_from_left.translation_m) @ self.right_from_left.rotation
 
     def fundamental(self) -> FloatArray:
-        """Return F (3, 3) with (u', v', 1)·F·(u, v, 1)ᵀ = 0 for left (u, v) and right (u', v').
+        """Return F (3,3) with (u',v',1)·F·(u,v,1)ᵀ = 0 for left (u,v) and right (u',v').
 
         F = K_right⁻ᵀ·E·K_left⁻¹ (Hartley and Zisserman 2004, eq. 9.12), scaled to norm 1. Distortion is excluded: the
         equation is valid for ideal pixels, and for real ones within the lenses' distortion.
@@ -289,10 +289,10 @@ def epipolar_residual(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return epipolar residuals (...) in px of matches (..., 2), and their derivatives.
 
-    e = x'ᵀ·F·x / |(F·x)₁₂|, the signed distance of the right point from the epipolar line of the left one (Hartley and
-    Zisserman 2004, sections 9.2 and 11.4.3) in the undistorted image: F acts on pixels without distortion. The
-    derivatives (..., 2) by the left and right pixels treat the distortion as constant over a point's noise. A NaN stays
-    one.
+    e = x'ᵀ·F·x / |(F·x)₁₂| is the signed distance of the right point from the epipolar line of the left one (Hartley
+    and Zisserman 2004, sections 9.2 and 11.4.3). It refers to the undistorted image: F acts on pixels without
+    distortion. The derivatives (..., 2) by the left and right pixels treat the distortion as constant over a point's
+    noise. A NaN stays one.
     """
     rays = rig.left.undistort(left_px), rig.right.undistort(right_px)
     left, right = (np.concatenate([ray, np.ones((*ray.shape[:-1], 1))], axis=-1) for ray in rays)
@@ -346,7 +346,7 @@ def triangulate(
     covariance_left_px2: FloatArray | None = None,
     covariance_right_px2: FloatArray | None = None,
 ) -> Points3D:
-    """Return the most likely points (F, N), in the left camera's frame, of a stereo pair.
+    """Return the most likely points (F,N), in the left camera's frame, of a stereo pair.
 
     Parameters
     ----------
@@ -407,10 +407,11 @@ _FACE_STEP_M = 1e-6  # of the derivative of a pixel by its point
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FaceCamera(Arrays, shapes="point_m 3; normal 3; covariance 16 16"):
-    """A single camera, and the plane in its frame in which the face of a body lies at rest.
+    """A single camera, and the plane of a body's face at rest.
 
-    point_m (3,) of the plane and its unit normal (3,); covariance (16, 16) of `FACE_PARAMETERS` or None: the camera's,
-    the plane's position along its normal (m), and its turns (rad) through the point about two axes across the normal.
+    The plane in the camera's frame contains point_m (3,) and has the unit normal (3,). The covariance (16, 16) is that
+    of `FACE_PARAMETERS` or None. These are the camera's, the plane's position along its normal (m), and its turns (rad)
+    about two axes across the normal.
 
     >>> camera = Camera.from_parameters(np.array([1000.0, 1000, 320, 240, 0, 0, 0, 0, 0]), np.array([640, 480]))
     >>> rig = FaceCamera(camera, np.array([0.0, 0.0, 0.5]), np.array([0.0, 0.0, -1.0]))
@@ -459,7 +460,7 @@ def locate(
     covariances_px2: Sequence[FloatArray] | None = None,
     face_motion: FloatArray | None = None,
 ) -> Points3D:
-    """Return points (F, N) in the frame of the first camera, for pixels (F, N, 2) of each camera.
+    """Return points (F,N) in the first camera's frame from pixels (F,N,2).
 
     A pair triangulates. For a single camera the points are the intersections of their rays with the face. In each frame
     the face has the motion `face_motion` (F, 6) about the camera's centre. The undetermined direction along a ray has
@@ -542,7 +543,10 @@ def _triangulate_all(left, right, weight_left, weight_right, cameras, rotations,
 
 @njit()
 def _midpoint(left, right, cameras, rotation, translation, point):  # type: ignore[no-untyped-def]
-    """Set point (3,) to the middle between the rays in the left frame, NaN if parallel."""
+    """Set point (3,) to the middle between the rays, NaN if parallel.
+
+    In the left frame.
+    """
     xl, yl = undistort(left[0], left[1], cameras[0])
     xr, yr = undistort(right[0], right[1], cameras[1])
     a, b, centre = np.ones(3), np.empty(3), np.empty(3)
@@ -569,7 +573,7 @@ def _midpoint(left, right, cameras, rotation, translation, point):  # type: igno
 
 @njit()
 def _add_camera(point, pixel, weight, placed, normal, gradient):  # type: ignore[no-untyped-def]
-    """Add one camera to JᵀWJ (3, 3) and JᵀWr (3,); return its squared residual or NaN."""
+    """Add one camera to JᵀWJ (3,3) and JᵀWr (3,); return its squared residual or NaN."""
     camera, rotation, translation = placed
     p = np.empty(3)
     for i in range(3):

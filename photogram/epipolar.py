@@ -180,7 +180,7 @@ def check_epipolar(
 def _block_residuals(
     blocks: Iterable[StereoTracks], rig: StereoRig, good: BoolArray, mean: FloatArray, position: FloatArray
 ) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
-    """Yield by block coefficients (F, 3) of the residuals less their mean, u, and the body's path.
+    """Yield by block residual coefficients (F,3), u, and the body's path.
 
     `good` (N,): the points that count; mean (N,) residual; `position` (N, 2): mean in the left camera. The path is (F,
     2).
@@ -237,7 +237,7 @@ def _coefficients(residual: FloatArray, variance: FloatArray, basis: FloatArray)
 
 
 def _pair_notice(rig: StereoRig, matches: tuple[FloatArray, FloatArray], values: dict[str, float | str]) -> Notice:
-    """Return the warning of a residual that the calibration does not explain, with a turn that would."""
+    """Return the warning of an unexplained residual, with a rotation that explains it."""
     turn = _explaining_turn(rig, matches)
     if turn is None:
         return Notice(PAIR_CHANGED, _WHERE, **values)
@@ -247,7 +247,7 @@ def _pair_notice(rig: StereoRig, matches: tuple[FloatArray, FloatArray], values:
 
 
 def _explaining_turn(rig: StereoRig, matches: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, float] | None:
-    """Return the turn of the right camera that puts the points on their epipolar lines, if any.
+    """Return the turn of the right camera that explains the residuals, if any.
 
     About its x and its optical axis in rad, with the displacement in m of the points. Of the turns that do, it is the
     one without a part across the plane of sight, which has no effect on residuals.
@@ -276,7 +276,7 @@ def _rotated_rig(rig: StereoRig, vector_rad: FloatArray) -> StereoRig:
 
 
 def _unexplained_residual(pattern: FloatArray, covariance: FloatArray | None) -> dict[str, float | str] | None:
-    """Return the residual of a pattern that calibration and matching do not explain, and the limit."""
+    """Return the residual of an unexplained pattern, and the limit."""
     from scipy.special import chdtri
 
     size = float(np.linalg.norm(pattern))

@@ -81,7 +81,7 @@ class RigidTransform(Arrays, shapes="rotation 3 3; translation_m 3"):
 
 
 def skew(vector: FloatArray) -> FloatArray:
-    """Return the cross-product matrices (..., 3, 3) of vectors (..., 3): [v]×·x = v × x."""
+    """Return the cross-product matrices (...,3,3) of vectors (...,3): [v]×·x = v × x."""
     v = np.asarray(vector, dtype=np.float64)
     matrix = np.zeros((*v.shape, 3))
     matrix[..., 0, 1], matrix[..., 0, 2], matrix[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
@@ -113,7 +113,7 @@ def rotation_from_vector(vector_rad: FloatArray) -> FloatArray:
 
 
 def vector_from_rotation(rotation: FloatArray) -> FloatArray:
-    """Return the rotation vectors (..., 3) in rad, |v| ≤ π, of matrices (..., 3, 3).
+    """Return the rotation vectors (...,3) in rad, |v| ≤ π, of matrices (...,3,3).
 
     By the unit quaternion's largest component (Shepperd 1978, J. Guidance and Control 1, 223): precise from 0 to π.
     """
@@ -138,7 +138,7 @@ def vector_from_rotation(rotation: FloatArray) -> FloatArray:
 
 
 def rotation_vector_rate(vector_rad: FloatArray) -> FloatArray:
-    """Return d v / d δ (..., 3, 3) of rotation vectors v by a small left-multiplied rotation δ.
+    """Return d v / d δ (...,3,3) of rotation vectors by a left-multiplied δ.
 
     exp(δ)·exp(v) = exp(v + J⁻¹·δ), J⁻¹ = I − ½·[v]× + (1 − (φ/2)·cot(φ/2))/φ²·[v]×², the inverse left Jacobian of SO(3)
     (Chirikjian 2012, Stochastic Models, Information Theory, and Lie Groups 2, section 10.7).
@@ -183,7 +183,7 @@ def fixes_rotation(cross_scatter: FloatArray) -> BoolArray:
 
 
 def fit_rigid(source_m: FloatArray, target_m: FloatArray) -> RigidTransform:
-    """Fit the rigid transform that moves source (N, 3) onto target (N, 3) by least squares.
+    """Fit the rigid transform that moves source (N,3) onto target (N,3) by least squares.
 
     Minimises Σ |y − R·x − t|²: centred on the means, rotation by `nearest_rotation` (Arun et al. 1987). Planar sets are
     allowed; points on one line, or fewer than three, do not determine the rotation and raise `ValueError`.

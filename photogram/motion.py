@@ -70,9 +70,9 @@ _CONVERGED = 1e-13  # a step (m, rad) this small ends the iteration
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RigidMotion(Arrays, shapes="pose F 6; covariance F 6 6; residual_m F; points F; origin_m 3"):
-    """Rigid motion of a body through time: x' = R(r)·(x − o) + o + t against the reference.
+    """Rigid motion of a body through time: x' = R·(x−o) + o + t.
 
-    A frame that could not be fitted has NaN and 0 points.
+    R = R(r), against the reference. A frame that could not be fitted has NaN and 0 points.
 
     Attributes
     ----------
@@ -271,7 +271,7 @@ def _fit(
 
 
 def _without_noise_weights(precision: FloatArray, error: FloatArray, usable: BoolArray) -> FloatArray:
-    """Return precisions (F, N, 3, 3), equal ones in frames with errors far above the points' noise."""
+    """Return precisions (F,N,3,3), equal ones in frames with errors far above the points' noise."""
     squares = np.einsum("fni,fnij,fnj->fn", error, np.where(usable[..., None, None], precision, 0.0), error)
     bent = _median(squares, usable) > _BENT * _MEDIAN_CHI2
     bent &= usable.sum(axis=1) >= FEWEST
@@ -344,9 +344,9 @@ def _median(values: FloatArray, usable: BoolArray) -> FloatArray:
 
 @njit()
 def _normal_equations(arm, error, precision, used):  # type: ignore[no-untyped-def]
-    """Return Σ Jᵀ·W·J (F, 6, 6) and Σ Jᵀ·W·e (F, 6) for a shift and a small left rotation.
+    """Return Σ Jᵀ·W·J (F,6,6) and Σ Jᵀ·W·e (F,6) of a small motion.
 
-    J = [I, −[a]×]. Arms a = R·x and errors e are (F, N, 3); Jᵀ·v = [v, a × v].
+    A shift and a left rotation. J = [I, −[a]×]. Arms a = R·x and errors e are (F, N, 3); Jᵀ·v = [v, a × v].
     """
     frames, count = used.shape
     normal, gradient = np.zeros((frames, 6, 6)), np.zeros((frames, 6))
@@ -408,7 +408,7 @@ class DeformationMean:
         self._covariance.add(covariance)
 
     def _residuals(self, points: Points3D, motion: RigidMotion) -> tuple[FloatArray, FloatArray]:
-        """Return the residuals (F, N, 3) from the rigid motion, and their covariance, NaN = missing."""
+        """Return the residuals (F,N,3) from the rigid motion, and their covariance, NaN = missing."""
         frames, count, _ = points.position_m.shape
         check_shape("reference_m", self.reference_m, (count, 3))
         check_shape("motion.pose", motion.pose, (frames, 6))

@@ -23,7 +23,7 @@ _MOST_ARRAYS = 10_000  # of a `.mat` file
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PointTable(Arrays, shapes="frames F; position_m F N 3; reference_m N 3; u_m F N 3"):
-    """Points of F frames: those with the same identity, else the same row, in all frames.
+    """Points of F frames, matched by identity or row.
 
     Attributes
     ----------
@@ -181,7 +181,7 @@ def _check_columns(columns: Sequence[str]) -> None:
 
 
 def _point_indices(frames: Sequence[_TableFrame]) -> tuple[list[IntArray], int]:
-    """Return the index of the point in each row of each table, and the number of points.
+    """Return the index of the point in each row, and the number of points.
 
     By their identity, else by their order.
     """
@@ -370,7 +370,7 @@ def _metres(path: Path, name: str, unit: str | None, scale: float | None) -> flo
 
 
 def _text_columns(path: Path) -> _Columns:
-    """Return the columns of a text table, named by the last line before its first row of numbers."""
+    """Return the columns of a text table by the names in its header."""
     rows: list[list[float]] = []
     names: list[str] = []
     for number, line in enumerate(path.read_text(encoding="utf-8-sig", errors="replace").splitlines(), start=1):
@@ -402,7 +402,7 @@ def _text_columns(path: Path) -> _Columns:
 
 
 def _number(field: str) -> float | None:
-    """Return the number of a field, NaN for a text for a missing number, None for other text."""
+    """Return the number of a field, NaN for a missing one, else None."""
     if field.lower() in _LOST:
         return float("nan")
     try:
@@ -415,7 +415,7 @@ _MAT_NUMBERS = ("double", "single", *(f"{sign}int{bits}" for sign in ("", "u") f
 
 
 def _mat_columns(path: Path) -> _Columns:
-    """Return the arrays of a `.mat` file that have the size of the first coordinate, flat."""
+    """Return the arrays of a `.mat` file of the first coordinate's size, flat."""
     from scipy.io import loadmat, whosmat
 
     check_mat5(path, MOST_BYTES, _MOST_ARRAYS)

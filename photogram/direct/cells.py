@@ -64,7 +64,7 @@ class Cells(
 
     @property
     def layout(self) -> tuple[FloatArray, IntArray, IntArray, float]:
-        """Positions of the pixels, for kernels: centres, runs, first runs, half the side less half a pixel."""
+        """For kernels: centres, runs, first runs, half the side less half a pixel."""
         return self.centre_px, self.runs, self.first, (self.side_px - 1) / 2
 
     @property
@@ -99,7 +99,7 @@ class CellSums:
 
 
 def lay_cells(area: BoolArray, side_px: int) -> tuple[FloatArray, IntArray, IntArray]:
-    """Return centres (C, 2), runs (R, 4) and first runs (C + 1,) of squares that cover `area`.
+    """Return centres (C,2), runs (R,4) and first runs of squares that cover `area`.
 
     The squares lie next to each other from the bounding box of `area` (H, W) on. Those less than a tenth filled are
     excluded.
@@ -147,7 +147,10 @@ def prepare_cells(spline: Spline, area: BoolArray, side_px: int, noise: NoiseMod
 
 
 def reweight_cells(cells: Cells, noise: NoiseModel, degree: int) -> Cells:
-    """Return the cells, of a spline of that degree, with the weights of another noise model."""
+    """Return the cells with the weights of another noise model.
+
+    `degree`: of the spline.
+    """
     weight = np.where(cells.pixels[0] > 0.0, cells.pixels[0], 1.0)
     pixels = np.concatenate([cells.pixels[:1] > 0.0, cells.pixels[1:] / weight])
     pixels[1] += cells.mean[cells.of_pixels]
@@ -208,9 +211,9 @@ def compare_cells(cells: Cells, target: Spline, warp: FloatArray) -> CellSums:
 
 
 def pixel_residuals(cells: Cells, target: Spline, warp: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return grey value f and squared residual (g − a − b·f)²/(κ_g + b²) (P,) of every pixel.
+    """Return grey value f and normalised squared residual (P,) of every pixel.
 
-    a and b are fitted per cell.
+    (g − a − b·f)²/(κ_g + b²). a and b are fitted per cell.
     """
     grey = np.full(cells.pixels.shape[1], np.nan, np.float32)
     _sample_cells(cells.layout, (target.coefficients, target.degree), np.ascontiguousarray(warp), grey)
@@ -281,7 +284,7 @@ def _prepare(centre, runs, first, pixels, scalars, moments, extent):  # type: ig
 
 @njit()
 def _compare(shape, reference, target, warps, found):  # type: ignore[no-untyped-def]
-    """Fill gain, misfit and slope of every cell that has contrast and lies in the image."""
+    """Fill gain, misfit and slope of every cell with contrast in the image."""
     (centres, runs, first, reach), (coefficients, degree) = shape, target
     (pixels, means, weights, energies, removed), (gains, misfits, slopes) = reference, found
     line, row, sums = np.empty(int(2 * reach) + 1, np.float32), np.empty(RUN_SUMS), np.empty(9)

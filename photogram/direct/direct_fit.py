@@ -1,4 +1,4 @@
-"""Six components of a body's motion fitted to the grey values of all pixels in all cameras."""
+"""Six components of a body's motion fitted to the grey values in all cameras."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ SMALLEST_MISFIT = 1e-12  # of the expected one: images without noise
 
 @dataclass(frozen=True, eq=False, repr=False)
 class BodyView(Arrays, shapes="rates C 6 p; information C p p; information_noise C p p; translation C 2 2"):
-    """A body at rest in one camera: cells of its image, their surface, and their derivatives.
+    """A body at rest in one camera: cells, their surface, and their derivatives.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class BodyView(Arrays, shapes="rates C 6 p; information C p p; information_noise
         return self.rates, *flat, rounding
 
     def warps(self, moved: RigidTransform) -> FloatArray:
-        """Return the affine warps (C, 6) of the cells after the motion `moved` of the body."""
+        """Return the affine warps (C,6) of the cells after the motion `moved` of the body."""
         if self.carried is None:
             return patch_warps(self.camera, self.patches, moved)
         moved_points = np.einsum("ckij,ckj->cki", self.carried[0], moved.apply(self.patches.points_m))
@@ -126,7 +126,10 @@ def view_body(
 
 
 def reweight_view(view: BodyView, noise: NoiseModel, degree: int) -> BodyView:
-    """Return the body at rest, seen as a spline of that degree, with another noise model."""
+    """Return the body at rest with another noise model.
+
+    `degree`: of the spline of its image.
+    """
     return with_jacobians(view.camera, reweight_cells(view.cells, noise, degree), view.patches, view.rates)
 
 
@@ -200,7 +203,7 @@ def coarse_fit(views: Sequence[BodyView], targets: Sequence[Spline], start: Rigi
 
 
 def decimate(views: Sequence[BodyView]) -> tuple[BodyView, ...]:
-    """Return the views with a third of their cells, for `coarse_fit`; none if these are too few."""
+    """Return the views with a third of their cells, none for too few."""
     some = []
     for view in views:
         which = np.flatnonzero(spread_choice(np.arange(len(view.rates)), 1.0 / DECIMATION))
@@ -247,7 +250,7 @@ class _FitStep:
 
 
 def _step(views: Sequence[BodyView], targets: Sequence[Spline], moved: RigidTransform) -> _FitStep | None:
-    """Return the step from a motion, None where the cells do not determine all six components.
+    """Return the step from a motion, None where the components are not determined.
 
     Cells are judged after the step that all of them require, so that the choice does not depend on the start.
     """
@@ -282,7 +285,7 @@ def phase_rotated_pose(
     turns: Sequence[ComplexArray],
     pose: FloatArray,
 ) -> ComplexArray:
-    """Return the pose (K, p) of a fitted frame whose cells are weighted by phase factors.
+    """Return the pose (K,p) of a fitted frame whose cells are weighted by phase factors.
 
     turns: for every view K factors of its cells, (K, C). y = E·Σ turn·B·(slopes that remain after the fit, and those
     that led it by `pose` (6,) to its motion). E (`estimator_matrix`) converts the sums into motion and shapes: Σ
@@ -302,7 +305,7 @@ def phase_rotated_pose(
 
 
 def estimator_matrix(whole: FloatArray) -> FloatArray:
-    """Return E (p, p), which converts sums over cells of this information into motion and shapes."""
+    """Return E (p,p), which converts sums over cells of this information into motion and shapes."""
     estimate = np.linalg.inv(whole)
     estimate[:6] = 0.0
     estimate[:6, :6] = np.linalg.inv(whole[:6, :6])
@@ -312,8 +315,8 @@ def estimator_matrix(whole: FloatArray) -> FloatArray:
 def row_information(view: BodyView) -> FloatArray:
     """Return the information (side, p, p) of a view by the row within the cells.
 
-    N = Σ w·ã·aᵀ over the pixels of a row, a the change of grey by motion and shapes, ã the same after gain and offset
-    of the cell. Σ N_r·x_r are the sums for motions x_r that differ from row to row.
+    N = Σ w·ã·aᵀ over the pixels of a row. The change of grey by motion and shapes is a, and ã the same after gain and
+    offset of the cell. The sums for motions x_r that differ from row to row are Σ N_r·x_r.
     """
     cells, size = view.cells, view.rates.shape[2]
     column, row = pixel_coordinates(cells.runs).T
@@ -335,7 +338,7 @@ def row_information(view: BodyView) -> FloatArray:
 
 
 def rest_covariance(views: Sequence[BodyView], noise: float) -> FloatArray:
-    """Return the covariance (6, 6) of a frame equal to the reference, for a noise ratio.
+    """Return the covariance (6,6) of a frame equal to the reference, for a noise ratio.
 
     `noise`: variance of the grey values over that of the noise models.
     """
@@ -344,7 +347,7 @@ def rest_covariance(views: Sequence[BodyView], noise: float) -> FloatArray:
 
 
 def rest_information(views: Sequence[BodyView]) -> tuple[FloatArray, FloatArray]:
-    """Return the information (p, p) of a frame equal to the reference, and its noise part."""
+    """Return the information (p,p) of a frame equal to the reference, and its noise part."""
     information = np.sum([view.information.sum(axis=0) for view in views], axis=0)
     return information, np.sum([view.information_noise.sum(axis=0) for view in views], axis=0)
 
@@ -352,7 +355,7 @@ def rest_information(views: Sequence[BodyView]) -> tuple[FloatArray, FloatArray]
 def estimate_shape_amplitudes(
     pose: FloatArray, slope: FloatArray, whole: tuple[FloatArray, FloatArray], scale: FloatArray | float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return amplitudes (..., S) of shapes in addition to the motion, with covariance (..., S, S).
+    """Return amplitudes (...,S) of shapes in addition to the motion, with covariance (...,S,S).
 
     pose (..., 6) of the last step, slope (..., p), whole: information (..., p, p) and its noise part, per `scale`
     (...). The remaining slopes of the shapes after the motion, g − H·δ, are divided by their remaining information: the
@@ -373,13 +376,13 @@ def estimate_shape_amplitudes(
 
 
 def rigid_share(views: Sequence[BodyView]) -> FloatArray:
-    """Return the motion (6, S) by which a rigid body would best explain a unit of each shape."""
+    """Return the motion (6,S) that best explains a unit of each shape."""
     information, _ = rest_information(views)
     return np.asarray(np.linalg.solve(information[:6, :6], information[:6, 6:]))
 
 
 def _rigid_cells(view: BodyView, sums: CellSums, step: FloatArray) -> BoolArray:
-    """Return which cells (C,) show the body: their misfit and remaining shift are as the others'.
+    """Return which cells (C,) show the body, by their misfit and remaining shift.
 
     step (6,): of the body, after which the shift counts.
     """
@@ -428,7 +431,7 @@ def _judge_cells(sums, jacobians, step, used):  # type: ignore[no-untyped-def]
 
 @njit(error_model="numpy")
 def _add_cells(used, compared, jacobians, found):  # type: ignore[no-untyped-def]
-    """Add the used cells to information and its noise part (2, p·p), slope (p,), and sums.
+    """Add the used cells to information and its noise part (2,p·p), slope (p,), and sums.
 
     The sums are the misfit, the misfits expected of noise and of rounding, and the number of cells.
     """
@@ -453,7 +456,7 @@ def _add_cells(used, compared, jacobians, found):  # type: ignore[no-untyped-def
 
 
 def _scaled(matrix: FloatArray) -> FloatArray:
-    """Return symmetric matrices (..., p, p) scaled to a unit diagonal, zero if it is not positive."""
+    """Return symmetric matrices (...,p,p) scaled to a unit diagonal, zero if it is not positive."""
     diagonal = np.diagonal(matrix, axis1=-2, axis2=-1)
     scale = np.where(diagonal > 0.0, 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0)), 0.0)
     return np.asarray(matrix * (scale[..., :, None] * scale[..., None, :]))

@@ -48,8 +48,9 @@ if TYPE_CHECKING:
 class TorchView(Squares):
     """A `BodyView` on a device: C cells; pixels outside the body have weight 0.
 
-    All else is float64 and named as in `Cells`, `BodyView` and `Patches`; points_m (5·C, 3) in the camera's frame, turn
-    (3, 3) and origin_m (3,) from the body's frame to it; steady (C,): whether a cell can determine a motion.
+    All else is float64 and named as in `Cells`, `BodyView` and `Patches`. The points_m (5·C, 3) are in the camera's
+    frame. From the body's frame, turn (3, 3) and origin_m (3,) lead to it. Which cells can determine a motion is in
+    `steady` (C,).
     """
 
     source: BodyView
@@ -146,7 +147,7 @@ def fit_frames(
     targets: Sequence[tuple[TorchSplines, Sequence[int]]],
     starts: FloatArray,
 ) -> list[DirectFit | None]:
-    """Return the result of `fit_direct` for each of F frames from poses (F, 6), all at once.
+    """Return the result of `fit_direct` for each of F frames, all at once.
 
     targets: for each view the splines on its device, and which F of them are the frames. Frames leave the iteration as
     they converge; only motions, covariances and sums are copied back.
@@ -210,7 +211,7 @@ def fit_frames(
 
 
 def _compose_inverse(rotation: Tensor, shift: Tensor, step: Tensor) -> tuple[Tensor, Tensor]:
-    """Return T·δ⁻¹ of motions (A, 3, 3), (A, 3) and steps (A, 6) of shift and rotation vector."""
+    """Return T·δ⁻¹ of motions (A,3,3), (A,3) and steps (A,6) of shift and rotation vector."""
     from kornia.geometry.liegroup import So3
 
     rotated = rotation @ So3.exp(step[:, 3:]).matrix().transpose(1, 2)
@@ -254,7 +255,7 @@ def torch_project(camera: Camera, points_m: Tensor) -> Tensor:
 
 
 def _warps(view: TorchView, rotation: Tensor, shift: Tensor) -> Tensor:
-    """Return affine warps (A, C, 6) of the cells by motions of the body (A, 3, 3), (A, 3).
+    """Return affine warps (A,C,6) of the cells by motions of the body (A,3,3), (A,3).
 
     As `surface.patch_warps`.
     """
@@ -307,7 +308,7 @@ def _sum_cells(view: TorchView, cells: _Compared, step: Tensor) -> _CellSums:
 
 
 def _cell_sums(view: TorchView, frames: TorchSplines, number: Tensor, warp: Tensor) -> Tensor:
-    """Return the sums (A, C, 9) of `cells._compare` over frames (A,) at warps (A, C, 6).
+    """Return the sums (A,C,9) of `cells._compare` over frames (A,) at warps (A,C,6).
 
     NaN outside the image.
     """
@@ -325,7 +326,7 @@ def _cell_sums(view: TorchView, frames: TorchSplines, number: Tensor, warp: Tens
 
 
 def _interpolated_noise(view: TorchView, warp: Tensor, degree: int) -> Tensor:
-    """Variance (A, C) of interpolated white noise at warps (A, C, 6): `bspline.mean_noise_gain` at nine points."""
+    """Variance (A,C) of interpolated white noise at warps (A,C,6): `bspline.mean_noise_gain` at nine points."""
     import torch
 
     table = _noise_gains(degree, warp.device)
@@ -339,7 +340,7 @@ def _interpolated_noise(view: TorchView, warp: Tensor, degree: int) -> Tensor:
 
 
 def _rigid_cells(view: TorchView, ratio: Tensor, slope: Tensor) -> Tensor:
-    """Which cells (A, C) show the body, by their misfit over the expected one (A, C) and their slope (A, C, 6)."""
+    """Return which cells (A,C) show the body, by misfit ratio (A,C) and slope (A,C,6)."""
     finite = ratio.isfinite() & slope.isfinite().all(dim=2) & view.steady
     typical = _median(ratio, finite).clamp(min=SMALLEST_MISFIT)[:, None]
     finite &= ratio <= MISFIT * typical
@@ -359,7 +360,7 @@ def _median(values: Tensor, finite: Tensor) -> Tensor:
 
 
 def _scaled(matrices: Tensor) -> Tensor:
-    """Symmetric matrices (A, 6, 6) scaled to unit diagonals; zeros where a diagonal is not positive."""
+    """Symmetric matrices (A,6,6) scaled to unit diagonals; zeros where a diagonal is not positive."""
     import torch
 
     diagonal = matrices.diagonal(dim1=1, dim2=2)

@@ -1,4 +1,4 @@
-"""Shapes in which a body may deform in addition to its rigid motion, and their amplitudes."""
+"""Shapes of a body's deformation, and their amplitudes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Shapes(Protocol):
         """Names of the S shapes."""
 
     def __call__(self, points_m: FloatArray) -> FloatArray:
-        """Return the displacement (S, N, 3) of points (N, 3) at rest in shapes of amplitude 1.
+        """Return the displacement (S,N,3) of points (N,3) at rest in shapes of amplitude 1.
 
         It is finite everywhere.
         """
@@ -33,8 +33,8 @@ class PlainShapes(Arrays, shapes="middle_m 3; axes 3 3"):
     """Six general shapes of a face: second order across it, first order along it.
 
     axes (3, 3): rows u and v along the face, n across it; reach_m: from its middle to its rim. With u, v in units of it
-    the face moves across by u² + v² (bowl), u² − v² (saddle), 2uv (twist), along by (u, v) (breathing), (u, −v)
-    (stretch), (v, u) (shear): an amplitude is the displacement of the rim against the middle, in m.
+    the face moves across by u² + v² (bowl), u² − v² (saddle) or 2uv (twist). Along it, it moves by (u, v) (breathing),
+    (u, −v) (stretch) or (v, u) (shear). An amplitude is the displacement of the rim against the middle, in m.
     """
 
     middle_m: FloatArray
@@ -86,7 +86,7 @@ class ShapeAmplitudes(Arrays, shapes="amplitude F S; covariance F S S; share 6 S
 
 
 def shape_rates(camera: PlacedCamera, patches: Patches, shapes: Shapes) -> FloatArray:
-    """Return the derivatives (C, 6, S) of the patches' warps by the amplitudes of S shapes."""
+    """Return the derivatives (C,6,S) of the patches' warps by the amplitudes of S shapes."""
     shape = shapes(patches.points_m.reshape(-1, 3))
     moved = shape.reshape(len(shape), *patches.points_m.shape)
 

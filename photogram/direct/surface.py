@@ -35,7 +35,9 @@ class PlacedCamera:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Patches(Arrays, shapes="centre_px C 2; points_m C 5 3; rest_px C 5 2"):
-    """Small plane patches of a body in one camera, at rest; NaN where the surface is unknown.
+    """Small plane patches of a body in one camera, at rest.
+
+    NaN where the surface is unknown.
 
     Attributes
     ----------
@@ -93,7 +95,7 @@ def patch_warps(camera: PlacedCamera, patches: Patches, moved: RigidTransform) -
 def warps_of_points(
     camera: PlacedCamera, patches: Patches, points_m: FloatArray, by: RigidTransform = AT_REST
 ) -> FloatArray:
-    """Return the affine warps (C, 6) of the patches from positions (C, 5, 3) moved `by` a motion."""
+    """Return the affine warps (C,6) of the patches from positions (C,5,3) moved `by` a motion."""
     pose, rest, warp = camera.camera_from_body, (patches.rest_px, patches.arm_px), np.empty((len(points_m), 6))
     into = pose.rotation @ by.rotation, pose.apply(by.translation_m)
     _warps(np.ascontiguousarray(points_m), into, camera.camera.parameters, rest, warp)
@@ -123,13 +125,16 @@ def _warps(points, pose, camera, rest, warps):  # type: ignore[no-untyped-def]
 
 
 def patch_rates(camera: PlacedCamera, patches: Patches) -> FloatArray:
-    """Return the derivatives (C, 6, 6) of the patches' warps by x y z (m) and rx ry rz (rad)."""
+    """Return the derivatives (C,6,6) of the patches' warps by the six components.
+
+    x y z (m) and rx ry rz (rad), at rest.
+    """
     return derivatives(lambda pose: patch_warps(camera, patches, RigidTransform.from_pose(pose)), np.full(6, RATE_STEP))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SeenPoints(Arrays, shapes="points_m N 3; rates N 2 6"):
-    """Points of a body at rest (N, 3), and their pixels' derivatives (N, 2, 6) in one camera."""
+    """Points of a body at rest (N,3), and their pixels' derivatives (N,2,6) in one camera."""
 
     camera: PlacedCamera
     points_m: FloatArray
@@ -142,7 +147,7 @@ class SeenPoints(Arrays, shapes="points_m N 3; rates N 2 6"):
 
 
 def project_body_points(camera: PlacedCamera, points_m: FloatArray) -> SeenPoints:
-    """Return points (N, 3) of a body at rest with their pixels' derivatives in a camera.
+    """Return points (N,3) of a body at rest with their pixels' derivatives in a camera.
 
     NaN for a missing point.
     """
@@ -184,7 +189,7 @@ def motion_from_positions(seen: Sequence[SeenPoints], positions_px: Sequence[Flo
 
 
 def _weighted_step(rates: FloatArray, error_px: FloatArray, weight: FloatArray) -> FloatArray | None:
-    """Return the pose (6,) that explains errors (N, 2) by rates (N, 2, 6), None if undetermined."""
+    """Return the pose (6,) that explains errors (N,2) by rates (N,2,6), None if undetermined."""
     design = rates.reshape(-1, 6)
     weighted = np.repeat(weight, 2)[:, None] * design
     normal = weighted.T @ design

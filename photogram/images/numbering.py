@@ -87,7 +87,7 @@ def _counter(texts: Sequence[str]) -> FrameNumbers | None:
 
 
 def _stamps(texts: Sequence[str]) -> FrameNumbers | None:
-    """Count by a number that is a time, also one written as hhmmss and parts of a second."""
+    """Count by a time in the name, also one written as hhmmss and decimals."""
     steps = _steps(texts)
     if steps is None:
         return None

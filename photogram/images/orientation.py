@@ -49,7 +49,7 @@ def tag_notices(tags: Mapping[Path, int]) -> tuple[Notice, ...]:
 
 
 def read_orientations(paths: Iterable[Path]) -> dict[Path, int]:
-    """Return the orientation tags of the image files that can be read and are not mirrored."""
+    """Return the orientation tags of image files, without unreadable and mirrored ones."""
     tags = {}
     for path in paths:
         with suppress(OSError, ValueError):
@@ -122,7 +122,10 @@ def _jpeg_exif(file: BinaryIO) -> bytes:
 
 
 def _exif_orientation(exif: bytes) -> int:
-    """Return tag 274 of an EXIF block, which is laid out as a TIFF file; 1 without one."""
+    """Return orientation tag 274 of an EXIF block, 1 without one.
+
+    The block is laid out as a TIFF file.
+    """
     order = {b"II": "<", b"MM": ">"}.get(exif[:2])
     with suppress(struct.error):
         if order is not None:

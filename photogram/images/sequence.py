@@ -1,4 +1,4 @@
-"""Series of grey images of one camera, read one at a time, with times and exposures."""
+"""Series of grey images of one camera, with times and exposures."""
 
 from __future__ import annotations
 
@@ -201,7 +201,10 @@ def find_copied_frames(images: ImageSequence) -> BoolArray:
 
 
 def bytes_at(path: Path, start: int, size: int) -> bytes:
-    """Return at most `GLIMPSE` bytes of a file from an offset, from its end if negative."""
+    """Return at most `GLIMPSE` bytes of a file from an offset.
+
+    A negative offset counts from its end.
+    """
     with wrap_read_errors(path), path.open("rb") as file:
         file.seek(start if start >= 0 else max(0, path.stat().st_size + start))
         return file.read(min(size, GLIMPSE))

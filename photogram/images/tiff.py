@@ -32,7 +32,7 @@ OME_SIZES = re.compile(r'\bSize([CZT])="(\d+)"')
 
 
 def tiff_header(path: Path) -> ImageHeader:
-    """Return size, bits and pages of a TIFF file that contains all of its pixel data."""
+    """Return size, bits and pages of a TIFF file with complete pixel data."""
     import tifffile
 
     try:
@@ -78,10 +78,10 @@ def tiff_header(path: Path) -> ImageHeader:
 
 
 def _stacked(path: Path, tiff: Any, pages: Sequence[Any]) -> tuple[int, int | None]:
-    """Return how many images a TIFF file has, and where a stack with one directory begins.
+    """Return the number of images of a TIFF file, and where a stack begins.
 
-    ImageJ (beyond 4 GB), tifffile and MetaMorph write such stacks. Only one series of images is allowed: no channels,
-    slices and times together.
+    The position is None without a stack with one directory. ImageJ (beyond 4 GB), tifffile and MetaMorph write such
+    stacks. Only one series of images is allowed: no channels, slices and times together.
     """
     first, size = pages[0], tiff.filehandle.size
     axes = {axis: int(n) for axis, n in OME_SIZES.findall(first.description)} if first.is_ome and len(pages) > 1 else {}
@@ -103,7 +103,7 @@ def _stacked(path: Path, tiff: Any, pages: Sequence[Any]) -> tuple[int, int | No
 
 
 def _stored(page: Any) -> tuple[int, int]:
-    """Return where the pixels of a page of a TIFF file end, and their number of bytes."""
+    """Return end and number of the bytes of a TIFF page's pixels."""
     ends = np.add(page.dataoffsets, page.databytecounts)
     return max((int(end) for end in ends), default=1 << 62), sum(int(count) for count in page.databytecounts)
 
@@ -196,7 +196,7 @@ def _read_tiff_opencv(path: Path, bits: int, page: int) -> GreyImage:
 
 
 def read_raw_tiff(data: NDArray[np.uint8], page: int = 0) -> Any:
-    """Set the orientation tag of a page of a TIFF file to 1 and return its photometric.
+    """Reset the orientation tag of a TIFF page in memory; return its photometric.
 
     OpenCV obeys the tag whatever its flags are. None for other files.
     """

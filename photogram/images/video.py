@@ -44,13 +44,13 @@ def _names(path: Path, frames: int) -> tuple[str, ...]:
 
 
 def _unpacked_12(raw: NDArray[np.uint8]) -> NDArray[np.uint16]:
-    """Return values of 12 bits that are packed in pairs in three bytes, high bits first."""
+    """Return values of 12 bits, packed in pairs in three bytes, high bits first."""
     first, middle, last = raw.reshape(-1, 3).astype(np.uint16).T
     return np.column_stack(((first << 4) | (middle >> 4), ((middle & 15) << 8) | last)).ravel()
 
 
 def _unpacked_10(raw: NDArray[np.uint8]) -> NDArray[np.uint16]:
-    """Return values of 10 bits that are packed by four in five bytes, high bits first."""
+    """Return values of 10 bits, packed by four in five bytes, high bits first."""
     a, b, c, d, e = raw.reshape(-1, 5).astype(np.uint16).T
     values = (a << 2 | b >> 6, (b & 63) << 4 | c >> 4, (c & 15) << 6 | d >> 2, (d & 3) << 8 | e)
     return np.column_stack(values).ravel()
@@ -74,7 +74,7 @@ PHOTRON_KEYS = {
 
 
 def open_photron(header: Path, bit_depth: int | None) -> ImageSequence:
-    """Return the frames that a header .cih or .cihx announces, from the .mraw next to it."""
+    """Return the frames of a header .cih or .cihx, from the .mraw next to it."""
     entries = _photron_entries(header)
     path = next((path for path in map(header.with_suffix, (".mraw", ".MRAW")) if path.is_file()), None)
     if path is None:
@@ -390,7 +390,10 @@ def _pixel_bits(path: Path, tag: bytes) -> int:
 
 
 def open_film(path: Path, bit_depth: int | None) -> ImageSequence:
-    """Return the frames of an AVI, MP4, MOV or MKV film, decoded once to count them."""
+    """Return the frames of an AVI, MP4, MOV or MKV film.
+
+    The film is decoded once to count them.
+    """
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # its library would write to the terminal
     import cv2
 

@@ -165,7 +165,7 @@ class File:
                 part.unlink(missing_ok=True)
 
     def _path(self, key: Any) -> Path | None:
-        """Return the file for a function's types, processor, code, and the versions of Python and numba."""
+        """Return the file of a function's types, processor, code, and versions."""
         import numba
 
         digest = hashlib.sha256(repr((sys.version, numba.__version__, key)).encode()).hexdigest()

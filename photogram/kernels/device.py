@@ -10,9 +10,10 @@ DEVICES = ("auto", "cpu", "cuda")
 
 
 def resolve_device(choice: str) -> str:
-    """Return the device 'cpu' or 'cuda' of `choice`; 'auto' is 'cuda' where torch can use it.
+    """Return the device 'cpu' or 'cuda' of `choice`.
 
-    Importing torch takes seconds, so 'auto' imports it only if an NVIDIA driver can be loaded.
+    'auto' is 'cuda' where torch can use it. Importing torch takes seconds, so 'auto' imports it only if an NVIDIA
+    driver can be loaded.
     """
     if choice not in DEVICES:
         raise ValueError(f"device: expected one of {', '.join(DEVICES)}, found {choice!r}")

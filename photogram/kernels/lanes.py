@@ -142,7 +142,7 @@ def store(builder: Any, lanes: Lanes, pointer: Any, mask: Any = None) -> None:
 
 
 def sum_lanes(builder: Any, lanes: Lanes) -> Any:
-    """Return the sum of all lanes: halves are added to each other until one lane remains."""
+    """Return the sum of all lanes, by adding halves."""
     value, width = lanes.value, lanes.value.type.count
     while width > 1:
         width //= 2

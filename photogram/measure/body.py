@@ -50,7 +50,7 @@ LARGEST_DIFFERENCE = 2.0  # rms, in standard uncertainties of the motion of the 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class BodyMotion(Arrays):
-    """Motion of a body in the images of a stereo pair or of a single camera.
+    """Motion of a body in the images of one or two cameras.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ class BodyMotion(Arrays):
 
     @cached_property
     def tracks(self) -> StereoTracks:
-        """Subsets of all frames in which they were searched, about 500 bytes for each in every frame."""
+        """Subsets of all frames with subsets, about 500 bytes for each."""
         blocks = list(self.tracked)
         whole = (
             Tracks(
@@ -175,7 +175,7 @@ def measure_body(
 
 
 def body_motion(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> BodyMotion:
-    """Return the motion of the body from the tracked blocks of a scene, in their order.
+    """Return the motion of the body from the tracked blocks of a scene.
 
     The blocks, a list or a reader from disk, are iterated twice, one at a time, and again for each use of subsets or
     points.
@@ -236,7 +236,7 @@ def body_motion(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> BodyMotion
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TrackedSubsets(Arrays, shapes="frames S; pose S 6"):
-    """Tracked subsets of a body, some frames at a time from the first one on, repeatedly.
+    """Tracked subsets of a body, some frames at a time, repeatedly.
 
     Attributes
     ----------
@@ -260,7 +260,10 @@ class TrackedSubsets(Arrays, shapes="frames S; pose S 6"):
         return (tracks for tracks, _ in self.cached_blocks) if self.cached_blocks else self._computed()
 
     def with_points(self) -> Iterator[tuple[StereoTracks, Points3D]]:
-        """Yield some frames at a time with the points of their subsets, in the body's frame."""
+        """Yield some frames at a time with the points of their subsets.
+
+        In the body's frame.
+        """
         if self.cached_blocks:
             yield from self.cached_blocks
             return
@@ -289,7 +292,10 @@ class TrackedSubsets(Arrays, shapes="frames S; pose S 6"):
             yield self.summary.with_tracks(drop_rejected(cameras, rejected))
 
     def _points(self, tracks: StereoTracks, pose: FloatArray) -> Points3D:
-        """Return points of some frames; those of a single camera lie on the face in its `pose` (F, 6)."""
+        """Return points of some frames, in the body's frame.
+
+        Those of a single camera lie on the face in its `pose` (F, 6).
+        """
         rig, placed, moved = self.scene.rig, self.scene.body_from_left, None
         if not isinstance(rig, StereoRig):
             turns = (placed.inverse() @ RigidTransform.from_pose(one) @ placed for one in np.nan_to_num(pose))
@@ -324,7 +330,7 @@ class _Fits(Arrays, shapes="pose F 6; covariance F 6 6; amplitude F S; amplitude
     amplitude_covariance: FloatArray
 
     def count_missing(self, body: BodyPrior) -> tuple[int, int]:
-        """Return how many later frames have no fit, and how many there are, without absent frames."""
+        """Return how many later frames have no fit, and how many there are."""
         later = [number for number in range(1, len(self.pose)) if not body.is_absent(number)]
         return int(np.count_nonzero(~np.isfinite(self.pose[later, 0]))), len(later)
 
@@ -440,7 +446,7 @@ def _joined(parts: Sequence[RigidMotion]) -> RigidMotion:
 
 
 def _rigid_notices(sums: _Sums, motion: RigidMotion, of_points: RigidMotion, failed: tuple[int, int]) -> list[Notice]:
-    """Return notices of a body that is not rigid, and of differences between fit and points."""
+    """Return notices of departures from a rigid motion."""
     notices, where = list[Notice](), "rigid motion"
     finite = np.isfinite(of_points.residual_m[1:])
     if finite.any():

@@ -112,9 +112,10 @@ def undo_motion(carried: MotionSeries, points_m: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ExposureCorrection(Arrays):
-    """A scene in which every frame shows its body at the middle of its first row's exposure.
+    """A scene in which every frame shows its body at one instant.
 
-    `uncorrected`: the one in which subsets have their positions in the images.
+    The instant is the middle of its first row's exposure. `uncorrected`: the one in which subsets have their positions
+    in the images.
     """
 
     uncorrected: BodyScene
@@ -151,7 +152,10 @@ class ExposureCorrection(Arrays):
         return (found, fit), phase_rotated_pose(views, targets, fit, turns, departure)
 
     def with_noise(self, number: int, frame: FollowedFrame) -> ExposureCorrection:
-        """Return it with the noise of the images in a frame, unchanged if that cannot be fitted."""
+        """Return it with the noise of the images in a frame.
+
+        Unchanged if that cannot be fitted.
+        """
         (_, fit), _ = self.correct_frame(number, frame)
         if fit is None:
             return self
@@ -206,7 +210,7 @@ class ExposureCorrection(Arrays):
     def _blurred(
         self, side: int, image: GreyImage, at: RigidTransform, by: tuple[int, RigidTransform]
     ) -> NDArray[np.float32]:
-        """Return an image of the body at a pose, blurred by its path in the exposure of a frame.
+        """Return an image of the body, blurred by its path in an exposure.
 
         at: the pose; by: number and motion of the frame.
         """
@@ -231,7 +235,7 @@ class ExposureCorrection(Arrays):
 
     @property
     def responses(self) -> tuple[ComplexArray, ComplexArray]:
-        """Response of phase-rotated poses to a motion at a line, and to the assumed motion: (K, p, p).
+        """Response of phase-rotated poses to a motion, and to the assumed motion: (K,p,p).
 
         The delay of each cell is compensated; within a cell rows still differ. The assumed motion acts through its
         affine warp: by the instants of its middle and of points above and below.
@@ -267,10 +271,10 @@ class ExposureCorrection(Arrays):
 
 
 def blur_along_path(image: NDArray[np.generic], path_px: FloatArray, share: FloatArray) -> NDArray[np.float32]:
-    """Return an image (H, W) as the mean of itself shifted along a path, weighted by shares (E,).
+    """Return an image (H,W) as the mean of itself shifted along a path.
 
-    path_px (B, E, 2, 3): the shift d = (c + a·x + b·y) px at the pixel (x, y), in rows c, a, b, for each of B bands of
-    rows.
+    The mean is weighted by shares (E,). The shift at the pixel (x, y) is d = (c + a·x + b·y) px. path_px (B, E, 2, 3):
+    rows c, a, b, for each of B bands of rows.
     """
     rows, columns = image.shape
     corners = np.array([[1.0, x, y] for x in (0, columns) for y in (0, rows)])
@@ -332,7 +336,7 @@ def _points(scene: BodyScene, positions_px: list[FloatArray]) -> FloatArray:
 
 
 def _at_one_instant(scene: BodyScene, swing: ExposureMotion, number: int, found: Registrations) -> list[FloatArray]:
-    """Return the positions of the subsets of a frame if all rows were exposed with the first one."""
+    """Return the subsets' positions if all rows were exposed with the first one."""
     positions = [
         one.centre_px + registration.warp[:, [0, 3]] for one, registration in zip(scene.references, found, strict=True)
     ]

@@ -189,7 +189,7 @@ def _choose_subset_frames(rest: range, target: int) -> BoolArray:
 def follow_block(
     scene: BodyScene, frames: range, device: str = "cpu", progress: Progress | None = None
 ) -> FollowedBlock:
-    """Track the body through a block of later frames, the first of them from the reference."""
+    """Track the body through a block of later frames."""
     followed = []
     for number, one in zip(frames, _found(BodyTracker(scene), frames, device), strict=True):
         followed.append(one)
@@ -216,7 +216,7 @@ def _found(tracker: BodyTracker, frames: range, device: str) -> Iterator[Followe
 
 
 def _found_in(tracker: BodyTracker, frames: range, device: str) -> Iterator[FollowedFrame]:
-    """Yield the body and its subsets in some frames in turn, on a GPU in batches."""
+    """Yield the body and its subsets in some frames, on a GPU in batches."""
     if device != "cpu" and not tracker.scene.body.rolling_shutter:
         from photogram.measure.follow_torch import find_in_batches
 
@@ -228,7 +228,7 @@ def _found_in(tracker: BodyTracker, frames: range, device: str) -> Iterator[Foll
 
 
 class BodyTracker:
-    """Tracker of a body from frame to frame of a block, with prediction of the next.
+    """Tracker of a body from frame to frame of a block, with prediction.
 
     fits: of the last consecutive frames that have one, at most `MAX_FITS`.
     """
@@ -257,9 +257,10 @@ class BodyTracker:
         return self.add_frame(registered, fit)
 
     def _predicted_fit(self, number: int, splines: Splines) -> DirectFit | None:
-        """Return the direct fit of a frame from the predicted motion, None if it differs from those before.
+        """Return the direct fit of a frame from the predicted motion.
 
-        Some of the cells first improve the prediction, unless earlier frames show that it is precise enough.
+        None if it differs from those before. Some of the cells first improve the prediction, unless earlier frames show
+        that it is precise enough.
         """
         if len(self.fits) < MIN_PREDICTION_FRAMES:
             return None
@@ -319,7 +320,7 @@ class BodyTracker:
 
 
 def sine_terms(time_s: FloatArray, frequency_hz: FloatArray) -> FloatArray:
-    """Return a constant, and cosine and sine of each line (K,), at times (F,): (F, 1 + 2K)."""
+    """Return (F,1+2K): a constant, and cosine and sine of each line at times (F,)."""
     phase = 2.0 * np.pi * np.outer(time_s, frequency_hz)
     both = np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(phase), -1)
     return np.hstack([np.ones((len(phase), 1)), both])
@@ -331,7 +332,7 @@ def image_motion_px(seen: SeenPoints, moved: RigidTransform) -> FloatArray:
 
 
 def central_point(seen: SeenPoints) -> SeenPoints:
-    """Return the finite point of a body that is nearest to the middle of its image at rest."""
+    """Return the finite point of a body nearest to the middle of its image."""
     off_px = np.linalg.norm(seen.rest_px - np.nanmedian(seen.rest_px, axis=0), axis=1)
     only = slice(nearest := int(np.nanargmin(off_px)), nearest + 1)
     return replace(seen, points_m=seen.points_m[only], rates=seen.rates[only])
@@ -345,12 +346,15 @@ def predict_motion(fits: Sequence[DirectFit]) -> RigidTransform:
 
 
 def has_excess_noise(fit: DirectFit, before: Sequence[DirectFit]) -> bool:
-    """Return whether a fit leaves far more noise than those before, as in a wrong position."""
+    """Return whether a fit leaves far more noise than those before."""
     return fit.noise > MAX_NOISE_RATIO * median(one.noise for one in before[-HISTORY:])
 
 
 def subsets_displaced(warp: FloatArray, start: FloatArray | None) -> BoolArray:
-    """Return whether at most half of the subsets (..., N, p) are at their start, or there is none."""
+    """Return whether at most half of the subsets (...,N,p) are at their start.
+
+    Also true without a start.
+    """
     if start is None:
         return np.asarray(True)
     near = np.hypot(*np.moveaxis((warp - start)[..., [0, 3]], -1, 0)) < MAX_DISPLACEMENT_PX
@@ -395,13 +399,13 @@ def _with_noise(scene: BodyScene, progress: Progress | None) -> BodyScene:
 
 
 def _report(progress: Progress | None, frames: int) -> None:
-    """Report that all images of so many frames are done, two of each, as of a pair."""
+    """Report the images of so many frames as done, two of each."""
     if progress is not None:
         progress(2 * frames)
 
 
 def _positions(scene: BodyScene, found: Registrations) -> tuple[FloatArray, ...]:
-    """Return positions (N, 2) of the subsets of one frame in each camera, NaN if not found."""
+    """Return positions (N,2) of the subsets in each camera, NaN if not found."""
     both = zip(scene.references, found, strict=True)
     return tuple(reference.centre_px + registration.warp[:, [0, 3]] for reference, registration in both)
 
@@ -425,7 +429,7 @@ def cameras_about(scene: BodyScene, rest_m: FloatArray) -> tuple[PlacedCamera, .
 
 
 def body_views(scene: BodyScene, splines: Splines, most_px: float = np.inf) -> tuple[BodyView, ...]:
-    """Return the body at rest in each camera, all pixels weighted equally, in cells of subset size.
+    """Return the body at rest in each camera, all pixels weighted equally.
 
     most_px: largest side of a cell.
     """
@@ -437,7 +441,7 @@ def body_views(scene: BodyScene, splines: Splines, most_px: float = np.inf) -> t
 
 
 def _fit(scene: BodyScene, found: Registrations, splines: Splines) -> DirectFit | None:
-    """Return the direct fit of one frame from the positions of its subsets, None for none."""
+    """Return the direct fit of one frame from the positions of its subsets."""
     if scene.body.rolling_shutter:
         return None
     start = motion_from_positions(scene.seen, _positions(scene, found))

@@ -80,7 +80,7 @@ def find_in_batches(tracker: BodyTracker, frames: range, device: str) -> Iterato
 
 
 def _read_ahead(tracker: BodyTracker, frames: range, device: str) -> Iterator[_Batch]:
-    """Yield frames in batches; a thread for each camera reads and uploads the next one in advance."""
+    """Yield frames in batches, read and uploaded in advance by threads."""
     sources = [images.read_ahead(frames) for images in tracker.scene.images]
     length = _most_frames(sum(images.size_px[0] * images.size_px[1] for images in tracker.scene.images), device)
     ends = [0, *range(min(FIRST_FRAMES, length), len(frames), length), len(frames)]
@@ -191,14 +191,14 @@ def previous_fits(tracker: BodyTracker) -> list[DirectFit]:
 
 
 def predict_poses(tracker: BodyTracker, most: int) -> FloatArray:
-    """Return the poses (n, 6) of the next frames by the fits so far, at most `most`.
+    """Return the poses (n,6) of the next frames by the fits so far.
 
-    None without fits. The body stays, or moves by up to `LINES` sines about a drifting mean, from the strongest on: by
-    the rule that would have predicted the last quarter of the frames best. At most as many frames are predicted as
-    there were. If the last quarter would have been missed by half a pixel, frames start from the mean pose, provided
-    that no frame was far from it. Otherwise only the next one is predicted, by `predict_motion`. After fewer than
-    `MIN_PREDICTION_FRAMES` frames, `FIRST_FRAMES` start from the mean pose, the first ones from half way between rest
-    and the lead.
+    At most `most`. None without fits. The body stays, or moves by up to `LINES` sines about a drifting mean, from the
+    strongest on: by the rule that would have predicted the last quarter of the frames best. At most as many frames are
+    predicted as there were. If the last quarter would have been missed by half a pixel, frames start from the mean
+    pose, provided that no frame was far from it. Otherwise only the next one is predicted, by `predict_motion`. After
+    fewer than `MIN_PREDICTION_FRAMES` frames, `FIRST_FRAMES` start from the mean pose, the first ones from half way
+    between rest and the lead.
     """
     fits = previous_fits(tracker)
     if not fits:
@@ -255,7 +255,7 @@ def _design(frequencies: FloatArray, frames: FloatArray) -> FloatArray:
 
 
 def _next_line(series: FloatArray, frequencies: FloatArray) -> FloatArray:
-    """Return the frequencies (L,) of a series (M, K), and that of the next best sine.
+    """Return the frequencies (L,) of a series (M,K), and that of the next best sine.
 
     It fits the leading component of the residuals, with at least half a period within the M frames. A grid of a quarter
     of the resolution is refined four times.

@@ -29,7 +29,7 @@ Image = NDArray[Any]
 
 
 class BodyNotFound(ValueError):
-    """The images do not show where the body is: no texture, no match, or a repeating pattern."""
+    """The images do not show the body: no texture, no match, or a repeating pattern."""
 
 
 NEIGHBOUR_ROUNDS = 8  # of growing by one subset in every direction, chosen
@@ -55,7 +55,7 @@ class Follower:
     def find(
         self, frame: tuple[Image, Spline], start: FloatArray | None, last: FloatArray | None = None
     ) -> Registration:
-        """Return the subsets in an image and its spline, from warps (N, p) or for None from rest.
+        """Return the subsets in an image and its spline, from warps (N,p) or from rest.
 
         last: warps (N, p) in the previous image, if available: a few subsets then show how far all have moved since.
         """
@@ -82,7 +82,7 @@ class Follower:
 def find_without_prediction(
     reference: ReferenceSubsets, first: Image, frame: tuple[Image, Spline], settings: TrackSettings
 ) -> Registration:
-    """Find the subsets of the first image in a frame: from rest and by search, the better one.
+    """Find the subsets in a frame from rest and by search, the better one.
 
     A start at rest finds some subsets of a body that moved by a speckle in a wrong position; a search slides along
     edges.
@@ -98,7 +98,7 @@ def find_without_prediction(
 def follow(
     reference: ReferenceSubsets, first: Image, frame: tuple[Image, Spline], start: FloatArray, settings: TrackSettings
 ) -> Registration:
-    """Find the subsets of the first image in a later one: from the prediction, else by search.
+    """Find the subsets in a later image: from the prediction, else by search.
 
     Where the prediction loses most subsets, seeds are searched within `reach_px` of it, then in the whole image.
     Matched features follow, which also allow rotation. At last the lost subsets are found from their neighbours.
@@ -120,7 +120,7 @@ def follow(
 def predict_common_motion(
     reference: ReferenceSubsets, target: Spline, start: FloatArray, last: FloatArray, settings: TrackSettings
 ) -> FloatArray:
-    """Return warps (N, p) from the last ones and one affine motion, or `start` if that is nearer.
+    """Return warps (N,p) from the last ones and one affine motion, or `start`.
 
     The motion is that of a few subsets, which are registered from their start. It counts if it leads next to all of
     them. The prediction of each individual subset has several times the noise of its last position. From that position
@@ -181,7 +181,7 @@ def find_next_to_copies(
 def _missing_share(
     reference: ReferenceSubsets, found: Registration, radius_px: int, size_px: NDArray[np.int64]
 ) -> float:
-    """Return the share of expected subsets that are not found in an image of size_px (2,)."""
+    """Return the share of expected subsets that are not found in an image."""
     ok, expected = found.status == TrackStatus.OK, _expected(reference, found, radius_px, size_px)
     return float(np.mean(~ok[expected])) if ok.any() else 1.0
 
@@ -408,7 +408,7 @@ def _smoothed(
 
 
 def _without_repetitions(position_px: FloatArray) -> FloatArray:
-    """Return positions (C, S, 2), NaN where one is within a pixel of an earlier one."""
+    """Return positions (C,S,2), NaN where one is within a pixel of an earlier one."""
     unique = position_px.copy()
     for c in range(1, len(position_px)):
         same = (np.abs(position_px[:c] - position_px[c]).max(axis=-1) < 1.0).any(axis=0)

@@ -122,10 +122,10 @@ def register(reference: ReferenceSubsets, target: Spline, start: FloatArray, set
     73), and accepts starts (N, 6). Where a start has no curvature, order 1 is found first and order 2 starts from
     there. Then `reject_poor_curvature` decides which results the subsets support.
 
-    After a step below 0.3 px the remaining error is about a hundredth of it: 0.4 to 0.7 % (31 px), 0.7 to 1.1 % (21
-    px), 1.5 to 2.5 % (13 px) were measured with noise of 1/255 of full scale and dots of 4.5 px, 0.05 to 3 % without
-    noise. A subset is therefore found when a fiftieth of the step is below `convergence_px` of the `settings` at every
-    point of the subset. It is also found when a fiftieth is below a twentieth of the m parameters' standard
+    After a step below 0.3 px the remaining error is about a hundredth of it. Measured were 0.4 to 0.7 % (31 px), 0.7 to
+    1.1 % (21 px) and 1.5 to 2.5 % (13 px) with noise of 1/255 of full scale and dots of 4.5 px. Without noise it is
+    0.05 to 3 %. A subset is therefore found when a fiftieth of the step is below `convergence_px` of the `settings` at
+    every point of the subset. It is also found when a fiftieth is below a twentieth of the m parameters' standard
     uncertainties, 0.02² δᵀ(gain² H/s²)δ < 0.05² m with the residual variance s². Steps of order 2 leave up to a third
     of themselves where the texture hardly determines a direction: there the limit is two fifths instead of a fiftieth.
     The reduction of the sum of squares by the last step, gain² δᵀHδ, is subtracted in `zncc` and `residual_grey2`.
@@ -172,7 +172,7 @@ def affine_part(start: FloatArray) -> FloatArray:
 
 
 def starts_from_affine(start: FloatArray, first: Registration) -> FloatArray:
-    """Return starts (N, 12) of order 2 from those with curvature and the results of order 1.
+    """Return starts (N,12) of order 2: those with curvature, else results of order 1.
 
     NaN where order 1 failed.
     """
@@ -228,13 +228,13 @@ def unresolved_px(reference: ReferenceSubsets, found: Registration) -> FloatArra
 
 
 def position_covariance(reference: ReferenceSubsets, found: Registration, noise_grey: FloatArray) -> FloatArray:
-    """Return the covariance (N, 2, 2) in px² of the found centres from white image noise.
+    """Return the covariance (N,2,2) in px² of the found centres from white image noise.
 
     noise_grey (N,): its standard deviation. A V Aᵀ σ²/gain² with V the `position_variance` of the subset (affine
     parameters, gain and offset free) and A the local deformation: the noise of the one image. That of the reference is
     constant over a series. With order 2, V also contains the squares of displacements that the subset does not resolve.
-    These are `unresolved_px`, and for the terms after the second 0.15 of the effect of the second ones, (u_xx +
-    u_yy)·r(r+1)/6. (In a wave 1.3 to 4 sides long, a parabola leaves 0.15 to 0.01 of it.)
+    These are `unresolved_px`, and 0.15·(u_xx + u_yy)·r(r+1)/6 for the terms after the second. In a wave 1.3 to 4 sides
+    long, a parabola leaves 0.15 to 0.01 of its effect.
     """
     deformation = np.eye(2) + found.warp[:, [1, 2, 4, 5]].reshape(-1, 2, 2)
     scale = (noise_grey / found.gain) ** 2
@@ -262,7 +262,7 @@ def noise_of_residual(reference: ReferenceSubsets, found: Registration, degree: 
 
 
 def compose_with_inverse(warp: Any, step: Any) -> tuple[Any, ...]:
-    """Return the six parts of warp ∘ step⁻¹, both affine, as numbers or tensors of many warps."""
+    """Return the six parts of warp ∘ step⁻¹, both affine, as numbers or tensors."""
     a, b, c, d = 1.0 + step[1], step[2], step[4], 1.0 + step[5]
     scale = 1.0 / (a * d - b * c)
     ia, ib, ic, id_ = d * scale, -b * scale, -c * scale, a * scale
@@ -365,7 +365,10 @@ def _step_of(solution, radius, step):  # type: ignore[no-untyped-def]
 
 @njit()
 def _correlate(subset, grey, parameters, sums):  # type: ignore[no-untyped-def]
-    """Sum g, g², f̃g and the steepest-descent images times g, g without the mean of f."""
+    """Sum g, g², f̃g and the steepest-descent images times g.
+
+    g without the mean of f.
+    """
     _, _, _, pixels, mean, _, offsets = subset
     affine_sums(grey, mean, pixels, offsets, sums)
     if parameters == 2:
@@ -419,7 +422,7 @@ def _compose_inverse_quadratic(warp, step):  # type: ignore[no-untyped-def]
 
 @njit()
 def _matrix_of(warp):  # type: ignore[no-untyped-def]
-    """Return the matrix of a warp of order 2 on [dx², dx dy, dy², dx, dy, 1], truncated."""
+    """Return the matrix of a warp of order 2 on [dx²,dx dy,dy²,dx,dy,1], truncated."""
     matrix = np.zeros((6, 6))
     x, y = matrix[3], matrix[4]
     x[0], x[1], x[2], x[3], x[4], x[5] = 0.5 * warp[6], warp[7], 0.5 * warp[8], 1.0 + warp[1], warp[2], warp[0]
@@ -436,7 +439,7 @@ def _matrix_of(warp):  # type: ignore[no-untyped-def]
 
 
 def subset_positions(found: Sequence[Registration], reference: ReferenceSubsets) -> tuple[FloatArray, NDArray[np.int8]]:
-    """Return positions (F, N, 2) of all frames, NaN where not found, and statuses (F, N)."""
+    """Return positions (F,N,2) of all frames, NaN where not found, and statuses (F,N)."""
     status = np.stack([frame.status for frame in found])
     position = np.stack([reference.centre_px + frame.warp[:, [0, 3]] for frame in found])
     position[status != TrackStatus.OK] = np.nan
@@ -444,7 +447,7 @@ def subset_positions(found: Sequence[Registration], reference: ReferenceSubsets)
 
 
 def subset_noise(found: Sequence[Registration], reference: ReferenceSubsets, degree: int) -> FloatArray:
-    """Return the image noise (F, N) of all frames at each subset, NaN where it is not found."""
+    """Return the image noise (F,N) at each subset, NaN where not found."""
     noise = np.stack([noise_of_residual(reference, frame, degree) for frame in found])
     noise[np.stack([frame.status for frame in found]) != TrackStatus.OK] = np.nan
     return noise

@@ -66,7 +66,7 @@ class TorchSplines:
 
 
 def spline_frames(images: NDArray[np.generic], degree: int, device: str, precision: str = "float64") -> TorchSplines:
-    """Return the splines of images (B, H, W) on a device, mirrored at the outermost pixels."""
+    """Return the splines of images (B,H,W) on a device, mirrored at the outermost pixels."""
     check_shape("images", images, (None, None, None))
     if min(images.shape[1:]) < 2 * PADDING_PX:
         raise ValueError(f"images: expected at least {2 * PADDING_PX} x {2 * PADDING_PX} px, found {images.shape[1:]}")
@@ -120,7 +120,7 @@ def torch_type(precision: str) -> Any:
 
 @lru_cache(maxsize=4)
 def basis_polynomials(degree: int) -> FloatArray:
-    """Return the coefficients (power of t, spline) of the B-splines at the offset t in [0, 1).
+    """Return the coefficients (power of t, spline) of B-splines at t in [0,1).
 
     Spline j is β(t + (degree−1)/2 − j), β the sum of truncated powers (Unser 1999, IEEE Signal Process. Mag. 16, 22,
     box 1): β(x) = Σ_k (−1)^k C(n+1,k) max(0, x + (n+1)/2 − k)^n / n!.
@@ -164,7 +164,7 @@ def sample(frames: TorchSplines, corner: Tensor, position_px: Tensor, polynomial
 
 
 def sample_warped(frames: TorchSplines, squares: tuple[Tensor, Tensor, Tensor], shape: Tensor, basis: Tensor) -> Tensor:
-    """Return grey values (n, P) at warped squares: frames (n,), centres (n, 2), warps (n, 6 or 12).
+    """Return grey values (n,P) at warped squares: frames (n,), centres (n,2), warps (n,6 or 12).
 
     shape (s, P) of their points, as in `TorchReference`. Points are relative to the pixel under the square's centre, so
     that float32 resolves them to 1e-6 px; `basis`: `basis_polynomials` on the device.
@@ -181,7 +181,7 @@ def sample_warped(frames: TorchSplines, squares: tuple[Tensor, Tensor, Tensor], 
 
 
 def corner_of(frames: TorchSplines, frame: Tensor, pixel: Tensor) -> Tensor:
-    """Return flat indices (n,) of the first coefficients of whole pixels (n, 2) of frames (n,)."""
+    """Return flat indices (n,) of the first coefficients of whole pixels (n,2) of frames (n,)."""
     import torch
 
     _, height, width = frames.coefficients.shape
@@ -234,9 +234,9 @@ NUMBERS_PER_PIXEL = 48  # of temporary arrays, with spline weights of degree 5
 class Squares:
     """N squares of P pixels on a device.
 
-    pixels (N, 3, P) = f̃, f_x, f_y or, with a weight w of each, (N, 4, P) = w, w·f̃, w·f_x, w·f_y, and shape (s, P) =
-    [1, dx, dy] or [1, dx, dy, dx²/2, dx dy, dy²/2], in the precision of the sampling. In float64: centre_px (N, 2) and
-    mean (N,) of the grey values in the reference.
+    pixels (N, 3, P) = f̃, f_x, f_y or, with a weight w of each, (N, 4, P) = w, w·f̃, w·f_x, w·f_y. The shape (s, P) is
+    [1, dx, dy] or [1, dx, dy, dx²/2, dx dy, dy²/2]. Both have the precision of the sampling. In float64: centre_px (N,
+    2) and mean (N,) of the grey values in the reference.
     """
 
     pixels: Tensor
@@ -250,7 +250,7 @@ Pairs = tuple["Tensor", "Tensor", "Tensor"]
 
 
 def square_sums(squares: Squares, frames: TorchSplines, pairs: Pairs, alive: Tensor) -> Tensor:
-    """Return sums (n, 3+2s) in float64 over the warped squares, NaN where a pair is not alive (n,).
+    """Return sums (n,3+2s) over the warped squares, NaN for pairs not alive (n,).
 
     The sums are w·g, w·g², w·f̃·g, w·f_x·g and w·f_y·g, the last two times the s shape functions. g is the warped
     square's grey values without the mean of the reference. One kernel on a GPU with Triton. Otherwise torch's
@@ -301,10 +301,11 @@ RUNNING = -1
 
 @dataclass(frozen=True)
 class TorchReference(Squares):
-    """`ReferenceSubsets` on a device: N subsets with m = 2, 6 or 12 parameters of order 0, 1 or 2.
+    """`ReferenceSubsets` on a device: N subsets with m parameters of order 0, 1 or 2.
 
-    In float64 rim (s,): the largest values of the shape functions, energy (N,), removed (N, 2, m), inverse_hessian (N,
-    m, m); status (N,). source: the subsets in memory; affine: of order 2 the same subsets with order 1.
+    m = 2, 6 or 12. In float64: rim (s,), the largest values of the shape functions, energy (N,), removed (N, 2, m) and
+    inverse_hessian (N, m, m). The source is the subsets in memory, status (N,) theirs. In order 2 `affine` has the same
+    subsets with order 1.
     """
 
     radius_px: int
@@ -356,7 +357,7 @@ def torch_reference(reference: ReferenceSubsets, device: str, precision: str = "
 def register_frames(
     reference: TorchReference, frames: TorchSplines, start: FloatArray, settings: TrackSettings
 ) -> tuple[Registration, ...]:
-    """Find every subset in every frame from warps `start` (B, N, 6); return one result per frame.
+    """Find every subset in every frame from warps `start` (B,N,6); return one result per frame.
 
     NaN is no start. Order 2 has warps (N, 12), accepts starts (B, N, 12), and starts from order 1. Same steps, stopping
     rule and statuses as `photogram.subsets.icgn.register`.
@@ -453,7 +454,7 @@ def _lost_status(
 def _solve(
     reference: TorchReference, settings: TrackSettings, pair: tuple[Tensor, Tensor], sums: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Return steps (n, 6 or 12), scores (n, 3) of the converged pairs, and statuses (n,).
+    """Return steps (n,6 or 12), scores (n,3) of the converged pairs, and statuses (n,).
 
     Pairs are subset and status. Scores are [zncc, gain, residual variance]. The status is `RUNNING` where another step
     is needed.
@@ -487,7 +488,10 @@ def _solve(
 
 
 def _polynomials(warp: Tensor) -> Tensor:
-    """Return coefficients (n, 2, s) of 1, dx, dy, dx²/2, dx dy, dy²/2 of warps (n, 6 or 12)."""
+    """Return polynomial coefficients (n,2,s) in dx and dy of warps (n,6 or 12).
+
+    Of 1, dx, dy, dx²/2, dx dy, dy²/2.
+    """
     import torch
 
     coefficients = torch.cat(
@@ -523,7 +527,7 @@ def _compose_inverse(warp: Tensor, step: Tensor) -> Tensor:
 
 
 def _matrices(warp: Tensor) -> Tensor:
-    """Return the matrices (n, 6, 6) of warps (n, 12) on [1, dx, dy, dx², dx dy, dy²], truncated."""
+    """Return the matrices (n,6,6) of warps (n,12) on [1,dx,dy,dx²,dx dy,dy²], truncated."""
     import torch
 
     coefficients = _polynomials(warp)
@@ -535,7 +539,7 @@ def _matrices(warp: Tensor) -> Tensor:
 
 
 def _product(p: Tensor, q: Tensor) -> Tensor:
-    """Multiply polynomials (n, 6) in [1, dx, dy, dx², dx dy, dy²], truncated to second order."""
+    """Multiply polynomials (n,6) in [1,dx,dy,dx²,dx dy,dy²], truncated to second order."""
     product = p[:, :1] * q + q[:, :1] * p
     product[:, 0] = p[:, 0] * q[:, 0]
     product[:, 3] += p[:, 1] * q[:, 1]

@@ -40,7 +40,7 @@ AFFINE_SUMS, CURVED_SUMS, RUN_SUMS = 9, 6, 7
 
 @intrinsic
 def affine_sums(typing, grey, mean, pixels, offsets, sums):  # type: ignore[no-untyped-def]
-    """Fill sums (9,) with products of g = grey (P,) − mean and the affine steepest-descent images.
+    """Fill sums (9,) of g = grey (P,) − mean times the affine steepest-descent images.
 
     Σg, Σg², Σf̃·g and Σ(f_x, f_x·dx, f_x·dy, f_y, f_y·dx, f_y·dy)·g. pixels (3, P): f̃, f_x, f_y; offsets (2, P): dx,
     dy.
@@ -69,7 +69,7 @@ def curved_sums(typing, grey, mean, pixels, offsets, sums):  # type: ignore[no-u
 
 
 def _powers(degree: int) -> list[tuple[int, int]]:
-    """Return exponents of dx and dy in their products up to a degree, ordered as `shape_values`."""
+    """Return exponents of dx and dy up to a degree, ordered as `shape_values`."""
     return [(d - b, b) for d in range(degree + 1) for b in range(d + 1)]
 
 
@@ -164,7 +164,7 @@ def run_sums(typing, grey, mean, pixels, span, dx, sums):  # type: ignore[no-unt
 
 @intrinsic
 def fetch(typing, table, span):  # type: ignore[no-untyped-def]
-    """Prefetch the floats start … start + count of a flat array: memory is slower than sums."""
+    """Prefetch a span of a flat array, since memory is slower than sums."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Sequence[Any]) -> Any:
         first = array_of(context, builder, signature, arguments, 0).data
@@ -181,7 +181,10 @@ def fetch(typing, table, span):  # type: ignore[no-untyped-def]
 
 
 def _sum(builder: Any, count: Any, number: int, block: Callable[..., _Terms], sums: Any) -> None:
-    """Generate code that adds the `number` terms of all blocks lane by lane, then the lanes."""
+    """Generate code that adds the `number` terms of all blocks lane by lane.
+
+    Then the lanes are added.
+    """
     totals = [cgutils.alloca_once(builder, DOUBLES) for _ in range(number)]
     for total in totals:
         builder.store(constant(DOUBLES, 0.0), total)
@@ -371,7 +374,7 @@ def _parts(which: IntArray) -> list[IntArray]:
 
 
 def _hessians(pixels: FloatArray, energy: FloatArray, radius_px: int, order: int) -> tuple[FloatArray, FloatArray]:
-    """Return Hessians (n, m, m) of the projected steepest-descent images, and the projections (n, 2, m).
+    """Return Hessians (n,m,m) of the projected steepest-descent images, and the projections (n,2,m).
 
     Removed from the images are their mean and their part along f̃.
     """

@@ -42,7 +42,7 @@ def match_features(left_image: Image, right_image: Image, most: int = FEATURES) 
 
 
 def affine_starts(points_px: FloatArray, source_px: FloatArray, target_px: FloatArray) -> FloatArray:
-    """Return warps (N, 6) at points_px (N, 2) from matches (M, 2) around each, NaN for too few.
+    """Return warps (N,6) at points_px (N,2) from matches (M,2) around each, NaN for too few.
 
     source_px, target_px: the matches. The affine map is that of the 16 nearest matches. Where not all agree, it is that
     of those that agree by RANSAC, at least 5 (Fischler, Bolles 1981, Commun. ACM 24, 381).
@@ -73,7 +73,7 @@ def affine_starts(points_px: FloatArray, source_px: FloatArray, target_px: Float
 
 
 def neighbour_starts(points_px: FloatArray, warp: FloatArray) -> FloatArray:
-    """Return warps (N, 6) carried over from the nearest point with a finite warp (N, 6).
+    """Return warps (N,6) carried over from the nearest point with a finite warp (N,6).
 
     The affine map of that point carries them over, for warps (N, 12) of second order with its curvature.
     """
@@ -100,7 +100,7 @@ def neighbour_starts(points_px: FloatArray, warp: FloatArray) -> FloatArray:
 
 
 def agreeing_neighbours(points_px: FloatArray, warp: FloatArray) -> FloatArray:
-    """Return the share (N,) of the eight nearest subsets that predict the one at points_px (N, 2).
+    """Return the share (N,) of the eight nearest subsets that predict each one.
 
     Agreement is within 3 px and 5 % of the distance, by each neighbour's affine map (N, 6): a surface may bend and have
     several parts. NaN without neighbours.
@@ -150,7 +150,7 @@ def template_shifts(
 
 
 def score_peaks(score: NDArray[Any], threshold: float) -> IntArray:
-    """Return column and row (K, 2) of the peaks of a correlation map (H, W), highest first.
+    """Return column and row (K,2) of the peaks of a correlation map (H,W), highest first.
 
     Peaks below `threshold` are ignored, except the highest one.
     """
@@ -190,7 +190,7 @@ def affine_field(points_px: FloatArray, displacement_px: FloatArray, targets_px:
 
 
 def warp_of_affine(affine: FloatArray) -> FloatArray:
-    """Return the warp [u, u_x, u_y, v, v_x, v_y] of the 2 x 3 affine map of coordinates."""
+    """Return the warp [u,u_x,u_y,v,v_x,v_y] of the 2 x 3 affine map of coordinates."""
     (a, b, u), (c, d, v) = affine
     return np.array([u, a - 1.0, b, v, c, d - 1.0])
 
@@ -229,7 +229,7 @@ def _eight_bit(image: Image) -> NDArray[np.uint8]:
 
 
 def _cut(image: NDArray[np.float32], x: int, y: int, radius: int) -> tuple[NDArray[np.float32], int, int]:
-    """Return the part of a square around a pixel that lies in the image, its left and top."""
+    """Return the part of a square within the image, its left and top."""
     left, top = max(0, x - radius), max(0, y - radius)
     return image[top : max(top, y + radius + 1), left : max(left, x + radius + 1)], left, top
 
@@ -249,7 +249,7 @@ def predict_warp(history: Sequence[FloatArray]) -> FloatArray:
 
 
 def predict_next(history: Sequence[FloatArray], weights: FloatArray) -> FloatArray:
-    """Return the next of a series of arrays (..., p) by the rule that predicted the last best.
+    """Return the next of a series by the rule that predicted the last best.
 
     Rules for the series, oldest first: constant; linear, 2x₋₁ − x₋₂; one sine about any mean, x₋₃ + c(x₋₁ − x₋₂) with c
     = 1 + 2cos(ωΔt) fitted to all rows. The last one also applies to a vibration sampled below its frequency. `weights`

@@ -37,7 +37,7 @@ FEWEST, BEYOND_CHANCE = 3, 6  # points of a surface; any three lie on one
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _EpipolarLines(Arrays, shapes="right_px S K 2; affine S B T 2 2"):
-    """Points on the epipolar lines of S points, 1 px from each other, and T tilts of a surface.
+    """Points on S epipolar lines, 1 px from each other, and T tilts.
 
     right_px (S, K, 2): NaN beyond the right image. affine (S, B, T, 2, 2): derivative of the right pixel by the left
     one on a tilted surface in the middle of every block of `BLOCK_PX`. NaN where the tilt, or the stretch of a subset,
@@ -51,13 +51,13 @@ class _EpipolarLines(Arrays, shapes="right_px S K 2; affine S B T 2 2"):
 def line_starts(
     images: tuple[Image, Image], rig: StereoRig, points_px: FloatArray, radius_px: int
 ) -> tuple[FloatArray, float]:
-    """Return warps (C, S, 6) at which subsets correlate best along epipolar lines, and the band.
+    """Return warps (C,S,6) at which subsets correlate best along epipolar lines, and the band.
 
-    points_px (S, 2): the subsets of the left image. Zero-normalised cross-correlation at points 1 px from each other on
-    each line and on parallel lines within the band. The band has 2 px and three standard uncertainties of the
-    calibration to either side, at most 8 px. 9 x 9 pixels of the subset are compared, warped as a tilted plane moves
-    them: strains of 0 to ±0.36 along and across the line, as far as that is a tilt below 55° against the plane that
-    faces both cameras (plane sweep: Collins 1996, Proc. CVPR, 358; tilts: Gallup et al. 2007, Proc. CVPR). The
+    points_px (S, 2): the subsets of the left image. Zero-normalised cross-correlation is computed at points 1 px from
+    each other on each line and on parallel lines within the band. The band has 2 px and three standard uncertainties of
+    the calibration to either side, at most 8 px. A grid of 9 x 9 pixels of the subset is compared, warped as a tilted
+    plane moves them. Strains are 0 to ±0.36 along and across the line. Their tilt is limited to 55° against the plane
+    that faces both cameras. (Plane sweep: Collins 1996, Proc. CVPR, 358. Tilts: Gallup et al. 2007, Proc. CVPR.) The
     surroundings of a line are straightened first, so that neighbouring points access neighbouring pixels. Up to C = 8
     peaks, from the highest, are refined to within 0.05 px; NaN where there are fewer.
     """
@@ -109,7 +109,7 @@ def _correlated(
     subset: tuple[FloatArray, FloatArray],
     offsets_across: FloatArray,
 ) -> tuple[FloatArray, IntArray, IntArray, FloatArray]:
-    """Return the best correlation (K,) at each point of a line over tilts and parallel lines.
+    """Return the best correlation (K,) along a line, over tilts and parallel lines.
 
     Also the indices (K,) of tilt and parallel line, and the unit vectors along the line and across it (K, 2, 2).
     """
@@ -145,7 +145,7 @@ def line_uncertainty_px(rig: StereoRig, left_px: FloatArray, right_px: FloatArra
 
 
 def fit_surfaces(rig: StereoRig, left_px: FloatArray, right_px: FloatArray) -> list[IntArray]:
-    """Return smooth surfaces through the candidates right_px (C, S, 2) of the points left_px (S, 2).
+    """Return smooth surfaces through the candidates right_px (C,S,2) of the points left_px (S,2).
 
     NaN is no candidate. Each surface is an array (S,) of the candidate on it, −1 for none; the one with most points
     first. On a plane, inverse depth is linear in the normalised pixels. Candidates within 6 px of it along their line
@@ -171,7 +171,7 @@ def fit_surfaces(rig: StereoRig, left_px: FloatArray, right_px: FloatArray) -> l
 
 
 def _inverse_depth(rig: StereoRig, left_px: FloatArray, right_px: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return normalised pixels (S, 3) with a 1, and inverse depth and its change (C, S, 2).
+    """Return normalised pixels (S,3) with a 1, and inverse depth and its change (C,S,2).
 
     The change is that in right pixels, of each candidate.
     """
@@ -259,7 +259,7 @@ def _lines(rig: StereoRig, points_px: FloatArray) -> _EpipolarLines:
 
 
 def _slopes(rig: StereoRig, rays: FloatArray, inverse: FloatArray, change: FloatArray) -> FloatArray:
-    """Return changes (S, K, T, 2) of the logarithm of inverse depth (S, K) per left pixel.
+    """Return changes (S,K,T,2) of the logarithm of inverse depth (S,K) per left pixel.
 
     On surfaces tilted by T steps. change (S, 3, 2): of the rays per pixel. With n the normal, inverse depth is
     n·ray/const.
@@ -289,7 +289,7 @@ def _slopes(rig: StereoRig, rays: FloatArray, inverse: FloatArray, change: Float
 
 @njit(error_model="numpy")
 def _sweep(strip, origin, maps, grey, offsets, offsets_across, outcome):  # type: ignore[no-untyped-def]
-    """Fill outcome (K,): the best correlation at each point over tilts and lines, and their indices.
+    """Fill outcome (K,): the best correlation at each point, its tilt and line.
 
     strip: grey values about the line, which begins at `origin`; grey (P,): those of the subset at its offsets (P, 2),
     normalised, which maps (B, T, 2, 2) carry into the strip.
@@ -360,7 +360,7 @@ def _climb(image, points, grey, offsets, starts, along):  # type: ignore[no-unty
 
 @njit(error_model="numpy")
 def _zncc(image, x, y, warp, subset):  # type: ignore[no-untyped-def]
-    """Return the correlation of a normalised subset around (x, y) with its image by a warp (6,).
+    """Return the correlation of a normalised subset with its image by a warp (6,).
 
     −1 beyond the image.
     """

@@ -55,7 +55,7 @@ def textured_area(image: Image) -> BoolArray:
 
 
 def lay_grid(area: BoolArray, radius_px: int, step_px: int) -> FloatArray:
-    """Return centres (N, 2) of as many square subsets as fit wholly into `area` (H, W).
+    """Return centres (N,2) of as many square subsets as fit wholly into `area` (H,W).
 
     In each row subsets are placed from left to right at least `step_px` from each other. The heights of the rows, with
     the same distance, are those with the largest total (dynamic programming), so that round bodies are covered to their
@@ -105,7 +105,10 @@ def subset_mean(values: Image, points_px: FloatArray, radius_px: int) -> FloatAr
 
 
 def find_saturated(image: Image, full_scale: int, points_px: FloatArray, radius_px: int) -> BoolArray:
-    """Return which subsets around points_px (N, 2) have more than 1 % of pixels at full scale."""
+    """Return which subsets have more than 1 % of pixels at full scale.
+
+    The subsets are around points_px (N, 2).
+    """
     if image.max() < full_scale:
         return np.zeros(len(points_px), dtype=np.bool_)
     return np.asarray(subset_mean(image >= full_scale, points_px, radius_px) > SATURATED_SHARE)
@@ -153,7 +156,7 @@ def speckle_size(image: Image, area: BoolArray) -> float:
 
 
 def repeat_px(image: Image, points_px: FloatArray, radius_px: int) -> float:
-    """Return the distance in px at which the pattern of image (H, W) repeats, NaN if it does not.
+    """Return the distance in px at which the pattern repeats, NaN if it does not.
 
     It is the median distance to the nearest copy of some of the subsets at points_px (N, 2). A third of them must have
     a copy at the same distance.
@@ -169,7 +172,7 @@ def repeat_px(image: Image, points_px: FloatArray, radius_px: int) -> float:
 
 
 def repeat_steps_px(image: Image, points_px: FloatArray, radius_px: int) -> FloatArray:
-    """Return displacements (K, 2) in px, shortest first, at which a third of the subsets repeat."""
+    """Return displacements (K,2) in px, shortest first, at which a third of the subsets repeat."""
     copies = _copies_px(image, points_px, radius_px)
     steps: list[FloatArray] = []
     for step in sorted(np.concatenate([*copies, np.empty((0, 2))]), key=lambda each: float(np.hypot(*each))):
@@ -188,7 +191,7 @@ def repeat_steps_px(image: Image, points_px: FloatArray, radius_px: int) -> Floa
 
 
 def _copies_px(image: Image, points_px: FloatArray, radius_px: int) -> list[FloatArray]:
-    """Return displacements (K, 2) in px to the copies of some of the subsets at points_px (N, 2).
+    """Return displacements (K,2) in px to the copies of some of the subsets.
 
     Copies are other positions in image (H, W) with a zero-normalised correlation above 0.75.
     """
@@ -316,7 +319,7 @@ class SubsetQuality(Arrays, shapes="predicted_sigma_px N 2; noise_grey N; status
         return np.asarray(self.status == TrackStatus.OK)
 
     def notices(self, where: str) -> tuple[Notice, ...]:
-        """Return a notice of `where` that counts the unusable subsets by reason, if there are any."""
+        """Return a notice of `where` that counts the unusable subsets by reason."""
         lost = [(int(np.sum(self.status == status)), reason) for status, reason in REASONS.items()]
         parts = [f"{count} {reason}" for count, reason in lost if count > 0]
         if not parts:
@@ -328,8 +331,8 @@ class SubsetQuality(Arrays, shapes="predicted_sigma_px N 2; noise_grey N; status
 def assess_subsets(reference: ReferenceSubsets, image: Image, noise: NoiseModel, full_scale: int) -> SubsetQuality:
     """Predict the precision of the subsets of `reference`, prepared from `image` (H, W).
 
-    σᵢ² = Vᵢᵢ · Σ fᵢ²·s²(f) / Σ fᵢ² with V the `position_variance` per unit noise (affine map, gain and offset free), fᵢ
-    the gradient along x or y, and s² the camera's noise model: noise counts where the gradients are.
+    σᵢ² = Vᵢᵢ · Σ fᵢ²·s²(f) / Σ fᵢ²: noise counts where the gradients are. V is the `position_variance` per unit noise
+    (affine map, gain and offset free), fᵢ the gradient along x or y, and s² the camera's noise model.
     """
     check_shape("image", image, (None, None))
     grey = image.astype(np.float64)
@@ -346,11 +349,11 @@ def assess_subsets(reference: ReferenceSubsets, image: Image, noise: NoiseModel,
 
 
 def default_radius_px(speckle_px: float) -> int:
-    """Return the radius in px of a subset 4.2 to 5.25 speckles wide, from 7 to 25 px.
+    """Return the radius of a subset 4.2 to 5.25 speckles wide, in px.
 
-    It is as near to 10 px as possible. Fewer speckles do not determine affine map, gain and offset. With more speckles
-    a rigid body gains no precision over smaller subsets together, and more of its rim stays uncovered. An unknown size
-    (NaN) gives 10.
+    It is at least 7 and at most 25 px. It is as near to 10 px as possible. Fewer speckles do not determine affine map,
+    gain and offset. With more speckles a rigid body gains no precision over smaller subsets together, and more of its
+    rim stays uncovered. An unknown size (NaN) gives 10.
     """
     if not np.isfinite(speckle_px):
         return USUAL_RADIUS_PX
@@ -367,9 +370,10 @@ def suggested_radius_px(image: Image) -> int:
 
 @dataclass(frozen=True)
 class AliasingBias:
-    """Amplitude in px of the position error that is periodic in the pixel, the larger of x and y.
+    """Amplitude in px of the position error that is periodic in the pixel.
 
-    mean_px: of the mean of all subsets while their displacements are equal; subset_px: of one subset, rms.
+    The larger one of x and y. mean_px: of the mean of all subsets while their displacements are equal; subset_px: of
+    one subset, rms.
     """
 
     mean_px: float
@@ -467,7 +471,7 @@ def _axis_bias(power: FloatArray, noise_power: float, pixels: int, degree: int) 
 
 
 def _aliased_share(frequency: FloatArray, along: FloatArray, noise_power: float) -> FloatArray:
-    """Return the share of the power at each frequency that is aliased from 1 − frequency.
+    """Return the share of the power at each frequency that is aliased.
 
     Frequencies go up to 0.5. The share is zero below 0.25.
     """

@@ -1,4 +1,4 @@
-"""Tracks of a grid of subsets: through time in one camera, and from left to right."""
+"""Tracks of a grid of subsets through time, and from left to right."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class Tracks(Arrays, shapes="position_px F N 2; covariance_px2 F N 2 2; zncc F N
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StereoTracks(Arrays, shapes="cameras C; speckle_px C; noise_grey C; bias_px C"):
-    """The same N subsets of one body in C cameras, usually two, with properties of the images.
+    """The same N subsets of one body in C cameras, with image properties.
 
     The only camera counts as the left one.
 
@@ -116,7 +116,6 @@ class StereoTracks(Arrays, shapes="cameras C; speckle_px C; noise_grey C; bias_p
 @dataclass(frozen=True)
 class FollowedImage:
     """One image with its spline and the registration of the subsets."""
-
     image: GreyImage
     spline: Spline
     found: Registration
@@ -124,7 +123,7 @@ class FollowedImage:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StereoGrid(Arrays):
-    """Centres (N, 2) of the subsets and textured areas (H, W) in the first image of each camera."""
+    """Centres (N,2) of subsets and textured areas (H,W) in the first images."""
 
     centres_px: tuple[FloatArray, ...]
     areas: tuple[BoolArray, ...]
@@ -160,12 +159,11 @@ def match_stereo(
     depth_m: DepthRange | None = None,
     splines: tuple[Spline, ...] | None = None,
 ) -> Tracks:
-    """Return positions in the right image (F = 1) of subsets centred at points_px (N, 2) in the left.
+    """Return positions in the right image of subsets at points_px (N,2) in the left.
 
     With `rig` they are found along their epipolar lines (`find_on_lines`, within the depths `depth_m`). Without it, or
     where no surface fits it, local affine maps of matched features lead to them, then neighbours that were found.
-    `splines`: of both images, if available. Raises `BodyNotFound` where the pattern repeats and two surfaces fit
-    equally.
+    `splines`: of both images. Raises `BodyNotFound` where two surfaces fit equally.
     """
     check_shape("points_px", points_px, (None, 2))
     splines = splines or tuple(spline_of_image(image, settings.degree) for image in (left_image, right_image))
@@ -184,7 +182,7 @@ def match_stereo(
 def prepare_sequence(
     sequence: ImageSequence, points_px: FloatArray, settings: TrackSettings, frame: SplineFrame | None = None
 ) -> ReferenceSubsets:
-    """Return the subsets centred at points_px (N, 2) in frame 0, the reference of the sequence.
+    """Return the subsets centred at points_px (N,2) in frame 0, the reference of the sequence.
 
     `frame`: its `first_frame`, if available. A NaN centre has the status `NO_START`.
     """
@@ -221,7 +219,7 @@ def follow_sequence(
 def track_sequence(
     sequence: ImageSequence, points_px: FloatArray, settings: TrackSettings, progress: Progress | None = None
 ) -> Tracks:
-    """Return the tracks of subsets centred at points_px (N, 2) in frame 0; report finished frames."""
+    """Return the tracks of subsets centred at points_px (N,2) in frame 0; report finished frames."""
     reference = prepare_sequence(sequence, points_px, settings)
     found = []
     for frame in follow_sequence(sequence, reference, settings):
@@ -239,7 +237,7 @@ def lay_stereo_grid(
     depth_m: DepthRange | None = None,
     frames: tuple[SplineFrame, ...] | None = None,
 ) -> StereoGrid:
-    """Lay a grid over the textured body in the first left image and match it to the right.
+    """Lay a grid over the body in the first left image, matched to the right.
 
     frames: their `first_frame`, if available. Kept are only subsets that were found in the right image, are not
     saturated and, with `rig`, lie on their epipolar lines. Raises `ValueError` for different numbers of frames. Raises
@@ -303,7 +301,7 @@ def _refuse_blank(side: str, images: ImageSequence, first: Image) -> None:
 
 
 def _textured_grid(name: str, image: Image, settings: TrackSettings) -> tuple[BoolArray, FloatArray]:
-    """Return the chosen textured area (H, W) of the first left image and the grid (N, 2) on it."""
+    """Return the chosen textured area (H,W) of the first image and its grid (N,2)."""
     area = _inner_area(image)
     chosen = _chosen_part(area.shape, settings)
     area = area if chosen is None else area & chosen
@@ -346,10 +344,10 @@ class TrackSummary(Arrays, shapes="speckle_px C; noise_grey C; bias_px C"):
 
 
 class EpipolarMonitor:
-    """Motion and rejected positions of a series, whose frames arrive in blocks of any size.
+    """Motion and rejected positions of a series, whose frames arrive in blocks.
 
-    With `rig`, a position is rejected where its distance from the epipolar line changes unlike that of the other
-    subsets: one camera then shows a copy of the subset.
+    With `rig`, a position is rejected where its epipolar distance changes unlike that of the others: it belongs to a
+    copy.
     """
 
     def __init__(self, rig: StereoRig | None) -> None:
@@ -361,7 +359,7 @@ class EpipolarMonitor:
         self._statuses: IntArray = np.empty(0, np.int64)
 
     def add(self, positions_px: tuple[FloatArray, ...], statuses: tuple[NDArray[np.int8], ...]) -> BoolArray:
-        """Add frames, positions (F, N, 2) and statuses (F, N) of each camera; return the rejected (F, N)."""
+        """Add frames, positions (F,N,2) and statuses (F,N) of each camera; return the rejected (F,N)."""
         if not self._first:
             self._first, self._moved = tuple(side[0] for side in positions_px), tuple([] for _ in positions_px)
             self._statuses = np.zeros((len(positions_px), len(TrackStatus)), np.int64)
@@ -387,7 +385,7 @@ class EpipolarMonitor:
         return self._epipolar_changes(positions_px)[1]
 
     def _epipolar_changes(self, positions_px: tuple[FloatArray, ...]) -> tuple[FloatArray, BoolArray]:
-        """Return the common change of the epipolar distance (F,) and which subsets depart from it (F, N)."""
+        """Return the common change of the epipolar distance (F,) and departing subsets (F,N)."""
         if self._rig is None:
             return np.zeros(len(positions_px[0])), np.zeros(positions_px[0].shape[:2], np.bool_)
         change = epipolar_residual(self._rig, *positions_px)[0] - self._residual
@@ -557,7 +555,7 @@ def _inner_area(image: Image) -> BoolArray:
 
 
 def _chosen_part(shape: tuple[int, ...], settings: TrackSettings) -> BoolArray | None:
-    """Return the pixels (H, W) in the region and in no mask, None where neither is set."""
+    """Return the pixels (H,W) in the region and in no mask, None without both."""
     if settings.region is None and not settings.mask:
         return None
     x, y, width, height = settings.region or (0, 0, shape[1], shape[0])
@@ -584,7 +582,10 @@ def finite_median(values: FloatArray) -> FloatArray:
 def build_tracks(
     found: Sequence[Registration], reference: ReferenceSubsets, degree: int, noise_grey: FloatArray | None = None
 ) -> Tracks:
-    """Return the tracks of some frames of a series of the image noise (N,), None for all frames."""
+    """Return the tracks of frames of a series with the image noise (N,).
+
+    Without noise_grey they are all frames, and the first one is the reference.
+    """
     position, status = subset_positions(found, reference)
     ok, noise = status == TrackStatus.OK, subset_noise(found, reference, degree)
     if noise_grey is None:

@@ -18,12 +18,12 @@ _FIT_SHARE = 0.7  # of the detected markers that have to be at their positions
 
 
 def find_charuco(image: NDArray[Any], target: Target, name: str, full_scale: float) -> TargetView:
-    """Return the inner corners of a ChArUco board, at least a part of which is in an image.
+    """Return the inner corners of a ChArUco board, at least partly in an image.
 
-    `target.size` counts squares; index (i, j), i = 0 … columns − 2, j = 0 … rows − 2, counts inner corners from the one
-    nearest to the board's upper left square, the first index along the rows of markers. The target's origin is that
-    corner, one square inside the printed pattern's. The pattern, new or legacy (OpenCV before 4.6), and an unnamed
-    dictionary are found from the image (H, W). The size of the markers in their squares is irrelevant. Raises
+    `target.size` counts squares. The index (i, j), i = 0 … columns − 2, j = 0 … rows − 2, counts inner corners from the
+    one nearest to the board's upper left square. Its first component is along the rows of markers. The target's origin
+    is that corner, one square inside the printed pattern's. The pattern, new or legacy (OpenCV before 4.6), and an
+    unnamed dictionary are found from the image (H, W). The size of the markers in their squares is irrelevant. Raises
     `TargetNotFound` with the fault of the image.
     """
     assert target.size is not None
@@ -47,12 +47,12 @@ def find_charuco(image: NDArray[Any], target: Target, name: str, full_scale: flo
 
 
 def dictionary_of(image: NDArray[Any], size: tuple[int, int]) -> str | None:
-    """Return the dictionary that fits the board of `size` squares in an image (H, W), None for none."""
+    """Return the dictionary that fits the board in an image (H,W), None for none."""
     return _dictionary(eight_bit(image), size)
 
 
 def _dictionary(grey: NDArray[np.uint8], size: tuple[int, int]) -> str | None:
-    """Return the dictionary that fits the board in an image of 8 bits, None for none."""
+    """Return the dictionary that fits the board in an 8-bit image."""
     small, factor = downscale(grey, SEARCHED_PX)
     name = find_dictionary(small, size)
     return name if name is not None or factor == 1 else find_dictionary(grey, size)
@@ -66,7 +66,7 @@ def _detect(grey: NDArray[np.uint8], dictionary: str) -> Markers:
 
 
 def _search(grey: NDArray[np.uint8], markers: Markers, size: tuple[int, int], dictionary: str) -> MarkerBoard | None:
-    """Return the board of markers from `_detect`, or of the original image if some are missing."""
+    """Return the board of markers from `_detect`, or of the original image."""
     board = find_board(markers, size, grey.shape)
     if max(grey.shape) <= SEARCHED_PX or (
         board and len(board.lattice_position) == len(_square_centres(size, board.legacy))
@@ -88,7 +88,7 @@ def _second_board(
 
 
 def _expected(board: MarkerBoard, size: tuple[int, int]) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Return index (N, 2), position (N, 2) and squares' sides (N, 2, 2) in px of corners near markers.
+    """Return index (N,2), position (N,2) and squares' sides (N,2,2) in px of corners near markers.
 
     By the homography of the markers' centres. If there are enough of them, a polynomial in the lattice adds the effect
     of the lens.
@@ -200,7 +200,7 @@ def _square_centres(size: tuple[int, int], legacy: bool) -> FloatArray:
 
 
 def find_markers(grey: NDArray[np.uint8], dictionary: str, first: int | None = None) -> Markers:
-    """Return the markers of a predefined dictionary, or of its `first` ones, in an image of 8 bits.
+    """Return the markers of a predefined dictionary in an image of 8 bits.
 
     If several boards are visible, numbers occur more than once.
     """

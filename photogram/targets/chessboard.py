@@ -91,7 +91,7 @@ def corner_view(
 
 
 def lattice_bend(index: IntArray, position_px: FloatArray) -> FloatArray:
-    """Return the curvature (N, 2), 1/px, of the edges through corners index (N, 2) at position_px.
+    """Return the curvature (N,2), 1/px, of the edges through corners index (N,2) at position_px.
 
     First the edge along the second lattice direction, then that along the first, positive where it turns towards the
     other direction's negative side, as `refine_corners` defines it. Second differences of neighbours, smoothed by a
@@ -122,7 +122,7 @@ def lattice_bend(index: IntArray, position_px: FloatArray) -> FloatArray:
 
 
 def lattice_powers(index: FloatArray | IntArray) -> FloatArray:
-    """Return 1, x, y, x², xy, y² and the third degree (N, 10) of lattice points (N, 2), in tens."""
+    """Return the powers (N,10) up to third degree of lattice points (N,2), in tens."""
     x, y = index.T / 10.0
     return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3], axis=1)
 
@@ -140,7 +140,7 @@ SEARCHED_PX = 1400  # longest side of the reduced image in which the board is se
 
 
 def find_chessboard(image: NDArray[Any], target: Target, name: str, full_scale: float) -> TargetView:
-    """Return the inner corners of a chessboard that lies in the image (H, W) as a whole.
+    """Return the inner corners of a chessboard that lies wholly in the image.
 
     Index (i, j): first index to the right, second down, so that the third axis points away from the camera, and the
     square beyond corner (0, 0) is black. Where two orientations fulfil this (columns and rows both odd or both even),
@@ -172,7 +172,7 @@ def find_chessboard(image: NDArray[Any], target: Target, name: str, full_scale: 
 
 
 def eight_bit(image: NDArray[Any]) -> NDArray[np.uint8]:
-    """Return the image with its range of grey values, except the outer thousandths, scaled to 8 bits."""
+    """Return the image scaled to 8 bits, except the outer thousandths."""
     low, high = np.percentile(image[::4, ::4], [0.1, 99.9])
     spread = (np.arange(int(image.max()) + 1) - low) * (255 / max(high - low, 1e-6))
     return np.asarray(np.clip(np.rint(spread), 0, 255).astype(np.uint8)[image])
@@ -207,12 +207,12 @@ def _search(grey: NDArray[np.uint8], size: tuple[int, int]) -> FloatArray | None
 
 
 def _axes(lattice: FloatArray) -> FloatArray:
-    """Return the sides (I, J, 2, 2) of the squares of a lattice of corners (I, J, 2)."""
+    """Return the sides (I,J,2,2) of the squares of a lattice of corners (I,J,2)."""
     return np.stack([np.gradient(lattice, axis=0), np.gradient(lattice, axis=1)], axis=2)
 
 
 def _quadrants(grey: NDArray[np.uint8], corners: FloatArray, axes: FloatArray, share: float = 0.3) -> FloatArray:
-    """Return the grey values (..., 4) of squares −−, ++, +−, −+ around corners (..., 2).
+    """Return the grey values (...,4) of squares −−, ++, +−, −+ around corners (...,2).
 
     NaN outside the image. `share`: of a square's sides, between the corner and the point that is read.
     """
@@ -248,7 +248,7 @@ def _refuse_larger(grey: NDArray[np.uint8], corners: FloatArray) -> None:
 
 
 def _oriented(grey: NDArray[np.uint8], corners: FloatArray) -> FloatArray:
-    """Return the lattice (columns, rows, 2) rotated to be right-handed and begin at a black square."""
+    """Return the lattice (columns,rows,2) rotated to be right-handed and begin at a black square."""
     columns, rows = corners.shape[:2]
     along, down = corners[-1, 0] - corners[0, 0], corners[0, -1] - corners[0, 0]
     if along[0] * down[1] - along[1] * down[0] < 0:

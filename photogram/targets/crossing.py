@@ -29,7 +29,7 @@ _FARTHEST = 0.35  # of a square's side, between a corner and its start
 
 @njit(error_model="numpy")
 def cholesky(matrix: FloatArray, factor: FloatArray) -> bool:
-    """Fill the lower factor of a symmetric matrix (P, P); return whether it is positive definite."""
+    """Fill the lower factor of a symmetric matrix (P,P); return whether it is positive definite."""
     size = matrix.shape[0]
     for i in range(size):
         for j in range(i + 1):
@@ -128,7 +128,7 @@ def _model(p, edges, bend, response, x, y, slope):  # type: ignore[no-untyped-de
 
 @njit(error_model="numpy")
 def _clipped(value: float, expected: float, response: FloatArray) -> bool:
-    """Return whether a pixel at full scale, or at 0, is consistent with its expected value.
+    """Return whether a clipped pixel is consistent with its expected value.
 
     The expected value is then at least as bright, or as dark.
     """
@@ -168,7 +168,7 @@ def _weigh(pixels, taper, p, bend, response, weight):  # type: ignore[no-untyped
 
 @njit(error_model="numpy")
 def _window(image, centre, axes, size, pixels, taper):  # type: ignore[no-untyped-def]
-    """Fill the pixels (M, 2) of a corner's window; return their number, −1 beyond the image's edge.
+    """Fill the pixels (M,2) of a corner's window; return their number, −1 outside.
 
     Along the lattice's axes the window reaches `size[0]` of a square to either side. In quadrants of the colour
     `size[2]`, 1 where both axes have the same sign, the weights `taper` (M,) fall to 0 within `size[1]` of a square
@@ -272,7 +272,7 @@ def _box(pixels):  # type: ignore[no-untyped-def]
 
 @njit(error_model="numpy")
 def _spread(image, pixels, taper, weight, p, bend, response, inverse, patch):  # type: ignore[no-untyped-def]
-    """Fill the patch (4, H, W) around the pixels: taper, residual times taper, pull in x and y.
+    """Fill the patch (4,H,W) with taper, tapered residual, pull in x and y.
 
     The residual is in standard deviations. The pull is the shift of the centre by a residual of one standard deviation.
     All are 0 where no pixel counts.
@@ -298,7 +298,7 @@ def _spread(image, pixels, taper, weight, p, bend, response, inverse, patch):  #
 
 @njit(error_model="numpy")
 def _correlate(patch, out):  # type: ignore[no-untyped-def]
-    """Fill out (4, L) for lags (0 … 3, −3 … 3) with products of residuals and of pulls xx, xy, yy.
+    """Fill out (4,L) with products of residuals and of pulls, by lag.
 
     The mean of the residuals' products, weighted by the tapers; the sum of the pulls' products over pairs in both
     orders.
@@ -321,13 +321,18 @@ def _correlate(patch, out):  # type: ignore[no-untyped-def]
 
 @njit(error_model="numpy")
 def fit_crossings(image, corners, response, fitted, lags):  # type: ignore[no-untyped-def]
-    """Fill fitted (N, 13) and lags (N, 4, 28) for corners expected at start (N, 2).
+    """Fill fitted (N,13) and lags (N,4,28) for corners expected at start (N,2).
 
     fitted: parameters (10), share of saturated pixels, status, χ² per pixel. Finite parameters are the start of the
-    fit. Otherwise it starts from the lattice, and a preliminary fit places the window. lags: see `_correlate`, NaN
-    without a corner. axes (N, 2, 2): a square's two sides in px. bend (N, 2): curvature of both edges, 1/px. window (N,
-    3): see `_window`. response (6,): variance of a black pixel, its rise per grey value, its least value; the grey
-    value that counts as saturated; amount and radius of the sharpening.
+    fit. Otherwise it starts from the lattice, and a preliminary fit places the window.
+
+    lags: see `_correlate`, NaN without a corner.
+
+    axes (N, 2, 2): a square's two sides in px. bend (N, 2): curvature of both edges, 1/px. window (N, 3): see
+    `_window`.
+
+    response (6,): variance of a black pixel, its rise per grey value, its least value; the grey value that counts as
+    saturated; amount and radius of the sharpening.
     """
     start, axes, bend, window = corners
     buffer, weight, taper = np.empty((_MAX_PIXELS, 2), dtype=np.int32), np.empty(_MAX_PIXELS), np.empty(_MAX_PIXELS)
@@ -489,7 +494,7 @@ def _fit_all(
     strip: float,
     fitted: FloatArray,
 ) -> FloatArray:
-    """Fill `fitted` (N, 13) for corners' start, axes and bend, and return the lags (N, 4, 28).
+    """Fill `fitted` (N,13) for corners' start, axes and bend, and return the lags (N,4,28).
 
     As `fit_crossings`.
     """
@@ -550,7 +555,10 @@ def find_sharpening(
     probes = np.unique(np.linspace(0, len(start_px) - 1, _PROBES).astype(int))
 
     def chi2(mask: FloatArray) -> float:
-        """Return the median over the corners of χ² per pixel, infinite where most of them fail."""
+        """Return the median over the corners of χ² per pixel.
+
+        Infinite where most of them fail.
+        """
         (low, high), (near, far) = _SHARPENINGS
         if not (low <= mask[0] <= high and near <= mask[1] <= far):
             return math.inf

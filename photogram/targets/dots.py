@@ -53,11 +53,11 @@ class _DotGrid:
 
 
 def find_dots(image: NDArray[Any], target: Target, name: str, full_scale: int) -> TargetView:
-    """Return the dots of a target of kind "dots" or "asymmetric-dots" in an image (H, W).
+    """Return the dots of a target of kind "dots" or "asymmetric-dots" in an image (H,W).
 
-    With three ring markers (dots with a hole) positions count from the ring at the corner of their L: the longer arm is
-    x, the shorter one y, and y points up in the image when x points to the right; the dots may extend beyond the
-    image's edge. This handedness distinguishes arms of equal length. Dots cut by the edge are excluded.
+    With three ring markers (dots with a hole) positions count from the ring at the corner of their L. The longer arm is
+    x, the shorter one y. The y axis points up in the image when x points to the right, which distinguishes arms of
+    equal length. The dots may extend beyond the image's edge. Dots cut by the edge are excluded.
 
     Without rings all `target.size` dots must be visible, and positions count from a corner: first index to the right,
     second down. The first index runs to the right as far as the grid's symmetry leaves a choice (half turns, of a
@@ -146,7 +146,7 @@ def _measure(image: NDArray[Any], blobs: Blobs, lattice: Lattice) -> _DotGrid:
 
 
 def _spacing(jacobian: FloatArray) -> FloatArray:
-    """Return the lattice step (N,) in px, the root of a cell's area, NaN without a Jacobian."""
+    """Return the lattice step (N,) in px, NaN without a Jacobian."""
     return np.asarray(np.sqrt(np.abs(jacobian[:, 0, 0] * jacobian[:, 1, 1] - jacobian[:, 0, 1] * jacobian[:, 1, 0])))
 
 
@@ -163,7 +163,7 @@ def _lattice_positions(grid: _DotGrid, target: Target, shape: tuple[int, ...]) -
 
 
 def _positions_from_rings(grid: _DotGrid) -> IntArray:
-    """Return positions from the ring at the corner of the L, x along the longer arm."""
+    """Return positions from the ring at the corner of the L."""
     rings = grid.index[grid.ring]
     for corner in range(3):
         arms = np.delete(rings, corner, axis=0) - rings[corner]
@@ -279,7 +279,7 @@ def find_lattice(centre_px: FloatArray, shape_px2: FloatArray) -> Lattice:
 
 
 def local_fit(index: IntArray, position_px: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the deviation (N,), in spacings, of points (N, 2) from a smooth map, and its Jacobians.
+    """Return deviation (N,) and Jacobians of points (N,2) from a smooth map.
 
     The map of each point is fitted to the positions within two steps, except itself: a polynomial of second order for
     ten of them, else an affine one. Jacobians are (N, 2, 2). NaN where there are fewer than three or all in a line.
@@ -337,7 +337,7 @@ class _Growth:
     at: dict[tuple[int, int], int] = field(default_factory=dict)
 
     def run(self) -> Lattice:
-        """Grow until no patch lies at a position next to the lattice, nor at one further."""
+        """Grow until no further patch fits the lattice."""
         from scipy.spatial import cKDTree
 
         self.at = dict(zip([(0, 0), (1, 0), (0, 1)], self.start.tolist(), strict=True))

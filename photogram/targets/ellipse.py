@@ -27,7 +27,7 @@ HOLE_OFF_CENTRE = 0.15  # radii
 class Blobs(Arrays, shapes="centre_px N 2; shape_px2 N 2 2; ring N"):
     """N patches that may be dots.
 
-    `centre_px` (N, 2), `shape_px2` S (N, 2, 2) of the ellipse xᵀ S⁻¹ x = 1 with the patch's second moments, `ring`
+    `shape_px2` S (N, 2, 2): of the ellipse xᵀ S⁻¹ x = 1 about centre_px (N, 2) with the patch's second moments. `ring`
     (N,): whether it has a round hole in its middle, which counts as filled.
     """
 
@@ -42,7 +42,7 @@ class Blobs(Arrays, shapes="centre_px N 2; shape_px2 N 2 2; ring N"):
 
 
 def find_blobs(image: NDArray[Any], window_px: float) -> tuple[Blobs, Blobs]:
-    """Return the dark and the bright elliptic patches that lie wholly within an image (H, W).
+    """Return the dark and the bright elliptic patches that lie wholly within an image (H,W).
 
     The threshold is the mean of the grey closing and the grey opening over squares of `window_px`. These must be larger
     than the dots and than the gaps between them. The threshold follows lighting that is smooth over such a square.
@@ -67,7 +67,7 @@ def find_blobs(image: NDArray[Any], window_px: float) -> tuple[Blobs, Blobs]:
 
 @dataclass(frozen=True, eq=False)
 class _Patches:
-    """Candidates of dots or holes: area, centre, second central moments, and boxes x0 y0 x1 y1."""
+    """Candidates of dots or holes: area, centre, second central moments, and boxes."""
 
     area: FloatArray
     centre: FloatArray
@@ -76,7 +76,7 @@ class _Patches:
 
     @staticmethod
     def of(mask: BoolArray) -> _Patches:
-        """Return patches of a mask that fill their box as an ellipse or a ring may.
+        """Return patches of a mask that fill their box as ellipse or ring.
 
         Patches at the image's edge are excluded.
         """
@@ -150,7 +150,7 @@ RING_SHARE = 0.25  # of the radius, outside the hole
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FittedEllipses(Arrays, shapes="centre_px N 2; covariance_px2 N 2 2; shape_px2 N 2 2; blur_px N; roughness_px N"):
-    """N fitted ellipses (x − c)ᵀ S⁻¹ (x − c) = 1; all NaN where the fit failed.
+    """N fitted ellipses (x−c)ᵀ·S⁻¹·(x−c) = 1; NaN where the fit failed.
 
     Attributes
     ----------
@@ -188,13 +188,15 @@ def fit_ellipses(
 ) -> FittedEllipses:
     """Fit a blurred ellipse to each of N dots of an image (H, W).
 
-    I(x) = (1 + γ·(x − x₀)) (B + C/2 erfc(s/(√2 σ))), s the distance of x from the ellipse, positive outside: centre,
-    shape, σ, background B, contrast C and the slope γ of the lighting, by Levenberg–Marquardt over the pixels in a band
-    of ±(3 σ + 2 px) about the edge. s is the distance to first order (ρ − 1)/|∇ρ| with ρ² = (x − c)ᵀ S⁻¹ (x − c), exact
-    for circles (Sampson 1982, Comput. Graph. Image Process. 18, 97). Blur and the pixels' area leave a dot symmetric
-    about its centre, so a wrong profile of the edge does not move the centre. The covariance H⁻¹ (Σ r²/(1 − jᵀH⁻¹j) j
-    jᵀ) H⁻¹, H = Σ j jᵀ, applies to noise that differs from pixel to pixel (White 1980, Econometrica 48, 817, with the
-    residuals' variances as in MacKinnon and White 1985, J. Econometrics 29, 305).
+    I(x) = (1 + γ·(x − x₀)) (B + C/2 erfc(s/(√2 σ))), s the distance of x from the ellipse, positive outside. Parameters
+    are centre, shape, σ, background B, contrast C and the slope γ of the lighting. Levenberg–Marquardt uses the pixels
+    in a band of ±(3 σ + 2 px) about the edge. The distance s is (ρ − 1)/|∇ρ| to first order with ρ² = (x − c)ᵀ S⁻¹ (x −
+    c). It is exact for circles (Sampson 1982, Comput. Graph. Image Process. 18, 97). Blur and the pixels' area leave a
+    dot symmetric about its centre, so a wrong profile of the edge does not move the centre.
+
+    The covariance H⁻¹ (Σ r²/(1 − jᵀH⁻¹j) j jᵀ) H⁻¹, H = Σ j jᵀ, applies to noise that differs from pixel to pixel
+    (White 1980, Econometrica 48, 817). The residuals' variances are those of MacKinnon and White 1985, J. Econometrics
+    29, 305.
 
     `start_px` (N, 2), `start_shape_px2` (N, 2, 2): the start. `reach_px` (N,): the band ends there outside the edge,
     before the next dot. `ring` (N,): of these only the outer quarter of the radius is used.
@@ -219,7 +221,7 @@ def fit_ellipses(
 
 @njit()
 def _fit_all(image, starts, precisions, reach, ring, fitted, spread):  # type: ignore[no-untyped-def]
-    """Fit every dot, first on every second pixel of a row and column, then on all.
+    """Fit every dot, first on every second row and column, then on all pixels.
 
     A failed dot stays NaN.
     """
@@ -244,7 +246,10 @@ def _fit_all(image, starts, precisions, reach, ring, fitted, spread):  # type: i
 
 @njit()
 def _collect(image, origin, parameters, reach, ring, stride):  # type: ignore[no-untyped-def]
-    """Return x − x₀, y − y₀ and grey value (3, K) of the pixels in the band, and x₀, y₀."""
+    """Return relative x, y and grey value (3,K) of the band, and the origin.
+
+    x − x₀, y − y₀ in px; origin x₀, y₀.
+    """
     a, b, c = parameters[2], parameters[3], parameters[4]
     determinant, half = a * c - b * b, (a + c) / 2.0
     minor = 1.0 / math.sqrt(half + math.sqrt(max(half * half - determinant, 0.0)))
@@ -331,7 +336,7 @@ def _dot(first, second):  # type: ignore[no-untyped-def]
 
 @njit()
 def _normal_equations(residual, jacobian, matrix, vector):  # type: ignore[no-untyped-def]
-    """Fill J Jᵀ scaled to a unit diagonal and J r scaled equally; return the scale (10,)."""
+    """Fill scaled J·Jᵀ and J·r, with a unit diagonal; return the scale (10,)."""
     scale = np.empty(PARAMETERS)
     for i in range(PARAMETERS):
         scale[i] = math.sqrt(max(_dot(jacobian[i], jacobian[i]), 1e-300))

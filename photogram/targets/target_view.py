@@ -107,7 +107,7 @@ class TargetView(Arrays, shapes="index N 2; position_px N 2; covariance_px2 N 2 
 
 
 class TargetNotFound(ValueError):
-    """No target, or none that may be used, in an image; the text is the fault of the image."""
+    """An image shows no usable target; the text is its fault."""
 
 
 # Quality of an image of a target: exposure, contrast, blur, and its noise.
@@ -163,7 +163,7 @@ def refuse_second(target: str) -> None:
 
 
 def check_blur(blur_px: float, cell_px: float) -> None:
-    """Raise `TargetNotFound` for edges blurred by more than both 2.6 px and 0.12 of a cell.
+    """Raise `TargetNotFound` for edges blurred by more than 2.6 px and 0.12 cells.
 
     blur_px: σ. A cell, `cell_px`, is a square's side, or the dots' distance.
     """
@@ -172,7 +172,7 @@ def check_blur(blur_px: float, cell_px: float) -> None:
 
 
 def image_fault(image: NDArray[Any], full_scale: float) -> str | None:
-    """Return the fault of an image in which no target was found, None for none obvious.
+    """Return the fault of an image without a target, None for none obvious.
 
     The text begins a sentence: too bright, without contrast, or without a sharp edge. The steepest gradient (99.9th
     percentile, at a scale of 1 px) and the range of grey levels give the edges' σ.
@@ -191,7 +191,7 @@ def image_fault(image: NDArray[Any], full_scale: float) -> str | None:
 
 
 def estimate_image_noise(image: NDArray[Any], full_scale: float = np.inf) -> NoiseModel:
-    """Estimate the noise against brightness (grey²) of an image with flat areas, such as a target's.
+    """Estimate the noise against brightness (grey²) of an image with flat areas.
 
     Squares of the difference operator [1 −2 1]ᵀ·[1 −2 1]/6, which is zero for a linear change of brightness and has the
     variance of the noise (Immerkær 1996, Computer Vision and Image Understanding 64, 300). Used are pixels where the
