@@ -140,12 +140,12 @@ def check_epipolar(
     subset_frames = np.ones(frames, dtype=np.bool_) if subset_frames is None else subset_frames
     good = _good(mean, position)
     if np.count_nonzero(good) < FEWEST_POINTS:
-        course = np.full((len(subset_frames), 3), np.nan)
-        return EpipolarCheck(course, course, np.full(3, np.nan), None, position, np.full(len(mean), np.nan), ())
+        missing = np.full((len(subset_frames), 3), np.nan)
+        return EpipolarCheck(missing, missing, np.full(3, np.nan), None, position, np.full(len(mean), np.nan), ())
     basis = _basis(position[good])
     changes, u_changes, paths = zip(*_block_residuals(blocks, rig, good, mean, position), strict=True)
-    path, (change, u_course) = np.concatenate(paths), np.full((2, len(subset_frames), 3), np.nan)
-    change[subset_frames], u_course[subset_frames] = np.concatenate(changes), np.concatenate(u_changes)
+    path, (change, u_change) = np.concatenate(paths), np.full((2, len(subset_frames), 3), np.nan)
+    change[subset_frames], u_change[subset_frames] = np.concatenate(changes), np.concatenate(u_changes)
     solver = np.linalg.pinv(basis)
     pattern = solver @ mean[good]
     matches = position[good], other[good]
@@ -164,11 +164,11 @@ def check_epipolar(
     passing_px = travel * float(np.sqrt(np.mean(mean[good] ** 2)))
     notices = [
         None if excess is None else _pair_notice(rig, matches, excess),
-        _change_notice(change, u_course, float(np.hypot(bias_px, passing_px))),
+        _change_notice(change, u_change, float(np.hypot(bias_px, passing_px))),
     ]
     return EpipolarCheck(
         change + pattern,
-        u_course,
+        u_change,
         pattern,
         covariance,
         position,

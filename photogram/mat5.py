@@ -33,20 +33,20 @@ def check_mat5(path: Path, most_bytes: int, most_arrays: int) -> None:
         head, size = file.read(128), path.stat().st_size
         if len(head) < 128 or 0 in head[:4] or head[124 + (head[126:127] == b"I")] != 1:
             return
-        walk = _Walk(path, "<" if head[126:] == b"IM" else ">", most_bytes, most_arrays)
+        parser = _VariableParser(path, "<" if head[126:] == b"IM" else ">", most_bytes, most_arrays)
         while len(tag := file.read(8)) == 8:
-            kind, length = struct.unpack(f"{walk.order}II", tag)
+            kind, length = struct.unpack(f"{parser.order}II", tag)
             end = file.tell() + length
             if kind not in (_MATRIX, _COMPRESSED) or not 0 < length <= size - file.tell():
-                raise walk.wrong("a variable within the file", f"type {kind} with {length} bytes")
+                raise parser.wrong("a variable within the file", f"type {kind} with {length} bytes")
             try:
-                walk.variable(file, length, kind == _COMPRESSED)
+                parser.variable(file, length, kind == _COMPRESSED)
             except zlib.error as error:
-                raise walk.wrong("a compressed variable", f"a damaged one ({error})") from error
+                raise parser.wrong("a compressed variable", f"a damaged one ({error})") from error
             file.seek(end)
 
 
-class _Walk:
+class _VariableParser:
     """Parser of one variable after the other, in the order of SciPy's reader."""
 
     def __init__(self, path: Path, order: str, most_bytes: int, most_arrays: int) -> None:
@@ -62,7 +62,7 @@ class _Walk:
         """Parse a variable of the file, inflated where it is compressed."""
         self.stream, self.seeks, self.at = file, not compressed, 0
         if compressed:
-            self.stream = io.BufferedReader(_Inflated(file, length), _BLOCK)
+            self.stream = io.BufferedReader(_InflatedStream(file, length), _BLOCK)
             kind, length = self._words(8)
             if kind != _MATRIX:
                 raise self.wrong("a compressed array", f"type {kind}")
@@ -183,7 +183,7 @@ class _Walk:
                 self._array(min(self.at + size, end), depth + 1)
 
 
-class _Inflated(io.RawIOBase):
+class _InflatedStream(io.RawIOBase):
     """Content of a compressed variable of a file, as a stream."""
 
     def __init__(self, file: BinaryIO, length: int) -> None:

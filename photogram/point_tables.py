@@ -282,7 +282,7 @@ class _Layout:
     """
 
     program: str
-    place: tuple[str, str, str]
+    position: tuple[str, str, str]
     moves: tuple[str, str, str]
     identities: tuple[tuple[str, ...], ...]
     u: tuple[str, str, str] | None = None
@@ -321,7 +321,7 @@ def _header_frames(paths: Sequence[Path], scale: float | None) -> tuple[str, lis
         with wrap_read_errors(path):
             columns = _mat_columns(path) if path.suffix.lower() == ".mat" else _text_columns(path)
         layout = next(
-            (candidate for candidate in _LAYOUTS if {*candidate.place, *candidate.moves} <= set(columns)), None
+            (candidate for candidate in _LAYOUTS if {*candidate.position, *candidate.moves} <= set(columns)), None
         )
         if layout is None:
             names = ", ".join(list(columns)[:8]) or "none"
@@ -345,7 +345,7 @@ def _frame(path: Path, columns: _Columns, layout: _Layout, scale: float | None) 
             [columns[name][1] * _metres(path, name, columns[name][0] or layout.unit, scale) for name in names], 1
         )
 
-    first_position, moves = lengths(layout.place), lengths(layout.moves)
+    first_position, moves = lengths(layout.position), lengths(layout.moves)
     position, before = (
         (first_position, first_position - moves) if layout.moved else (first_position + moves, first_position)
     )

@@ -83,7 +83,7 @@ def _dispatcher(function: Callable[..., Any], options: dict[str, Any]) -> Any:
         def __init__(self) -> None:
             pass
 
-    class Cache(FunctionCache):  # type: ignore[misc]
+    class UserKernelCache(FunctionCache):  # type: ignore[misc]
         """A cache that is read without numba's registries of types, which only a compiler needs.
 
         To load these takes as long as to import numba, which offers no public alternative.
@@ -110,7 +110,7 @@ def _dispatcher(function: Callable[..., Any], options: dict[str, Any]) -> Any:
 
     dispatcher, (folder, _) = numba.njit(**options)(function), _cache_folder()
     if not numba.config.DISABLE_JIT:
-        dispatcher._cache = Cache(folder)
+        dispatcher._cache = UserKernelCache(folder)
     return dispatcher
 
 

@@ -412,7 +412,7 @@ def _positions(scene: BodyScene, found: Registrations) -> tuple[FloatArray, ...]
 
 def _locate(scene: BodyScene, found: Registrations) -> Points3D:
     """Return points (1, N) of one frame in the body's frame, all subsets weighted equally."""
-    return locate(scene.rig, [place[None] for place in _positions(scene, found)]).transformed(scene.body_from_left)
+    return locate(scene.rig, [pixels[None] for pixels in _positions(scene, found)]).transformed(scene.body_from_left)
 
 
 def cameras_about(scene: BodyScene, rest_m: FloatArray) -> tuple[PlacedCamera, ...]:

@@ -113,7 +113,7 @@ class _Engine:
 
     def __init__(self, tracker: BodyTracker, device: str) -> None:
         load_solvers(device)
-        self._course, scene = tracker, tracker.scene
+        self._tracker, scene = tracker, tracker.scene
         self._views = [torch_view(view, device, PRECISION) for view in scene.views]
         self._references = [torch_reference(reference, device, PRECISION) for reference in scene.references]
 
@@ -122,7 +122,7 @@ class _Engine:
 
         Subsets are found in the frames in which they are searched.
         """
-        scene, before = self._course.scene, previous_fits(self._course)
+        scene, before = self._tracker.scene, previous_fits(self._tracker)
         splines = [splines_of(raw, scene.settings.degree, PRECISION) for raw in batch.raw]
         everywhere = range(len(starts))
         fits = fit_frames(self._views, [(one, everywhere) for one in splines], starts)
@@ -130,7 +130,7 @@ class _Engine:
         with_subsets = [
             k for k, fit in enumerate(accepted) if fit is not None and scene.subset_frames[batch.numbers[k]]
         ]
-        begun = {k: self._course.subset_starts(accepted[k]) for k in with_subsets}
+        begun = {k: self._tracker.subset_starts(accepted[k]) for k in with_subsets}
         sides = [self._subsets(side, one, batch, begun) for side, one in enumerate(splines)]
         found: list[FollowedFrame | None] = []
         for k, fit in enumerate(accepted):
@@ -148,7 +148,7 @@ class _Engine:
         """
         if not begun:
             return {}
-        scene, reference, prepared = self._course.scene, self._course.scene.references[side], self._references[side]
+        scene, reference, prepared = self._tracker.scene, self._tracker.scene.references[side], self._references[side]
         starts = {k: start for k, both in begun.items() if (start := both[side]) is not None}
 
         def register_starts(starts: dict[int, FloatArray]) -> dict[int, Registration]:
@@ -158,7 +158,7 @@ class _Engine:
             return {k: found[k] for k in starts}
 
         found = grow_from_neighbours(reference, register_starts(starts), register_starts)
-        follower, brightest = self._course.sides[side], batch.raw[side].float().amax(dim=(1, 2)).cpu().numpy()
+        follower, brightest = self._tracker.sides[side], batch.raw[side].float().amax(dim=(1, 2)).cpu().numpy()
         for k, registration in found.items():
             if brightest[k] >= scene.images[side].saturation:
                 found[k] = follower.unsaturated(batch.images[k][side], registration)

@@ -116,6 +116,7 @@ class StereoTracks(Arrays, shapes="cameras C; speckle_px C; noise_grey C; bias_p
 @dataclass(frozen=True)
 class FollowedImage:
     """One image with its spline and the registration of the subsets."""
+
     image: GreyImage
     spline: Spline
     found: Registration
@@ -593,9 +594,7 @@ def build_tracks(
         pooled.add(noise**2)
         noise_grey = np.sqrt(pooled.mean)
     noise[0] = np.where(np.isfinite(noise[0]) | ~ok[0], noise[0], noise_grey)
-    covariance = np.stack(
-        [position_covariance(reference, frame, level) for frame, level in zip(found, noise, strict=True)]
-    )
+    covariance = np.stack([position_covariance(reference, one, level) for one, level in zip(found, noise, strict=True)])
     covariance[~ok] = np.nan
     zncc = np.where(ok, np.stack([frame.zncc for frame in found]), np.nan)
     return Tracks(position, covariance, zncc, status, noise_grey)
