@@ -1,4 +1,7 @@
-"""alignment.toml as checked, typed values (the contract: the table in `docs/cameras.md`), its stills as evidence."""
+"""alignment.toml as checked values, and its static evidence.
+
+The keys are in the table of `docs/cameras.md`.
+"""
 
 from __future__ import annotations
 
@@ -73,7 +76,7 @@ Blocks = BeforeValidator(array_of_tables)
 
 
 class PointBlock(ManifestBlock):
-    """A point of known place, and where both cameras see it, or the only one."""
+    """A point of known position with its pixels in both cameras, or in one."""
 
     name: Text
     position: FreeVector
@@ -84,7 +87,7 @@ class PointBlock(ManifestBlock):
 
 
 class FaceBlock(ManifestBlock):
-    """A flat face of known place, and a table of points that both cameras see on it."""
+    """A flat face of known position, and a table of pixels of points on it."""
 
     name: Text
     point: FreeVector
@@ -115,7 +118,7 @@ class TargetBlock(ManifestBlock):
 
 
 class TargetViewBlock(ManifestBlock):
-    """The target mounted at a known pose, x_sensor = rotation · x_target + translation, and its pictures."""
+    """Images of the target at a known pose: x_sensor = rotation · x_target + translation."""
 
     name: Text
     left: ExistingFiles = ()
@@ -134,7 +137,7 @@ class TargetViewBlock(ManifestBlock):
 
 
 class CommonView(ManifestBlock):
-    """Pictures of the target, wherever it was held, by both stereo pairs."""
+    """Images of the target, in any pose, by both stereo pairs."""
 
     name: Text
     left: ExistingFile
@@ -144,7 +147,10 @@ class CommonView(ManifestBlock):
 
 
 class OtherPair(ManifestBlock):
-    """The stereo pair that took part in common views; without a pose the result is relative to its left camera."""
+    """The other stereo pair of common views.
+
+    Without its pose the result is relative to its left camera.
+    """
 
     stereo: Text
     calibration: ExistingFile
@@ -162,7 +168,7 @@ class OtherPair(ManifestBlock):
 
 
 class MotionBlock(ManifestBlock):
-    """Recordings in one set-up, in which the sensor's origin moves along a known direction."""
+    """Recordings of one set-up in which the sensor origin moves along a known direction."""
 
     name: Text
     recordings: ExistingFiles
@@ -171,7 +177,7 @@ class MotionBlock(ManifestBlock):
 
 
 class AxisBlock(ManifestBlock):
-    """Recordings in one set-up, in which the body turns about a known axis."""
+    """Recordings of one set-up in which the body turns about a known axis."""
 
     name: Text
     recordings: ExistingFiles
@@ -182,7 +188,7 @@ class AxisBlock(ManifestBlock):
 
 
 class PosePriorBlock(ManifestBlock):
-    """What was known of the pose before."""
+    """Prior pose with its uncertainty."""
 
     rotation: Rotation
     translation: FreeVector
@@ -196,7 +202,7 @@ class PosePriorBlock(ManifestBlock):
 
 
 class AlignmentFile(ManifestBlock):
-    """alignment.toml: the evidence on where a stereo pair's left camera stands in the sensor frame."""
+    """alignment.toml: the evidence about the pose of a pair's left camera in the sensor frame."""
 
     format: Version
     stereo: Text
@@ -242,7 +248,7 @@ class AlignmentFile(ManifestBlock):
 
 
 def read_alignment(path: Path, allow_outside: bool = False) -> AlignmentFile:
-    """Read and check alignment.toml; its paths start in its folder and stay there."""
+    """Read and check alignment.toml, with paths relative to and within its folder."""
     folder = path.parent.resolve()
     scope = PathScope(folder, folder, allow_outside, "of this file")
     return validate(AlignmentFile, read_toml(path), path, Context(scope, {}))
@@ -250,9 +256,9 @@ def read_alignment(path: Path, allow_outside: bool = False) -> AlignmentFile:
 
 @dataclass(frozen=True, eq=False)
 class CalibratedPair:
-    """A calibrated stereo pair and the steps (P, 32) that stand for its calibration's errors.
+    """A calibrated stereo pair and the steps (P, 32) that represent its calibration errors.
 
-    `alone`: of the left camera alone, which the rig then holds on the right as well.
+    `is_single`: of a single camera, used as the left and the right one.
     """
 
     rig: StereoRig
@@ -261,10 +267,10 @@ class CalibratedPair:
 
 
 def read_pair(path: Path, calibration: Path, scale_u: float | None, key: str = "") -> CalibratedPair:
-    """Read a calibration that `path` names; one without covariance needs a stated scale, under `key`."""
+    """Read a calibration that `path` names; one without covariance requires a stated scale."""
     with as_input_error(calibration):
         if is_single(calibration):
-            return _alone(path, calibration, scale_u, key)
+            return _single_camera(path, calibration, scale_u, key)
         rig = read_calibration(calibration)
     if rig.covariance is None and scale_u is None:
         expected = "the relative standard uncertainty of all lengths, required without a calibration's covariance"
@@ -272,21 +278,21 @@ def read_pair(path: Path, calibration: Path, scale_u: float | None, key: str = "
     return CalibratedPair(rig, calibration_steps(rig, scale_u or 0.0))
 
 
-def _alone(path: Path, calibration: Path, scale_u: float | None, key: str) -> CalibratedPair:
-    """A camera alone, whose lengths are those of what it sees."""
+def _single_camera(path: Path, calibration: Path, scale_u: float | None, key: str) -> CalibratedPair:
+    """Return a single camera, which has no scale."""
     if scale_u is not None:
         raise InputError(
             path, f"{key}scale_uncertainty", "one", "none of a camera alone, which has no scale of its own"
         )
-    camera, own = read_camera(calibration)
+    camera, camera_covariance = read_camera(calibration)
     covariance = np.zeros((len(RIG_PARAMETERS),) * 2)
-    covariance[np.ix_(LEFT, LEFT)] = own
+    covariance[np.ix_(LEFT, LEFT)] = camera_covariance
     rig = StereoRig(camera, camera, RigidTransform.identity(), covariance)
     return CalibratedPair(rig, calibration_steps(rig), is_single=True)
 
 
 def _check_cameras(path: Path, file: AlignmentFile, pair: CalibratedPair) -> None:
-    """Refuse evidence that takes two cameras of one, and points that one of two does not see."""
+    """Refuse evidence of two cameras from one, and of one camera from two."""
     file_told = "" if file.calibration is None else f"{file.calibration.name} being of one camera"
     if pair.is_single:
         for kind in ("face", "common_view", "motion", "axis"):
@@ -302,7 +308,7 @@ def _check_cameras(path: Path, file: AlignmentFile, pair: CalibratedPair) -> Non
 
 
 def orientation_notices(file: AlignmentFile) -> list[Notice]:
-    """Return what is said of a target that looks alike after a turn, where nothing else shows how the cameras stand."""
+    """Return a notice of a symmetric target without other evidence about its orientation."""
     if file.target is None or not (file.target_view or file.common_view):
         return []
     target = Target(file.target.kind, file.target.spacing, file.target.size, file.target.dictionary)
@@ -326,44 +332,47 @@ def static_evidence(path: Path, file: AlignmentFile, pair: CalibratedPair) -> li
         if not target.is_likely:
             found = f"{target.spacing_m:g} m, of a target {target.length_m:.3g} m long"
             raise InputError(path, "target.spacing", found, f"m, a target of {SHORTEST_M:g} to {LONGEST_M:g} m")
-        evidence += [known for view in file.target_view for known in _views(path, view, target, pair, datum)]
+        evidence += [item for view in file.target_view for item in _views(path, view, target, pair, datum)]
         if file.other is not None and file.common_view:
             evidence += _common(path, file.common_view, file.other, target, pair)
     return evidence
 
 
 def prior_pose_evidence(prior: PosePriorBlock) -> PoseEvidence:
-    """Return what was known of the pose before, the uncertainties those of sensor origin and rotation about it."""
+    """Return the prior pose as evidence.
+
+    Its uncertainties are those of the sensor origin and of the rotation about it.
+    """
     translation, u = np.array(prior.translation), np.array(prior.pose_uncertainty)
     moved = np.eye(6)
     moved[:3] = displacement_jacobian(translation)
     covariance = moved @ np.diag(u**2) @ moved.T
     pose = RigidTransform(np.array(prior.rotation), translation)
-    own = (RigidTransform.identity(),)
+    identity = (RigidTransform.identity(),)
     return KnownPoses(
-        ("the pose known before",), own, np.zeros((1, 6, 6)), (pose,), covariance[None], np.zeros((0, 1, 6))
+        ("the pose known before",), identity, np.zeros((1, 6, 6)), (pose,), covariance[None], np.zeros((0, 1, 6))
     )
 
 
 def _points(path: Path, points: Sequence[PointBlock], pair: CalibratedPair, datum: StatedFrame) -> PoseEvidence:
-    """Return the fiducials, triangulated where two cameras see them."""
+    """Return the points, triangulated if two cameras see them."""
     names, left = tuple(f"point {point.name}" for point in points), np.array([point.left for point in points])
-    u_px, known = np.array([point.pixel_uncertainty for point in points]), np.array([p.position for p in points])
+    u_px, sensor_m = np.array([point.pixel_uncertainty for point in points]), np.array([p.position for p in points])
     spread = np.array([point.position_uncertainty for point in points])[:, :, None] ** 2 * np.eye(3)
     if pair.is_single:
         noise = u_px[:, None, None] ** 2 * np.eye(2)
-        return KnownPixels(names, pair.rig.left, left, noise, known, spread, pair.steps[:, LEFT], datum)
+        return KnownPixels(names, pair.rig.left, left, noise, sensor_m, spread, pair.steps[:, LEFT], datum)
     right = np.array([point.right for point in points])
     position, covariance, effects = triangulate_points(pair.rig, pair.steps, left, right, u_px)
-    for point, place in zip(points, position, strict=True):
-        if not np.isfinite(place).all():
+    for point, point_m in zip(points, position, strict=True):
+        if not np.isfinite(point_m).all():
             expected = "pixels of one point in front of both cameras"
             raise InputError(path, f"point.{point.name}", "rays that do not meet", expected)
-    return KnownPoints(names, position, covariance, known, spread, effects, datum)
+    return KnownPoints(names, position, covariance, sensor_m, spread, effects, datum)
 
 
 def _face(path: Path, face: FaceBlock, pair: CalibratedPair, datum: StatedFrame) -> KnownFace:
-    """Return the points of a face, triangulated; pixels whose rays do not meet are left out."""
+    """Return the triangulated points of a face, without those whose rays do not meet."""
     pixels = _pixel_table(face.pixels)
     position, covariance, effects = triangulate_points(
         pair.rig, pair.steps, pixels[:, :2], pixels[:, 2:], face.pixel_uncertainty
@@ -404,20 +413,20 @@ def _pixel_table(file: Path) -> FloatArray:
 
 
 def _seen(
-    path: Path, key: str, pictures: Mapping[str, Path | None], target: Target, pair: CalibratedPair
+    path: Path, key: str, image_paths: Mapping[str, Path | None], target: Target, pair: CalibratedPair
 ) -> tuple[RigidTransform, FloatArray, FloatArray]:
-    """Return `seen_target` of the left and right picture, which are given by the names that they have in the block."""
+    """Return the target's pose with covariance and effects from the images of a block."""
     views: list[TargetView | None] = []
-    for side, picture in pictures.items():
-        if picture is None:
+    for side, image_path in image_paths.items():
+        if image_path is None:
             views.append(None)
             continue
         with as_input_error(path, f"{key}.{side}"):
-            image, full_scale = read_image(picture)
-            view = find_target(image, target, picture.name, full_scale)
+            image, full_scale = read_image(image_path)
+            view = find_target(image, target, image_path.name, full_scale)
         size = (pair.rig.right if side.endswith("right") else pair.rig.left).size_px.tolist()
         if view.size_px.tolist() != size:
-            shown = f"{picture.name} of {view.size_px[0]} x {view.size_px[1]} pixels"
+            shown = f"{image_path.name} of {view.size_px[0]} x {view.size_px[1]} pixels"
             raise InputError(path, f"{key}.{side}", shown, f"{size[0]} x {size[1]} as the calibration")
         views.append(view)
     with as_input_error(path, key):
@@ -427,7 +436,7 @@ def _seen(
 def _views(
     path: Path, block: TargetViewBlock, target: Target, pair: CalibratedPair, datum: StatedFrame
 ) -> Iterator[KnownPoses]:
-    """Yield the pictures of the target at one known pose, whose error they share."""
+    """Yield the images of the target at one known pose, whose error they share."""
     name, u = f"target view {block.name}", np.array(block.pose_uncertainty)
     common = {name: np.diag(u)[np.flatnonzero(u)][:, None]}
     placed = RigidTransform(np.array(block.rotation), np.array(block.translation))
@@ -435,14 +444,17 @@ def _views(
         pose, covariance, effects = _seen(
             path, f"target_view.{block.name}", {"left": left, "right": right}, target, pair
         )
-        known = np.zeros((1, 6, 6))
-        yield KnownPoses((name,), (pose,), covariance[None], (placed,), known, effects[:, None], common, datum)
+        no_covariance = np.zeros((1, 6, 6))
+        yield KnownPoses((name,), (pose,), covariance[None], (placed,), no_covariance, effects[:, None], common, datum)
 
 
 def _common(
     path: Path, views: Sequence[CommonView], other: OtherPair, target: Target, pair: CalibratedPair
 ) -> Iterator[KnownPoses]:
-    """Yield the target seen by both pairs, its pose in the sensor frame (or the other camera's) by the other pair."""
+    """Yield the target observed by both pairs, with its pose by the other one.
+
+    The pose is in the sensor frame. If the other pair has no pose, the frame is that of its left camera.
+    """
     second = read_pair(path, other.calibration, other.scale_uncertainty, "other.")
     if second.is_single:
         raise InputError(path, "other.calibration", f"{other.calibration.name}, of one camera", "that of a pair")
@@ -455,14 +467,14 @@ def _common(
         key = f"common_view.{view.name}"
         pose, covariance, effects = _seen(path, key, {"left": view.left, "right": view.right}, target, pair)
         others = {"other_left": view.other_left, "other_right": view.other_right}
-        known, known_covariance, known_effects = _seen(path, key, others, target, second)
+        other_pose, other_covariance, other_effects = _seen(path, key, others, target, second)
         yield KnownPoses(
             (f"common view {view.name}",),
             (pose,),
             covariance[None],
-            (placed @ known,),
-            (turn @ known_covariance @ turn.T)[None],
+            (placed @ other_pose,),
+            (turn @ other_covariance @ turn.T)[None],
             effects[:, None],
-            {f"calibration of {other.stereo}": (known_effects @ turn.T)[:, None]},
+            {f"calibration of {other.stereo}": (other_effects @ turn.T)[:, None]},
             frame,
         )

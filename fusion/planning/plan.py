@@ -1,4 +1,4 @@
-"""`shakercal plan`: camera rates for the frequencies of a calibration, as numbers, as a table in a file, in words."""
+"""`shakercal plan`: camera rates for the frequencies of a calibration."""
 
 from __future__ import annotations
 
@@ -39,7 +39,10 @@ SHOWN = 3  # frequencies that are written out; of more there is a count
 
 @dataclass(frozen=True)
 class MotionSize:
-    """What makes uncertainties absolute: `noise_m` per frame; `amplitude_m` or `acceleration_mps2` of a fundamental."""
+    """Noise and amplitude of the motion, for absolute uncertainties.
+
+    `noise_m` per frame; `amplitude_m` or `acceleration_mps2` of a fundamental.
+    """
 
     noise_m: float | None = None
     amplitude_m: float | None = None
@@ -47,11 +50,14 @@ class MotionSize:
 
     @property
     def is_whole(self) -> bool:
-        """Whether relative uncertainties can be given."""
+        """Whether relative uncertainties can be calculated."""
         return self.noise_m is not None and (self.amplitude_m is not None or self.acceleration_mps2 is not None)
 
     def relative(self, plan: RatePlan, k: int) -> float | None:
-        """Relative standard uncertainty of line k's amplitude (that of its phase in rad), None if it is not known."""
+        """Return the relative standard uncertainty of line k's amplitude, None if unknown.
+
+        It is also that of its phase in rad.
+        """
         amplitude = self.amplitude_m
         if self.acceleration_mps2 is not None:
             amplitude = float(self.acceleration_mps2 / (2.0 * np.pi * plan.lines.frequency_hz[k]) ** 2)
@@ -62,8 +68,21 @@ class MotionSize:
 
 @dataclass(frozen=True)
 class Request:
-    """What to plan: excitations, together or one after the other, at `rate_hz` or within `limits_hz`.
+    """Input of a plan: excitation frequencies, sampling and camera rates.
 
+    Attributes
+    ----------
+    frequency_hz : excitation frequencies, Hz.
+    sampling : frames, exposure, harmonics and noise of the record.
+    together : whether they are excited at the same time; default False.
+    rate_hz : camera rate to explain, Hz; default None.
+    limits_hz : smallest and largest camera rate, Hz.
+    rate_step_hz : step of possible rates, Hz; default 0.001.
+    settle_s : waiting time before each record, s; default 0.
+    size : noise and amplitude, for absolute uncertainties.
+
+    Examples
+    --------
     >>> from fusion import Request
     >>> from shaker import Sampling
     >>> Request((106.25,), Sampling(frames=211), rate_hz=77.5).together
@@ -82,9 +101,9 @@ class Request:
 
 @dataclass(frozen=True)
 class PlanPoint:
-    """One point of the plan: its lines, and what its best rates (best first), or the rate given, make of them.
+    """One point of the plan: its lines and the best rates, or the given one.
 
-    `nearby`: the good rate nearest to the rate given, None where that one is good itself or none is near.
+    `nearby`: the good rate nearest to the given one; None if that one is good or none is near.
     """
 
     lines: PlannedLines
@@ -94,7 +113,7 @@ class PlanPoint:
 
 @dataclass(frozen=True)
 class SharedRate:
-    """A rate that serves several points: their indices, and what it makes of each."""
+    """A rate for several points: their indices, and its properties for each."""
 
     rate_hz: float
     points: tuple[int, ...]
@@ -103,7 +122,10 @@ class SharedRate:
 
 @dataclass(frozen=True)
 class Plan:
-    """Answer to a request: its points, and the fewest rates that serve all of them (none where a rate was given)."""
+    """Result of a request: its points, and the smallest set of common rates.
+
+    `shared` is empty if a rate was given.
+    """
 
     request: Request
     points: tuple[PlanPoint, ...]
@@ -111,8 +133,23 @@ class Plan:
 
 
 def make_plan(request: Request) -> Plan:
-    """Look for the rates of every point, or see what the given rate makes of it.
+    """Find the best camera rates for every point, or evaluate a given rate.
 
+    Parameters
+    ----------
+    request
+        frequencies, sampling and limits.
+
+    Returns
+    -------
+    The best rates of each point and the smallest common set.
+
+    Raises
+    ------
+    InputError : no rate can serve the request; names the option.
+
+    Examples
+    --------
     >>> from fusion import Request, make_plan
     >>> from shaker import Sampling
     >>> plan = make_plan(Request((106.25,), Sampling(frames=211), limits_hz=(70.0, 80.0), rate_step_hz=0.1))
@@ -144,7 +181,7 @@ def make_plan(request: Request) -> Plan:
 
 
 def _check_size(request: Request) -> None:
-    """Refuse more lines and frames than can be looked at in a sensible time and memory, naming the option."""
+    """Refuse more lines and frames than time and memory permit, naming the option."""
     frames, harmonics, excitations = request.sampling.frames, request.sampling.harmonics, len(request.frequency_hz)
     lines = harmonics * (excitations if request.together else 1)
     if lines > MOST_LINES:
@@ -158,7 +195,10 @@ def _check_size(request: Request) -> None:
 
 
 def _explained(lines: PlannedLines, rate_hz: float, rates: FloatArray, sampling: Sampling) -> PlanPoint:
-    """Return what the given rate makes of a point, with the nearest good rate unless it is good itself."""
+    """Return the given rate for a point, with the nearest good rate.
+
+    It is None if the given rate is good.
+    """
     scan = scan_rates(lines, np.sort(np.append(rates, rate_hz)), sampling)
     good = scan.rate_hz[scan.good]
     nearby = None
@@ -169,7 +209,7 @@ def _explained(lines: PlannedLines, rate_hz: float, rates: FloatArray, sampling:
 
 
 def _check(request: Request, points: Sequence[PlannedLines]) -> None:
-    """Refuse what no rate can serve, naming the option."""
+    """Refuse a request that no rate can serve, naming the option."""
     highest = max(request.limits_hz) if request.rate_hz is None else request.rate_hz
     if request.rate_hz is None and not 0.0 < request.limits_hz[0] <= request.limits_hz[1]:
         low, high = request.limits_hz
@@ -192,7 +232,10 @@ def _check(request: Request, points: Sequence[PlannedLines]) -> None:
 
 
 class _Line(NamedTuple):
-    """One line at one rate; `point`: number or excitation; `relative`: u over the amplitude, None if not known."""
+    """One line at one rate.
+
+    `point`: number or excitation; `relative`: u over the amplitude, None if unknown.
+    """
 
     point: str
     choice: str
@@ -225,7 +268,10 @@ def _lines_at(size: MotionSize, plan: RatePlan, point: str = "", choice: str = "
 
 
 def plan_csv(plan: Plan) -> str:
-    """Return the plan as a table: a row per point, choice and line; SI units, one header line."""
+    """Return the plan as a table with a row per point, choice and line.
+
+    SI units, one header line.
+    """
     size, rows = plan.request.size, list[_Line]()
     for number, point in enumerate(plan.points, start=1):
         for choice, at_rate in enumerate(point.choices, start=1):
@@ -238,7 +284,10 @@ def plan_csv(plan: Plan) -> str:
 
 
 def _line_columns(size: MotionSize) -> list[TableColumn[_Line]]:
-    """Return the columns of lines at a rate: a file has those with a name, the terminal those with a head."""
+    """Return the columns of lines at a rate.
+
+    A file has those with a name, the terminal those with a head.
+    """
     noise_m, unit = (1.0, PER_NOISE) if size.noise_m is None else (size.noise_m, "m")
     noise, shown_unit = _shown_noise(size)
 
@@ -281,7 +330,7 @@ def _line_columns(size: MotionSize) -> list[TableColumn[_Line]]:
 
 
 def _rate_columns(size: MotionSize) -> list[TableColumn[_Line]]:
-    """Return the columns of rates, of which each row is the least certain fundamental."""
+    """Return the columns of rates; each row is the most uncertain fundamental."""
     noise, unit = _shown_noise(size)
 
     def aliases(line: _Line) -> FloatArray:
@@ -303,7 +352,7 @@ def _rate_columns(size: MotionSize) -> list[TableColumn[_Line]]:
 
 
 def _relative_columns(size: MotionSize) -> list[TableColumn[_Line]]:
-    """Return the columns of the relative uncertainty of amplitude and phase, where the size of the motion is known."""
+    """Return the columns of relative uncertainties, empty without the size of the motion."""
 
     def shown(line: _Line, factor: float) -> str:
         return "" if line.relative is None else _three_digits(factor * line.relative)
@@ -317,7 +366,7 @@ def _relative_columns(size: MotionSize) -> list[TableColumn[_Line]]:
 
 
 def _loss(line: _Line) -> str:
-    """Return what the exposure takes of an amplitude, in per cent."""
+    """Return the loss of amplitude by the exposure, in per cent."""
     return f"{100.0 * (1.0 - line.gain):.3f}"
 
 
@@ -333,7 +382,7 @@ def _three_digits(value: float) -> str:
 
 
 def _shown_noise(size: MotionSize) -> tuple[float, str]:
-    """Return the noise of one frame in a readable unit, and what stands behind u in a table's head."""
+    """Return the noise of one frame in a readable unit, and that unit."""
     if size.noise_m is None:
         return 1.0, ""
     factor, letter = prefix(np.array([0.1 * size.noise_m]))
@@ -369,12 +418,12 @@ def print_plan(plan: Plan) -> None:
     )
     if not request.size.is_whole:
         print_text("(--noise with --amplitude or --acceleration gives numbers)")
-    apart = "apart: smallest distance of two lines as the camera sees them, in bins of rate/frames"
-    print_text(f"{apart} ({CLEAR_BINS:g} needed); loss: of amplitude, by exposure (a run corrects it)")
+    distance_text = "apart: smallest distance of two lines as the camera sees them, in bins of rate/frames"
+    print_text(f"{distance_text} ({CLEAR_BINS:g} needed); loss: of amplitude, by exposure (a run corrects it)")
 
 
 def _boxed(title: str, columns: Sequence[TableColumn[R]], sections: Sequence[Sequence[R]], width: int) -> Table:
-    """Return a table for a terminal of some width, its sections with a line between them."""
+    """Return a table for a terminal of some width, with a line between its sections."""
     from rich.table import Table
 
     shown = [column for column in columns if column.head is not None]
@@ -391,7 +440,7 @@ def _boxed(title: str, columns: Sequence[TableColumn[R]], sections: Sequence[Seq
 
 
 def _print_choices(console: Console, plan: Plan) -> None:
-    """Print the rates of every point, and the fewest that serve all."""
+    """Print the rates of every point, and the smallest common set."""
     size, points, settle_s = plan.request.size, plan.points, plan.request.settle_s
     columns = _rate_columns(size)
     excited = [_range(point.lines.fundamentals_hz) for point in points]
@@ -442,7 +491,7 @@ def _print_lines(console: Console, size: MotionSize, plan: RatePlan) -> None:
 
 
 def _print_explained(console: Console, size: MotionSize, point: PlanPoint) -> None:
-    """Print what the given rate does to one point, line by line."""
+    """Print the effect of the given rate on one point, line by line."""
     (plan,) = point.choices
     for frequency, alias in zip(plan.lines.frequency_hz, plan.alias_hz, strict=True):
         if frequency in plan.lines.fundamentals_hz:  # so many turns between two frames and a bit: so slow a beat

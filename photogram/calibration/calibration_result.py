@@ -1,4 +1,4 @@
-"""A calibrated stereo pair, how it came about, and what its user should know."""
+"""A calibrated stereo pair with its views, tests and notices."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ ParameterState = Literal["determined", "indistinct", "open"]
 
 @dataclass(frozen=True)
 class CalibrationParameter:
-    """One parameter of the rig: value, standard uncertainty (k = 1) and unit ("px", "1", "rad", "m").
+    """One parameter of the rig: value, standard uncertainty (k = 1) and unit.
 
-    `state`: "determined"; "indistinct", well known but not distinguishable from zero (distortion only); "open", known
-    no better than before the session: the views say nothing about it and its value is the assumption's.
+    The unit is "px", "1", "rad" or "m". `state` is "determined"; "indistinct", a distortion that is not significantly
+    different from zero; or "open", as uncertain as the prior: its value is that of the prior.
     """
 
     name: str
@@ -34,10 +34,10 @@ class CalibrationParameter:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CalibratedImage(Arrays, shapes="index N 2; position_px N 2; residual_px N 2; normalised N; used N"):
-    """One picture in the fit: points (N,), of which `used` went into it.
+    """One image in the fit with its points (N,), of which `used` were fitted.
 
-    `index` (N, 2) lattice indices, `position_px` (N, 2) as found, `residual_px` (N, 2) found − modelled,
-    `normalised` (N,) length of the residual over its standard uncertainty.
+    `index` (N, 2) are lattice indices, `position_px` (N, 2) the positions found, `residual_px` (N, 2) found − modelled.
+    `normalised` (N,) is the length of the residual over its standard uncertainty.
     """
 
     name: str
@@ -56,9 +56,9 @@ class CalibratedImage(Arrays, shapes="index N 2; position_px N 2; residual_px N 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CalibratedView(Arrays, shapes="covariance 6 6"):
-    """One position of the target: `left_from_target` with covariance (6, 6), and the picture of either camera.
+    """One pose of the target, `left_from_target`, with covariance and the images of both cameras.
 
-    The pose's covariance holds translation (m) and left-multiplied rotation (rad), in the order x y z rx ry rz.
+    The covariance (6, 6) is that of translation (m) and left-multiplied rotation (rad), in the order x y z rx ry rz.
     """
 
     left_from_target: RigidTransform
@@ -69,7 +69,10 @@ class CalibratedView(Arrays, shapes="covariance 6 6"):
 
 @dataclass(frozen=True)
 class Rejection:
-    """A picture, or points of one, that did not go into the fit, and why; `points` 0 stands for the whole picture."""
+    """An image, or points of one, rejected from the fit, with the reason.
+
+    `points` is 0 for a whole image.
+    """
 
     name: str
     points: int
@@ -78,9 +81,10 @@ class Rejection:
 
 @dataclass(frozen=True, eq=False)
 class AlternativeModel:
-    """What another shape of the target ("flat", "free") or lens ("polynomial", "rational") makes of the same pictures.
+    """The result of another target geometry or lens model for the same images.
 
-    `predicted_px`: rms length of what the other views leave of a view's points, its pose fitted to them.
+    `shape` is "flat" or "free", `lens` "polynomial" or "rational". `predicted_px`: rms length of the residuals of a
+    view that the other views predict, with its pose fitted.
     """
 
     shape: str
@@ -91,12 +95,17 @@ class AlternativeModel:
 
 @dataclass(frozen=True, eq=False)
 class CrossValidation:
-    """What the views of a session say of each other: shape and lens taken, `predicted_px` as in `OtherModel`.
+    """Consistency of a session's views, and alternative models.
 
-    `u_fit` (32,): standard uncertainties that the residuals alone would give. `halves`: the rigs of every second view
-    and of the others, None for few views. `others`: models that were tried, and not taken. `drift` (2, 2): relative
-    change of the focal lengths, left and right, from the first view to the last, and its standard uncertainty; None
-    where none was found.
+    Attributes
+    ----------
+    shape, lens : model used.
+    predicted_px : as in `AlternativeModel`.
+    u_fit : (32,), standard uncertainties by the residuals alone.
+    halves : rigs of every second view and of the others; None for few views.
+    alternatives : models that were tried and not used.
+    drift : (2, 2), relative change of the focal lengths, left and right, from the first view to the last, and its
+        standard uncertainty; None if none was found.
     """
 
     shape: str
@@ -110,15 +119,18 @@ class CrossValidation:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Calibration(Arrays, shapes="shape_index P 2; shape_m P 3"):
-    """A calibrated stereo pair and how it came about.
+    """A calibrated stereo pair with its views and quality measures.
 
-    `rms_px`: rms length of all residuals, OpenCV's definition of the reprojection error, `rms_sides_px` (left, right)
-    apart. `added_px` (left, right): noise per coordinate that comes on top of the points' own; `sigma_factor`:
-    √(reduced χ²) of `dof` degrees of freedom with both, a factor of the covariance.
-    `shape_m` (P, 3): estimated positions of the target's points (`shape_index` (P, 2)), the flat lattice where it was
-    held flat; `shape_u_m` (P, 3): their standard uncertainties, None where they have no offsets of their own.
-    `scale_u`: relative standard uncertainty of the target's spacing, contained in the rig's covariance. `covered`:
-    (left, right), share of each picture's area within the points' cells. `judged`: what the views say of each other.
+    Attributes
+    ----------
+    rms_px, rms_sides_px : rms length of all residuals, OpenCV's definition of the reprojection error; of (left, right).
+    added_px : (left, right), noise per coordinate in addition to that of the points.
+    sigma_factor : √(reduced χ²) of `dof` degrees of freedom, a factor of the covariance.
+    shape_index, shape_m : (P, 2) lattice indices and (P, 3) estimated positions of the target's points.
+    shape_u_m : (P, 3), their standard uncertainties; None without offsets of the points.
+    scale_u : relative standard uncertainty of the target's spacing, included in the rig's covariance.
+    coverage : (left, right), share of each image's area in cells with points.
+    cross_validation : consistency of the views.
     """
 
     rig: StereoRig
@@ -141,7 +153,7 @@ class Calibration(Arrays, shapes="shape_index P 2; shape_m P 3"):
 
     @property
     def single(self) -> bool:
-        """Whether it is of one camera only, the left one."""
+        """Whether it is of the left camera alone."""
         return all(view.right is None for view in self.views)
 
 
@@ -150,22 +162,22 @@ _NO_TURN_RAD = np.radians(2.0)
 
 
 def coverage_share(images: Sequence[CalibratedImage], size_px: IntArray) -> float:
-    """Return the share of the picture's cells, 8 x 6, in which some point of some picture lies."""
-    points = np.concatenate([picture.position_px[picture.used] for picture in images])
+    """Return the share of the image's 8 × 6 cells that contain a point."""
+    points = np.concatenate([image.position_px[image.used] for image in images])
     cells = np.floor((points + 0.5) / size_px * COVERAGE_CELLS).astype(np.int64)
     inside = np.clip(cells, 0, np.array(COVERAGE_CELLS) - 1)
     return len(np.unique(inside, axis=0)) / (COVERAGE_CELLS[0] * COVERAGE_CELLS[1])
 
 
 def spread_of_turns(poses: Sequence[RigidTransform]) -> tuple[FloatArray, FloatArray]:
-    """Return how far the target's normal spreads (2,), in rad, and along which directions (columns) of the picture."""
+    """Return the spread (2,) of the target's normal in rad and its directions."""
     normal = np.array([pose.rotation[:, 2] * np.sign(pose.rotation[2, 2]) for pose in poses])
     variance, axes = np.linalg.eigh(np.cov(normal[:, :2].T, bias=True))
     return np.sqrt(np.maximum(variance, 0.0)), axes
 
 
 def check_view_angles(poses: Sequence[RigidTransform]) -> None:
-    """Raise `ValueError` when all views show the target under nearly one angle, which leaves the cameras open."""
+    """Raise `ValueError` if all views have nearly the same angle to the target."""
     spread, _ = spread_of_turns(poses)
     if spread.max() < _NO_TURN_RAD:
         raise ValueError(
@@ -193,10 +205,10 @@ _STATES = {
 
 
 def rig_parameters(rig: StereoRig, prior_sigma: FloatArray) -> tuple[CalibrationParameter, ...]:
-    """Return the parameters of a rig with covariance, and what the views say about each beside the prior.
+    """Return the parameters of a rig with covariance and their states.
 
-    The 24 of every rig, and of the lenses' further terms those that are not known to be zero. Those with the prior's
-    standard deviation zero, held in this session, are none.
+    These are the 24 of every rig and the lenses' further terms, unless they are known to be zero. Parameters that this
+    session fixes are omitted.
     """
     covariance = np.zeros((len(RIG_PARAMETERS),) * 2) if rig.covariance is None else rig.covariance
     parameters = []
@@ -216,7 +228,7 @@ def rig_parameters(rig: StereoRig, prior_sigma: FloatArray) -> tuple[Calibration
 
 
 def check_focal_lengths(parameters: Sequence[CalibrationParameter]) -> None:
-    """Raise `ValueError` when the views leave a focal length open."""
+    """Raise `ValueError` if the views do not determine a focal length."""
     for item in parameters:
         if item.name.endswith((".fx", ".fy")) and not item.u < _FOCAL_LIMIT * item.value:
             raise ValueError(
@@ -226,7 +238,7 @@ def check_focal_lengths(parameters: Sequence[CalibrationParameter]) -> None:
 
 
 def session_notices(calibration: Calibration) -> tuple[Notice, ...]:
-    """Return what the user should know of a calibration, and what to add to the session."""
+    """Return the notices of a calibration."""
     notices: list[Notice] = []
 
     def warn(text: str, where: str) -> None:
@@ -273,13 +285,13 @@ def session_notices(calibration: Calibration) -> tuple[Notice, ...]:
 
 
 def _aspects(rig: StereoRig) -> Iterator[Notice]:
-    """Yield what is to be said of focal lengths whose ratio is none of square pixels."""
-    for side, camera, places in (("left", rig.left, LEFT), ("right", rig.right, RIGHT)):
-        if rig.covariance is None or not rig.covariance[places[0], places[0]] > 0:
+    """Yield a notice of focal lengths whose ratio contradicts square pixels."""
+    for side, camera, indices in (("left", rig.left, LEFT), ("right", rig.right, RIGHT)):
+        if rig.covariance is None or not rig.covariance[indices[0], indices[0]] > 0:
             continue
         fx, fy = camera.parameters[:2]
         slope = np.array([1 / fy, -fx / fy**2])
-        ratio, u = fx / fy, float(np.sqrt(slope @ rig.covariance[np.ix_(places[:2], places[:2])] @ slope))
+        ratio, u = fx / fy, float(np.sqrt(slope @ rig.covariance[np.ix_(indices[:2], indices[:2])] @ slope))
         if abs(ratio - 1) > 2 * np.hypot(u, _SQUARE):
             text = f"{side}.fx/{side}.fy is {ratio:.4f} (U = {2 * u:.4f}, k = 2); a sensor with square pixels has 1"
             more = "a print stretched along one axis, too few turned views, or pictures scaled in one direction"
@@ -287,7 +299,7 @@ def _aspects(rig: StereoRig) -> Iterator[Notice]:
 
 
 def _drifts(calibration: Calibration) -> Iterator[Notice]:
-    """Yield by how much the focal lengths changed during the session."""
+    """Yield a notice of focal lengths that changed during the session."""
     if calibration.cross_validation is None or calibration.cross_validation.drift is None:
         return
     many = calibration.cross_validation.drift[: 1 if calibration.single else 2]
@@ -302,15 +314,17 @@ def _drifts(calibration: Calibration) -> Iterator[Notice]:
 
 
 def _differences(calibration: Calibration) -> Iterator[Notice]:
-    """Yield by what models that were tried and not taken differ beyond the expanded uncertainty."""
+    """Yield a notice of each alternative model that differs beyond the expanded uncertainty."""
     judged, sigma = calibration.cross_validation, calibration.rig.covariance
     if judged is None or sigma is None:
         return
     for other in judged.alternatives:
-        value = _told(other.rig)
+        value = _main_values(other.rig)
         apart = {
             name: (mine, value[name], 2 * u)
-            for (name, mine), u in zip(_told(calibration.rig).items(), _told_u(calibration.rig), strict=True)
+            for (name, mine), u in zip(
+                _main_values(calibration.rig).items(), _main_uncertainties(calibration.rig), strict=True
+            )
             if abs(value[name] - mine) > 2 * u > 0
         }
         if apart:
@@ -324,13 +338,13 @@ def _differences(calibration: Calibration) -> Iterator[Notice]:
             yield Notice("warning", text, "model")
 
 
-def _told(rig: StereoRig) -> dict[str, float]:
+def _main_values(rig: StereoRig) -> dict[str, float]:
     """Return focal lengths in px and the baseline in mm."""
     focal = {f"{side}.fx / px": camera.matrix[0, 0] for side, camera in (("left", rig.left), ("right", rig.right))}
     return {**focal, "baseline / mm": 1e3 * float(np.linalg.norm(rig.right_from_left.translation_m))}
 
 
-def _told_u(rig: StereoRig) -> FloatArray:
+def _main_uncertainties(rig: StereoRig) -> FloatArray:
     """Return the standard uncertainties (3,) of these."""
     assert rig.covariance is not None
     slope = np.zeros((3, len(rig.covariance)))

@@ -36,13 +36,12 @@ from photogram.alignment.alignment_evidence import (
     PoseEvidence,
     StatedFrame,
     calibration_steps,
-    fit_axis,
-    linear_motion,
     measure_target_pose,
     parameter_derivatives,
     perpendicular_directions,
     triangulate_points,
 )
+from photogram.alignment.motion_axes import fit_axis, linear_motion
 from photogram.alignment.pose_estimation import Alignment, UndeterminedPose, align
 from photogram.calibration.initial_bundle import estimate_target_pose as find_pose
 from photogram.camera import LEFT, StereoRig

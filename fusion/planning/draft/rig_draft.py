@@ -1,4 +1,4 @@
-"""rig.toml for what the recordings of a campaign hold."""
+"""Draft of rig.toml for the recordings of a campaign."""
 
 from __future__ import annotations
 
@@ -62,7 +62,10 @@ POSE_KEYS = (("pose_uncertainty", [1e-4] * 3 + [5e-4] * 3, "m and rad"), ("delay
 
 
 def rig_text(root: Path, inventories: Sequence[Inventory], found: Sequence[RecorderFile]) -> str:
-    """Return the text of rig.toml for what the recordings of a campaign hold; `found`: the recorders of the first."""
+    """Return the draft of rig.toml.
+
+    `found`: the recorders of the first recording.
+    """
     outputs = [item for recorder in found for item in recorder.channels if item.quantity == "output"]
     lines = [HEAD, "format = 1", key_line("name", root.resolve().name)]
     if outputs:
@@ -121,27 +124,27 @@ def _sensor(outputs: Sequence[ChannelGuess]) -> Iterator[str]:
 def _sight(
     item: FoundCameras | FoundPoints, root: Path, files: dict[Path, tuple[int, int]], width_s: float
 ) -> Iterator[str]:
-    """Yield the block of what sees a body: a pair of cameras, one alone before a known face, points."""
+    """Yield the block of a stereo pair, a single camera with its surface, or points."""
     yield f"\n[stereo.{quote_key(item.name)}]"
     yield body_line(item.name)
-    scaled, pictures = False, isinstance(item, FoundCameras)
+    scaled, is_camera = False, isinstance(item, FoundCameras)
     alone = isinstance(item, FoundCameras) and item.right is None
     if isinstance(item, FoundCameras):
         sized = [path for path, size in files.items() if size == item.left.size_px]
-        alike = [path for path in sized if is_single(path) == alone]
-        named = [path for path in (sized if alone else alike) if item.name.lower() in path.stem.lower()]
-        own = named or (alike if len(alike) == 1 else [])
-        if own:
+        same_kind = [path for path in sized if is_single(path) == alone]
+        named = [path for path in (sized if alone else same_kind) if item.name.lower() in path.stem.lower()]
+        matching = named or (same_kind if len(same_kind) == 1 else [])
+        if matching:
             why = f"guessed: its name, and pictures of {item.left.size_px[0]} x {item.left.size_px[1]} px"
-            yield key_line("calibration", Path(os.path.relpath(own[0], root)).as_posix(), why)
-            scaled = states_scale(own[0])
+            yield key_line("calibration", Path(os.path.relpath(matching[0], root)).as_posix(), why)
+            scaled = states_scale(matching[0])
         elif alone:
             yield question_line(
                 "calibration", "a file of shakercal cameras --mono, or of a pair whose left camera it is"
             )
         else:
             yield question_line("calibration", "a file of shakercal cameras or import-calibration")
-    frame = ("camera" if alone else "left camera") if pictures else "points"
+    frame = ("camera" if alone else "left camera") if is_camera else "points"
     yield question_line(
         "rotation", f"3 x 3, of x_sensor = rotation x_{frame.replace(' ', '_')} + translation (shakercal align)"
     )
@@ -160,9 +163,9 @@ def _sight(
     if isinstance(item, FoundCameras) and item.left.exposure_s is not None:
         yield key_line("exposure", "file", f"the files state {1e6 * item.left.exposure_s:.4g} us")
     else:
-        told = f" ({1e6 * width_s:.4g} us)" if width_s else ""
+        width = f" ({1e6 * width_s:.4g} us)" if width_s else ""
         yield question_line(
-            "exposure", f'its length in s, or "pulse" where it lasts as long as the trigger is active{told}'
+            "exposure", f'its length in s, or "pulse" where it lasts as long as the trigger is active{width}'
         )
     yield optional_line("delay_uncertainty", 1e-6, "s")
     if alone:
@@ -173,5 +176,5 @@ def _sight(
             "distance_uncertainty", "its standard uncertainty (k = 1) along the normal in m: drawing, paint"
         )
         yield question_line("tilt_uncertainty", "standard uncertainty (k = 1) of its tilts in rad")
-    elif pictures:
+    elif is_camera:
         yield optional_line("row_time", 1e-5, "s from row to row of a rolling shutter, negative from the last row on")

@@ -1,4 +1,4 @@
-"""What a look finds, and the verdict that follows: KEEP, CHECK, FIX MANIFEST or REPEAT."""
+"""Findings of a look, and the verdict: KEEP, CHECK, FIX MANIFEST or REPEAT."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ ASKED = re.compile(r"(?:; (?:give|state|correct) \w+|\(bit depth \d+\)|: frequen
 
 @dataclass(frozen=True)
 class Finding:
-    """A fact about a recording: the `verdict` it leads to, the channel, camera or key it is about, the text."""
+    """A notice about a recording, with the `verdict` that follows from it."""
 
     verdict: Verdict
     where: str
@@ -34,15 +34,15 @@ class Finding:
 
     @property
     def level(self) -> Level:
-        """Return the colour of the verdict: good, look (yellow) or wrong (red)."""
+        """Colour of the verdict: good, look (yellow) or wrong (red)."""
         return LEVEL_OF[self.verdict]
 
 
 def refusal_finding(error: Exception, where: str = "") -> Finding:
-    """Return the finding of a refusal by `run` or a reader.
+    """Return the finding of an error by `run` or a reader.
 
-    A statement of a manifest that data contradict is to be mended there. A file that cannot be read, and data that
-    allow no result, are to be recorded again.
+    If data contradict a statement of a manifest, the manifest has to be corrected. If a file cannot be read, or the
+    data give no result, the recording has to be repeated.
     """
     verdict: Verdict = "REPEAT"
     if ASKED.search(str(error)):
@@ -56,14 +56,14 @@ def refusal_finding(error: Exception, where: str = "") -> Finding:
 
 
 def problem_finding(text: str) -> Finding:
-    """Return the finding of a problem that `check` names: of a file, or of what a manifest says of it."""
+    """Return the finding of a problem that `check` reports."""
     block, told = re.fullmatch(r"(?:(?:take\S+ )?(daq|images|points) ([^:]+): )?(.*)", text, re.DOTALL).groups()[1:]  # type: ignore[union-attr]
     mistaken = block is None or ("expected" in told and "truncated" not in told)
     return Finding("FIX MANIFEST" if mistaken else "REPEAT", block or "", shorten(told))
 
 
 def shorten(text: str) -> str:
-    """Return what a reader says in one line, its file without folders."""
+    """Return a reader's text in one line, with the file's name only."""
     text = " ".join(text.split())
     path, colon, rest = text.partition(": ")
     return f"{path.rpartition('/')[2]}: {rest}" if colon and "/" in path else text

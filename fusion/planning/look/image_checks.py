@@ -1,4 +1,4 @@
-"""What a few pictures show at a glance: exposure, focus, speckle, and whether a pair still is what was calibrated."""
+"""Checks of a few images: exposure, focus, speckle, and the calibration of a pair."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LEVELS = 200  # grey values of a dark picture that show a pattern: its bit depth
 DARK, BLACK = 0.1, 0.3  # brightest pixel over full scale; brightness over that of the first frame
 SATURATED, MUCH_SATURATED = 0.002, 0.02  # share of the body's pixels
 LOW_CONTRAST = 0.03  # standard deviation over full scale
-FINE_PX, COARSE_PX, UNLIKE = 2.5, 7.5, 1.5
+FINE_PX, COARSE_PX, MAX_SPECKLE_RATIO = 2.5, 7.5, 1.5
 SMALL_AREA = 0.02  # share of the picture
 LARGEST_PX = 400  # side of the pictures in which features are matched
 FEATURES = 2000  # of each picture
@@ -33,7 +33,7 @@ FEWEST_MATCHES, FEWEST_ON_LINES = 20, 0.2
 
 @dataclass(frozen=True)
 class CameraExamination:
-    """A camera's first frame at a glance: textured area, speckle size px, subsets, position noise px of each."""
+    """First frame of a camera: textured area, speckle size, subsets, noise of their positions."""
 
     image: GreyImage
     area: BoolArray
@@ -44,7 +44,10 @@ class CameraExamination:
 
 
 def examine_camera(where: str, images: ImageSequence) -> tuple[list[Finding], CameraExamination | None]:
-    """Look at some frames of a camera; None where its first one is of no use."""
+    """Return the findings of some frames of a camera, and its examination.
+
+    The latter is None if the first frame is unusable.
+    """
     chosen = sorted({round(i * (len(images) - 1) / (FRAMES - 1)) for i in range(FRAMES)})
     first = images.read(chosen[0])
     others = {i: images.read(i)[::EVERY, ::EVERY] for i in chosen[1:]}
@@ -65,8 +68,8 @@ def examine_camera(where: str, images: ImageSequence) -> tuple[list[Finding], Ca
     full, where_cut = float(np.mean(inside >= limit)), "" if clipped is None else f" at {limit} of {images.full_scale}"
     if full > SATURATED:
         verdict: Verdict = "REPEAT" if full > MUCH_SATURATED else "CHECK"
-        told = f"overexposed: {100 * full:.2g} % of the body's pixels are saturated{where_cut}"
-        found.append(Finding(verdict, where, told))
+        text = f"overexposed: {100 * full:.2g} % of the body's pixels are saturated{where_cut}"
+        found.append(Finding(verdict, where, text))
     if float(inside.std()) < LOW_CONTRAST * images.full_scale:
         share = 100 * float(inside.std()) / images.full_scale
         found.append(Finding("CHECK", where, f"low contrast: speckle is {share:.2g} % of full scale (rms)"))
@@ -84,7 +87,7 @@ def examine_camera(where: str, images: ImageSequence) -> tuple[list[Finding], Ca
 def _brightness(
     where: str, first: GreyImage, others: dict[int, NDArray[np.unsignedinteger]], full_scale: int
 ) -> Iterator[Finding]:
-    """Yield frames that are dark, alone or all of them."""
+    """Yield dark frames."""
     if float(first.max()) < DARK * full_scale:
         verdict: Verdict = "REPEAT" if first.max() < LEVELS else "CHECK"
         yield Finding(verdict, where, f"dark: the brightest pixel is {int(first.max())} of {full_scale}")
@@ -96,10 +99,10 @@ def _brightness(
 
 
 def _sigma_px(image: GreyImage, area: BoolArray, radius_px: int) -> float:
-    """Return what noise leaves of the place of a subset in px: √2·σ/√Σf_x², σ from the second differences.
+    """Return the position noise of a subset in px: √2·σ/√Σf_x², σ from second differences.
 
-    Noise by Immerkær's operator, which knows no planes (Computer Vision and Image Understanding 64 (1996) 300), in the
-    tenth of the picture where it answers least.
+    The noise is by Immerkær's operator, which suppresses planes (Computer Vision and Image Understanding 64 (1996)
+    300), in the tenth of the image with the smallest values.
     """
     grey = image.astype(np.float64)
     rough = np.abs(
@@ -116,7 +119,10 @@ def _sigma_px(image: GreyImage, area: BoolArray, radius_px: int) -> float:
 
 @dataclass(frozen=True)
 class PairPrecision:
-    """A pair at a glance: covariance (3, 3) in m² of the body's mean displacement between two frames, camera frame."""
+    """Precision of a pair: covariance (3, 3) in m² of the body's mean displacement.
+
+    It is that between two frames, in the camera frame.
+    """
 
     covariance_m2: FloatArray
 
@@ -124,9 +130,9 @@ class PairPrecision:
 def examine_pair(
     where: str, rig: StereoRig, left: CameraExamination, right: CameraExamination
 ) -> tuple[list[Finding], PairPrecision | None]:
-    """Look at the first frames of a pair together: do features lie on their epipolar lines, does the foil repeat."""
+    """Return the findings of a pair's first frames: epipolar residuals and repetition."""
     found = []
-    if max(left.speckle_px, right.speckle_px) > UNLIKE * min(left.speckle_px, right.speckle_px):
+    if max(left.speckle_px, right.speckle_px) > MAX_SPECKLE_RATIO * min(left.speckle_px, right.speckle_px):
         side = "left" if left.speckle_px > right.speckle_px else "right"
         sizes = f"{left.speckle_px:.2g} px left, {right.speckle_px:.2g} px right"
         found.append(Finding("CHECK", where, f"the {side} camera is out of focus: speckle of {sizes}"))
@@ -146,8 +152,8 @@ def examine_pair(
         found.append(Finding("FIX MANIFEST", where, text))
         return found, None
     if share < FEWEST_ON_LINES:
-        told = f"{100 * share:.2g} % of {len(matches[0])} features lie on their epipolar lines"
-        found.append(Finding("FIX MANIFEST", where, f"is not what was calibrated, or sees two things: {told}"))
+        text = f"{100 * share:.2g} % of {len(matches[0])} features lie on their epipolar lines"
+        found.append(Finding("FIX MANIFEST", where, f"is not what was calibrated, or sees two things: {text}"))
         return found, None
     near = straight < INLIER_PX
     off = float(np.median(straight[near]))
@@ -158,15 +164,15 @@ def examine_pair(
         )
     sigma = [np.eye(2) * camera.sigma_px**2 for camera in (left, right)]
     points = triangulate(rig, matches[0][None, near], matches[1][None, near], *sigma)
-    known = np.isfinite(points.covariance_m2[0]).all(axis=(1, 2))
-    if not known.any() or not len(left.points_px):
+    finite = np.isfinite(points.covariance_m2[0]).all(axis=(1, 2))
+    if not finite.any() or not len(left.points_px):
         return found, None
     # Two frames, the reference and the one that moved, in every displacement.
-    return found, PairPrecision(2.0 * np.median(points.covariance_m2[0][known], axis=0) / len(left.points_px))
+    return found, PairPrecision(2.0 * np.median(points.covariance_m2[0][finite], axis=0) / len(left.points_px))
 
 
 def _matches(left: GreyImage, right: GreyImage) -> tuple[FloatArray, FloatArray]:
-    """Return features (M, 2) that both pictures have, found in smaller ones where they are large."""
+    """Return features (M, 2) in both images; large images are reduced first."""
     import cv2
 
     factor = max(1.0, max(left.shape) / LARGEST_PX)

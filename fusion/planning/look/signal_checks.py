@@ -1,4 +1,4 @@
-"""What recorders' channels show at a glance: clipping, dead channels, drift, mains, triggers, lines that fold."""
+"""Checks of channels: clipping, failure, drift, mains, triggers, aliases."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ LOOKED_AT = 1 << 16  # samples in which lines are looked for
 FEWEST = 64
 DRIFTS, MAINS = 0.2, 0.05  # over the amplitude of the driven line
 DRIVEN_SHARE = 0.7  # of the driven direction along a channel's, from which on it must see the line
-APART_BINS, LOST_BINS = 1.0, 0.5  # within which lines disturb each other; cannot be distinguished
+CLOSE_BINS, LOST_BINS = 1.0, 0.5  # within which lines disturb each other; cannot be distinguished
 
 
 @dataclass(frozen=True)
 class LineStrength:
-    """A driven line in a channel: its amplitude in SI of the quantity, and the relative u that noise leaves of it."""
+    """A driven line in a channel: amplitude in SI and relative u by noise."""
 
     entry: ChannelEntry
     frequency_hz: float
@@ -38,7 +38,7 @@ class LineStrength:
 
 
 def examine_channels(manifest: Manifest, record: DaqRecord) -> tuple[list[Finding], list[LineStrength]]:
-    """Look at the channels of a recorder: what is wrong with each, and how strong the driven lines are in it."""
+    """Return the findings of a recorder's channels, and the amplitudes of the driven lines."""
     daq, raw = record.entry, record.raw
     found: list[Finding] = []
     strengths: list[LineStrength] = []
@@ -62,8 +62,8 @@ def examine_channels(manifest: Manifest, record: DaqRecord) -> tuple[list[Findin
             continue
         folds = folding(manifest.excitation.frequencies or (), rate_hz, samples)
         if folds and not all(entry.response for entry in entries):
-            told = f"{describe_folds(folds)} at {rate_hz:g} samples/s, unless an anti-aliasing filter keeps it off"
-            found.append(Finding("CHECK", daq.name, told))
+            text = f"{describe_folds(folds)} at {rate_hz:g} samples/s, unless an anti-aliasing filter keeps it off"
+            found.append(Finding("CHECK", daq.name, text))
         for finding, strength in _lines(manifest, daq, entries, raw):
             found += finding
             strengths += strength
@@ -73,7 +73,7 @@ def examine_channels(manifest: Manifest, record: DaqRecord) -> tuple[list[Findin
 def _lines(
     manifest: Manifest, daq: Daq, entries: Sequence[ChannelEntry], raw: Mapping[str, RawChannel]
 ) -> Iterator[tuple[list[Finding], list[LineStrength]]]:
-    """Yield what the spectra of channels show that were sampled alike, channel by channel."""
+    """Yield findings and driven lines of channels with equal sampling, channel by channel."""
     nominal = manifest.excitation.frequencies or ()
     rate_hz, samples = raw[entries[0].name].sample_rate_hz, len(raw[entries[0].name].samples)
     values = np.stack([raw[entry.name].samples[:LOOKED_AT] for entry in entries], axis=1)
@@ -94,10 +94,10 @@ def _lines(
                 u = float(survey.u_amplitude[i, c]) / amplitude * np.sqrt(length / samples)
                 strengths.append(LineStrength(entry, frequency, abs(entry.scale) * amplitude, u))
             elif _must_see(manifest, entry):
-                found.append(_unseen(where, frequency, survey, c))
+                found.append(_missing_line(where, frequency, survey, c))
         strongest = max((s.amplitude / abs(entry.scale) for s in strengths), default=0.0)
         if strongest > 0.0:
-            found += _beside_the_line(where, raw[entry.name], strongest, driven=_must_see(manifest, entry))
+            found += _drift_and_steps(where, raw[entry.name], strongest, driven=_must_see(manifest, entry))
             mains = [
                 (float(survey.amplitude[i, c]), survey.frequency_hz[i], origin)
                 for i, origin in enumerate(survey.origin)
@@ -109,8 +109,11 @@ def _lines(
         yield found, strengths
 
 
-def _unseen(where: str, frequency_hz: float, survey: Survey, c: int) -> Finding:
-    """Say that a channel lacks a driven line: another line that it shows instead is a mistake of the manifest."""
+def _missing_line(where: str, frequency_hz: float, survey: Survey, c: int) -> Finding:
+    """Return a missing driven line, with the line in its place.
+
+    Another line in its place is a mistake of the manifest.
+    """
     text = f"shows nothing at {frequency_hz:g} Hz, which it should see"
     driven = [
         (float(survey.amplitude[i, c]), float(survey.frequency_hz[i]))
@@ -122,13 +125,13 @@ def _unseen(where: str, frequency_hz: float, survey: Survey, c: int) -> Finding:
     return Finding("FIX MANIFEST", where, f"{text}; its strongest line lies at {max(driven)[1]:.6g} Hz")
 
 
-def _beside_the_line(where: str, channel: RawChannel, amplitude: float, *, driven: bool) -> Iterator[Finding]:
-    """Yield what drifts, and what hardly moves the converter."""
+def _drift_and_steps(where: str, channel: RawChannel, amplitude: float, *, driven: bool) -> Iterator[Finding]:
+    """Yield drift, and a signal of few converter steps."""
     tenth = max(len(channel.samples) // 10, 1)
     drift = abs(float(np.mean(channel.samples[-tenth:]) - np.mean(channel.samples[:tenth])))
     if drift > DRIFTS * amplitude:
-        told = f"drifts by {drift:.3g} {channel.unit}, {100 * drift / amplitude:.2g} % of its driven line"
-        yield Finding("CHECK", where, " ".join(told.split()))
+        text = f"drifts by {drift:.3g} {channel.unit}, {100 * drift / amplitude:.2g} % of its driven line"
+        yield Finding("CHECK", where, " ".join(text.split()))
     step = converter_step(channel.samples) if driven else 0.0
     if step > 0.0 and amplitude < FEWEST_STEPS * step:
         coarse = Defect("steps", np.zeros((0, 2), dtype=np.int64), (), step, amplitude / step)
@@ -136,7 +139,7 @@ def _beside_the_line(where: str, channel: RawChannel, amplitude: float, *, drive
 
 
 def _must_see(manifest: Manifest, entry: ChannelEntry) -> bool:
-    """Whether a channel looks along what is driven: motion by its direction, an output by its name."""
+    """Return whether a channel measures the driven direction."""
     driven = np.asarray(manifest.excitation.direction or ())
     if len(driven) != 3:
         return False
@@ -151,7 +154,7 @@ def _must_see(manifest: Manifest, entry: ChannelEntry) -> bool:
 
 
 def fit_trigger_channel(record: DaqRecord, entry: ChannelEntry) -> TriggerFit | str:
-    """Return the periodic model of a trigger channel, or why there is none."""
+    """Return the periodic model of a trigger channel, or the reason without one."""
     try:
         return record.fit_trigger(entry)
     except ValueError as error:
@@ -159,13 +162,13 @@ def fit_trigger_channel(record: DaqRecord, entry: ChannelEntry) -> TriggerFit | 
 
 
 def examine_trigger(where: str, fit: TriggerFit | str) -> Iterator[Finding]:
-    """Yield what is wrong with the edges of a trigger."""
+    """Yield the errors of a trigger's edges."""
     if isinstance(fit, str):
         yield Finding("REPEAT", where, f"is no periodic trigger: {fit}")
         return
     if fit.missing:
-        told = ", ".join(map(str, fit.missing[:5])) + (" …" if len(fit.missing) > 5 else "")
-        yield Finding("REPEAT", where, f"{len(fit.missing)} of {fit.edges} trigger edges are lost (number {told})")
+        numbers = ", ".join(map(str, fit.missing[:5])) + (" …" if len(fit.missing) > 5 else "")
+        yield Finding("REPEAT", where, f"{len(fit.missing)} of {fit.edges} trigger edges are lost (number {numbers})")
     if fit.doubled or fit.spurious:
         yield Finding("CHECK", where, f"{fit.doubled + fit.spurious} edges are doubled or stray")
     if fit.scatters:
@@ -173,19 +176,19 @@ def examine_trigger(where: str, fit: TriggerFit | str) -> Iterator[Finding]:
 
 
 def examine_beat(where: str, frequencies_hz: Sequence[float], fit: TriggerFit, frames: int) -> Iterator[Finding]:
-    """Yield where the cameras' rate folds driven lines onto each other, or onto standstill."""
+    """Yield driven lines that the camera rate aliases onto each other or onto zero."""
     rate_hz = 1.0 / fit.period_s
     lines = np.array(sorted(frequencies_hz), dtype=np.float64)
     bins = separation_bins(lines, rate_hz, frames) if len(lines) else np.inf
-    told = ", ".join(f"{f:g} Hz at {a:.3g} Hz" for f, a in zip(lines, alias_frequency(lines, rate_hz), strict=True))
-    if bins < APART_BINS:
+    aliases = ", ".join(f"{f:g} Hz at {a:.3g} Hz" for f, a in zip(lines, alias_frequency(lines, rate_hz), strict=True))
+    if bins < CLOSE_BINS:
         clear = nearest_clear_rate(lines, rate_hz, frames)
         advice = f"; {clear:.6g} frames/s keep all apart" if clear is not None else ""
         text = (
             f"at {rate_hz:.6g} frames/s driven lines fold to within {bins:.2g} of a bin of each other or of standstill"
         )
-        yield Finding("REPEAT" if bins < LOST_BINS else "CHECK", where, f"{text} ({told}){advice}")
+        yield Finding("REPEAT" if bins < LOST_BINS else "CHECK", where, f"{text} ({aliases}){advice}")
         return
     harmonics: FloatArray = np.outer(lines, (1.0, 2.0, 3.0)).ravel()
-    if len(lines) <= 5 and separation_bins(harmonics, rate_hz, frames) < APART_BINS:
+    if len(lines) <= 5 and separation_bins(harmonics, rate_hz, frames) < CLOSE_BINS:
         yield Finding("CHECK", where, f"at {rate_hz:.6g} frames/s a harmonic up to the third folds onto a driven line")

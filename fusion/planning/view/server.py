@@ -1,4 +1,4 @@
-"""The server of `shakercal view`: this machine only, by an address that nobody can guess, asked by its page only."""
+"""Server of `shakercal view`: only for this machine, at an address with a secret token."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ ApiHandlers = Mapping[str, Callable[[Mapping[str, str]], ApiResponse]]
 
 
 def page_files() -> dict[str, Path]:
-    """Return every file of the page by its name, the drawing library from the installed package among them."""
+    """Return every file of the page by its name, including the installed drawing library."""
     files = {path.name: path for path in PAGE.iterdir() if path.suffix in KINDS}
     spec = find_spec("bokeh")
     if spec is None or not spec.submodule_search_locations:
@@ -40,7 +40,10 @@ def page_files() -> dict[str, Path]:
 
 
 def table(head: Mapping[str, Any], *arrays: np.typing.NDArray[Any]) -> bytes:
-    """Return numbers as a page reads them fastest: length of a head, JSON, arrays of doubles, on 8-byte places."""
+    """Return numbers in the page's binary format.
+
+    The length of a head, JSON, and arrays of doubles, aligned to 8 bytes.
+    """
     text = json.dumps({**head, "lengths": [array.size for array in arrays]}, allow_nan=False).encode()
     text += b" " * (-(len(text) + 8) % 8)
     body = b"".join(np.ascontiguousarray(array, dtype="<f8").tobytes() for array in arrays)
@@ -48,12 +51,15 @@ def table(head: Mapping[str, Any], *arrays: np.typing.NDArray[Any]) -> bytes:
 
 
 class Server(ThreadingHTTPServer):
-    """A server on the loopback address; `address` is where its page is, with a token that every request repeats."""
+    """A server on the loopback address.
+
+    `address` is that of its page, with a token that every request repeats.
+    """
 
     daemon_threads = True
 
-    def __init__(self, answers: ApiHandlers, port: int = 0) -> None:
-        self.answers, self.token, self.files = answers, secrets.token_urlsafe(24), page_files()
+    def __init__(self, handlers: ApiHandlers, port: int = 0) -> None:
+        self.answers, self.token, self.files = handlers, secrets.token_urlsafe(24), page_files()
         try:
             super().__init__((LOOPBACK, port), Handler)
         except OSError as error:
@@ -63,12 +69,12 @@ class Server(ThreadingHTTPServer):
 
     @property
     def address(self) -> str:
-        """Where the page is."""
+        """Address of the page."""
         return f"http://{LOOPBACK}:{self.server_port}/{self.token}/"
 
 
 class Handler(BaseHTTPRequestHandler):
-    """Answers to GET: files of the page, and `api/NAME` with what was asked."""
+    """Handler of GET requests: files of the page, and `api/NAME` with a query."""
 
     server: Server
     protocol_version = "HTTP/1.1"
@@ -92,18 +98,20 @@ class Handler(BaseHTTPRequestHandler):
             return self._say(404, "text/plain", b"nothing is here")
         return self._say(200, f"{KINDS[file.suffix]}; charset=utf-8", file.read_bytes())
 
-    def _answer(self, what: str, asked: Mapping[str, str]) -> None:
-        """Answer with numbers or JSON; what is wrong with a file or a request in a sentence."""
+    def _answer(self, what: str, query: Mapping[str, str]) -> None:
+        """Answer with numbers or JSON; an error is reported in a sentence."""
         status, kind = 200, "application/json"
         try:
-            found = self.server.answers[what](asked)
+            found = self.server.answers[what](query)
             if isinstance(found, bytes):
                 kind, text = "application/octet-stream", found
             else:
                 text = json.dumps(found, allow_nan=False, separators=(",", ":")).encode()
         except (InputError, ComputeError, OSError, ValueError, ArithmeticError, LookupError) as error:
-            told = f"expected {error} in the address" if isinstance(error, KeyError) else " ".join(str(error).split())
-            status, text = 400, json.dumps({"error": told}).encode()
+            text_of_error = (
+                f"expected {error} in the address" if isinstance(error, KeyError) else " ".join(str(error).split())
+            )
+            status, text = 400, json.dumps({"error": text_of_error}).encode()
         return self._say(status, kind, text)
 
     def _say(self, status: int, kind: str, body: bytes) -> None:
@@ -123,4 +131,4 @@ class Handler(BaseHTTPRequestHandler):
         self.wfile.write(body)
 
     def log_message(self, *_: object) -> None:
-        """Say nothing on the terminal: an address is a token."""
+        """Suppress the log: an address contains the token."""

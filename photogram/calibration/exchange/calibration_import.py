@@ -1,4 +1,4 @@
-"""Calibration files of other programs, told apart by what they look like."""
+"""Import of other programs' calibration files, recognised by their content."""
 
 from __future__ import annotations
 
@@ -33,13 +33,16 @@ _LARGEST = 16 * 2**20  # bytes of a file or of a zipped part; calibrations have 
 _LARGEST_TEXT = 2**20  # of a text that is neither OpenCV's, XML nor JSON: these hold a calibration and nothing else
 _DEEPEST = 64  # lists within lists: readers follow these by recursion
 _QUOTED = re.compile(r""" "[^"]*" | '[^'\n]*' """, re.VERBOSE)
-_KNOWN = "OpenCV, DICe, VIC-3D, MatchID, MATLAB or its toolbox of Bouguet, ROS, Kalibr"
+_PROGRAMS = "OpenCV, DICe, VIC-3D, MatchID, MATLAB or its toolbox of Bouguet, ROS, Kalibr"
 _MOST_ARRAYS, _LONGEST_ARRAY = 1000, 2000  # in a file of NumPy; elements of one that is looked at
 _LONGEST_SENTENCE = 400  # of what is said of a file, which may quote it
 
 
 def parse_xml(content: bytes) -> ElementTree.Element:
-    """Return the root of an XML text, all tags and attributes in lower case; entities and deep nesting are refused."""
+    """Return the root of an XML text, tags and attributes in lower case.
+
+    Entities and deep nesting are refused.
+    """
     if b"<!ENTITY" in content.upper():
         raise ValueError("expected an XML text without entities of its own, found one")
     events, depth = ElementTree.iterparse(BytesIO(content), ("start", "end")), 0
@@ -59,7 +62,7 @@ def parse_xml(content: bytes) -> ElementTree.Element:
 
 
 def _vic3d_parts(content: bytes) -> ElementTree.Element | None:
-    """Return calibration and mask, cut out of the text of a VIC-3D project, as one element; None where they are not."""
+    """Return calibration and mask from the text of a VIC-3D project, None if absent."""
     begin = re.search(rb"<calibration\b", content, re.IGNORECASE)
     end = begin and re.compile(rb"</calibration\s*>", re.IGNORECASE).search(content, begin.start())
     mask = re.search(rb"<polygonmask\b[^<>]*>", content, re.IGNORECASE)
@@ -78,14 +81,33 @@ def import_calibration(
     even_radial: bool = False,
     distortion_model: DistortionModel | None = None,
 ) -> ImportedCalibration:
-    """Return the stereo pair of another program's calibration file; its content, not its name, tells the format.
+    """Import the stereo pair of another program's calibration file.
 
-    `image_size` (width, height): for files that do not hold it. `length_unit`: for OpenCV's files, which do not say it,
-    and against the unit that a format has by habit. `extrinsics`: the second file of OpenCV's sample program, which
-    writes intrinsics and extrinsics apart, or of ROS, that of the right camera. `even_radial`: k1 k2 k3 of DICe's text
-    belong to r², r⁴, r⁶. `distortion_model`: what four coefficients of OpenCV's files are. `ValueError` names the file
-    and what is wrong in it, or the argument that has no effect on such a file.
+    Parameters
+    ----------
+    path
+        file; its content, not its name, determines the format.
+    image_size
+        (width, height) in px, for files without it; default None.
+    length_unit
+        unit of lengths, for OpenCV's files, and instead of the usual unit of a format; default None.
+    extrinsics
+        second file, of OpenCV's sample program or of ROS (right camera); default None.
+    even_radial
+        k1 k2 k3 of DICe's text are those of r², r⁴, r⁶; default False.
+    distortion_model
+        model of four coefficients of OpenCV's files; default None.
 
+    Returns
+    -------
+    The pair, the format and notices.
+
+    Raises
+    ------
+    ValueError : names the file and the error in it, or an argument without effect on such a file.
+
+    Examples
+    --------
     >>> import json
     >>> from pathlib import Path
     >>> from tempfile import TemporaryDirectory
@@ -115,7 +137,7 @@ def import_calibration(
 
 @contextmanager
 def _one_sentence(path: Path) -> Iterator[None]:
-    """Tell what is wrong with a file in one sentence that names it and quotes little of it."""
+    """Raise `ValueError` in one sentence that names the file and quotes little of it."""
     try:
         yield
     except (ValueError, RecursionError, OverflowError, MemoryError) as error:
@@ -147,7 +169,7 @@ def _second(path: Path) -> str:
 
 @contextmanager
 def _unpacking() -> Iterator[None]:
-    """Tell what is wrong with a zipped file."""
+    """Raise `ValueError` for a zipped file that cannot be unpacked."""
     try:
         yield
     except (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError, OSError) as error:
@@ -155,7 +177,7 @@ def _unpacking() -> Iterator[None]:
 
 
 def _content(path: Path) -> bytes:
-    """Return a file's content; of a zipped VIC-3D project the one part that matters."""
+    """Return a file's content; of a zipped VIC-3D project the calibration part."""
     if path.exists() and not path.is_file():
         raise ValueError("expected a file, found a folder or a device")
     if path.stat().st_size > _LARGEST:
@@ -173,7 +195,7 @@ def _content(path: Path) -> bytes:
 
 
 def _text(text: str) -> str:
-    """Return a text whose lists and objects are not nested too deep for the readers."""
+    """Return a text unless its lists and objects are nested too deeply."""
     bare = _QUOTED.sub("", re.sub(r"\\.", "", text, flags=re.DOTALL))
     marks = np.frombuffer(bare.encode("utf-8", errors="replace"), dtype=np.uint8)
     steps = np.isin(marks, list(b"[{")).astype(np.int64) - np.isin(marks, list(b"]}"))
@@ -184,7 +206,7 @@ def _text(text: str) -> str:
 
 
 def _arrays(path: Path) -> dict[str, Any] | None:
-    """Return the arrays of a file of `numpy.savez` as lists by name, None of another file."""
+    """Return the arrays of a `numpy.savez` file by name, None of another file."""
     if not zipfile.is_zipfile(path):
         return None
     with _unpacking(), zipfile.ZipFile(path) as archive:
@@ -197,7 +219,7 @@ def _arrays(path: Path) -> dict[str, Any] | None:
 
 
 def _array(name: str, content: bytes) -> Any:
-    """Return an array of a .npy file as lists, None of what is long and of no camera."""
+    """Return an array of a .npy file as lists, None for a long one."""
     stream = BytesIO(content)
     try:
         read = {(1, 0): read_array_header_1_0, (2, 0): read_array_header_2_0}[read_magic(stream)]
@@ -211,7 +233,7 @@ def _array(name: str, content: bytes) -> Any:
 
 
 def _read(path: Path, second: str | None, even_radial: bool, model: DistortionModel | None) -> StatedCalibration:
-    """Return what a file of any known format states."""
+    """Return the content of a file of any known format."""
     arrays = _arrays(path) if path.is_file() else None
     if arrays is not None:
         return read_opencv(arrays, second, model)
@@ -231,7 +253,7 @@ def _read(path: Path, second: str | None, even_radial: bool, model: DistortionMo
 
 
 def _read_json(text: str, second: str | None, model: DistortionModel | None) -> StatedCalibration:
-    """Return what a JSON file states."""
+    """Return the content of a JSON file."""
     values = parse_json(text)
     if "CameraParameters1" in values:
         return read_matlab(values)
@@ -241,7 +263,7 @@ def _read_json(text: str, second: str | None, model: DistortionModel | None) -> 
 
 
 def _read_lines(text: str, second: str | None, even_radial: bool, model: DistortionModel | None) -> StatedCalibration:
-    """Return what a YAML file or another text states."""
+    """Return the content of a YAML file or another text."""
     if re.search(r"^cam\d+:\s*$", text, re.MULTILINE):
         return read_kalibr(text)
     of_a_pair = text.startswith("%YAML") or re.search(r"^(R|T|rotation|translation)\w*:", text, re.MULTILINE)
@@ -259,12 +281,12 @@ def _read_lines(text: str, second: str | None, even_radial: bool, model: Distort
     if re.match(r"---(\s|$)|[^\W\d][\w. -]*:(\s|$)", lines[0]):
         return read_opencv(text, second, model)
     if not any(character.isdigit() for character in lines[0].split("#")[0]):
-        raise ValueError(f"expected a calibration of {_KNOWN}, found {lines[0][:40]!r}")
+        raise ValueError(f"expected a calibration of {_PROGRAMS}, found {lines[0][:40]!r}")
     return read_dice_text(text, even_radial)
 
 
 def _read_xml(content: bytes, even_radial: bool) -> StatedCalibration | None:
-    """Return what an XML file states, None where it is OpenCV's."""
+    """Return the content of an XML file, None if it is OpenCV's."""
     notices: tuple[Notice, ...] = ()
     try:
         root = parse_xml(content)

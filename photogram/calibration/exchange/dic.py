@@ -40,11 +40,11 @@ _TEXT_ORDER = "cx cy fx fy fs k1 k2 k3 of either camera, alpha beta gamma or R11
 
 
 def read_dice_xml(root: ElementTree.Element, even_radial: bool = False) -> StatedCalibration:
-    """Return what a DICe camera system file holds (`DICe_Camera.cpp`, `DICe_CameraSystem.cpp` of dicengine).
+    """Read a DICe camera system (`DICe_Camera.cpp`, `DICe_CameraSystem.cpp` of dicengine).
 
-    Either camera has x_camera = R·x_world + t, or, with `extrinsics_relative_camera_to_camera`, the second one
-    x₁ = R·x₀ + t. Angles ALPHA BETA GAMMA in degrees, R = R_z·R_y·R_x. Lengths in the unit of the target's spacing, mm
-    by the program's habit. `even_radial`: coefficients said to belong to r, r², r³ belong to r², r⁴, r⁶.
+    Each camera has x_camera = R·x_world + t, or, with `extrinsics_relative_camera_to_camera`, the second one x₁ = R·x₀
+    + t. Angles ALPHA BETA GAMMA in degrees, R = R_z·R_y·R_x. Lengths are in the unit of the target's spacing, by
+    default mm. `even_radial`: coefficients stated for r, r², r³ are used for r², r⁴, r⁶.
     """
     system = _parameters(root)
     kind = system.get("XML_FILE_FORMAT", "")
@@ -64,7 +64,7 @@ def read_dice_xml(root: ElementTree.Element, even_radial: bool = False) -> State
 
 
 def _by_order(left: Lens, right: Lens, even_radial: bool) -> tuple[tuple[Lens, Lens], tuple[Notice, ...]]:
-    """Return both lenses in the order of radial powers that is asked for, and what is to be said of it."""
+    """Return both lenses with the chosen radial powers and a notice of the choice."""
     linear = [lens for lens in (left, right) if lens.exponents == _POWERS[_LINEAR]]
     if even_radial and not linear:
         raise ValueError(f"even_radial: expected coefficients of {_LINEAR}, found others, whose powers of r are stated")
@@ -82,11 +82,11 @@ def _by_order(left: Lens, right: Lens, even_radial: bool) -> tuple[tuple[Lens, L
 
 
 def read_dice_text(text: str, even_radial: bool = False) -> StatedCalibration:
-    """Return what DICe's former text holds: one number a line, comments after #.
+    """Read DICe's former text format: one number a line, comments after #.
 
-    Order: cx cy fx fy fs k1 k2 k3 of either camera, then α β γ (degrees) or R by rows, tx ty tz of x₁ = R·x₀ + t, then
-    height and width where they are given. k1 k2 k3 belong to r, r², r³, as DICe itself reads them
-    (`Camera_System::read_camera_system_file`, K1R1_K2R2_K3R3), with `even_radial` to r², r⁴, r⁶.
+    Order: cx cy fx fy fs k1 k2 k3 of each camera, then α β γ (degrees) or R by rows, tx ty tz of x₁ = R·x₀ + t, then
+    optionally height and width. k1 k2 k3 are those of r, r², r³, as DICe reads them
+    (`Camera_System::read_camera_system_file`, K1R1_K2R2_K3R3), with `even_radial` those of r², r⁴, r⁶.
     """
     words = [word for line in text.splitlines() if (word := line.split("#", 1)[0].strip())]
     extrinsic, has_size = {22: (6, False), 24: (6, True), 28: (12, False), 30: (12, True)}.get(len(words), (0, False))
@@ -105,14 +105,14 @@ def read_dice_text(text: str, even_radial: bool = False) -> StatedCalibration:
 
 
 def _parameters(element: ElementTree.Element) -> dict[str, str]:
-    """Return the values of a list's own parameters by upper-case name."""
+    """Return the values of a list's direct parameters by upper-case name."""
     return {part.get("name", "").upper(): part.get("value", "") for part in element.findall("parameter")}
 
 
 def _camera(
     name: str, element: ElementTree.Element
 ) -> tuple[Lens, tuple[int, int], FloatArray, FloatArray, tuple[Notice, ...]]:
-    """Return lens, size, rotation and translation of one camera, and which of its coefficients have no effect."""
+    """Return lens, size, rotation, translation and notices of one camera."""
     values = _parameters(element)
 
     def number(key: str) -> float:
@@ -168,13 +168,13 @@ def _list(where: str, text: str, count: int) -> FloatArray:
 
 
 def read_vic3d(root: ElementTree.Element) -> StatedCalibration:
-    """Return what a VIC-3D project or calibration holds.
+    """Read a VIC-3D project or calibration.
 
     `camera`: cx cy fx fy s k1 k2 k3, as text or split into `intrinsics` and `distortion`, with u = fx·x_d + s·y_d + cx;
     `orientation`: α β γ (degrees) tx ty tz (mm) of x_camera = R_z(γ)·R_y(β)·R_x(α)·x_world + t (sdynpy,
-    `camera_matrix_from_vic_parameters`; dicengine, `DICe_CameraSystem.cpp`). The distortion is not published; of the
-    usual polynomials, 1 + k1·r² + k2·r⁴ + k3·r⁶ leaves the smallest epipolar residuals in a recording of the DIC
-    challenge with its VIC-3D calibration (`tests/photogram/test_calibration_import.py`).
+    `camera_matrix_from_vic_parameters`; dicengine, `DICe_CameraSystem.cpp`). The distortion is not published. Of the
+    usual polynomials, 1 + k1·r² + k2·r⁴ + k3·r⁶ has the smallest epipolar residuals in a recording of the DIC challenge
+    with its VIC-3D calibration (`tests/photogram/test_calibration_import.py`).
     """
     cameras = {camera.get("id", ""): camera for camera in root.iter("camera")}
     if set(cameras) != {"0", "1"}:
@@ -190,7 +190,7 @@ def read_vic3d(root: ElementTree.Element) -> StatedCalibration:
 
 
 def _vic3d_camera(name: str, camera: ElementTree.Element) -> tuple[Lens, FloatArray, FloatArray]:
-    """Return lens, in either spelling, rotation and translation (mm) of one camera."""
+    """Return lens, rotation and translation (mm) of one camera."""
     intrinsics, distortion, orientation = (camera.find(tag) for tag in ("intrinsics", "distortion", "orientation"))
     words = (camera.text or "").split()
     inner, radial = words[:5], words[5:]
@@ -222,15 +222,16 @@ _MATCHID_ANGLES = {"": 1.0, "deg": 1.0, "degrees": 1.0, "rad": 180 / np.pi, "rad
 
 
 def is_matchid(text: str) -> bool:
-    """Whether a text has the names of a MatchID calibration."""
+    """Return whether a text has the names of a MatchID calibration."""
     return re.search(r"^[ \t]*cam\d_fx(_px)?\b", text, re.IGNORECASE | re.MULTILINE) is not None
 
 
 def read_matchid(text: str) -> StatedCalibration:
-    """Return what a `.caldat` holds, cameras numbered 0 and 1 or 1 and 2, or the same names with `_px`, `_mm`, `_deg`.
+    """Read a `.caldat` of MatchID, or its names with `_px`, `_mm`, `_deg`.
 
-    Fx Fy Fs Cx Cy in px, Kappa 1 2 3 of r², r⁴, r⁶, P1 P2; x_second = R·x_first + T with R = R_z(ψ)·R_y(φ)·R_x(θ),
-    as pyvale writes it for MatchID and as a second camera looking at what the first one sees requires.
+    Cameras are numbered 0 and 1 or 1 and 2. Fx Fy Fs Cx Cy in px, Kappa 1 2 3 of r², r⁴, r⁶, P1 P2; x_second =
+    R·x_first + T with R = R_z(ψ)·R_y(φ)·R_x(θ), as pyvale writes it for MatchID. A second camera with the same field of
+    view requires this order.
     """
     values: dict[str, tuple[str, str]] = {}
     for line in text.lower().splitlines():

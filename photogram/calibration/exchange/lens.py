@@ -1,4 +1,4 @@
-"""Calibrations of other programs as this program has them: lens models, parameters, units."""
+"""Conversion of other lens models, units and rotations to those of this program."""
 
 from __future__ import annotations
 
@@ -24,13 +24,14 @@ _ESSENTIAL = 1e-3  # relative departure of an essential matrix from that of R an
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Lens(Arrays, shapes="focal_px 2; centre_px 2; radial 3; tangential 2; divisor 3; angular 4"):
-    """A pinhole with skew, radial and tangential distortion: focal_px, centre_px (2,), radial (3,), tangential (2,).
+    """A pinhole camera with skew, radial and tangential distortion.
 
-    With x = X/Z, y = Y/Z, r² = x² + y² and the factor g = (1 + Σ radial·r^exponents)/(1 + Σ divisor·r^(2, 4, 6)):
-    x_d = g·x + 2·p1·x·y + p2·(r² + 2x²), y_d = g·y + p1·(r² + 2y²) + 2·p2·x·y,
-    u = fx·x_d + skew·y_d + cx, v = fy·y_d + cy. With `angular` (4,), of a fisheye lens, g is θ_d/r alone, with
-    θ = arctan r and θ_d = θ·(1 + k1·θ² + k2·θ⁴ + k3·θ⁶ + k4·θ⁸) (Kannala and Brandt 2006, IEEE Transactions on Pattern
-    Analysis and Machine Intelligence 28, 1335; OpenCV's `fisheye`, "equidistant" of ROS and Kalibr).
+    With x = X/Z, y = Y/Z, r² = x² + y² and the factor g = (1 + Σ radial·r^exponents)/(1 + Σ divisor·r^(2, 4, 6)): x_d =
+    g·x + 2·p1·x·y + p2·(r² + 2x²), y_d = g·y + p1·(r² + 2y²) + 2·p2·x·y, u = fx·x_d + skew·y_d + cx, v = fy·y_d + cy.
+
+    With `angular` (4,), for a fisheye lens, g is θ_d/r, with θ = arctan r and θ_d = θ·(1 + k1·θ² + k2·θ⁴ + k3·θ⁶ +
+    k4·θ⁸) (Kannala and Brandt 2006, IEEE Transactions on Pattern Analysis and Machine Intelligence 28, 1335; OpenCV's
+    `fisheye`, "equidistant" of ROS and Kalibr).
     """
 
     focal_px: FloatArray
@@ -44,17 +45,17 @@ class Lens(Arrays, shapes="focal_px 2; centre_px 2; radial 3; tangential 2; divi
 
     @property
     def is_exact(self) -> bool:
-        """Whether a `Camera` describes it without any difference."""
+        """Whether a `Camera` describes it exactly."""
         return self.angular is None and (self.exponents == EVEN or not self.radial.any())
 
     @property
     def model(self) -> str:
-        """What a notice calls a distortion that is not exact."""
+        """Name of the distortion model in a notice."""
         return f"a distortion in powers {self.exponents} of r" if self.angular is None else "a fisheye distortion"
 
     @property
     def parameters(self) -> FloatArray:
-        """The vector (13,) of `CAMERA_PARAMETERS`, whatever the exponents."""
+        """Vector (13,) of `CAMERA_PARAMETERS`, for any exponents."""
         k1, k2, k3 = self.radial
         return np.array([*self.focal_px, *self.centre_px, k1, k2, *self.tangential, k3, *self.divisor, self.skew_px])
 
@@ -76,7 +77,7 @@ class Lens(Arrays, shapes="focal_px 2; centre_px 2; radial 3; tangential 2; divi
 
 
 def fisheye_radius(angle_rad: FloatArray, coefficients: FloatArray) -> FloatArray:
-    """Return θ_d of rays at angles θ to the axis, by the coefficients (4,) of a fisheye lens."""
+    """Return θ_d of rays at angles θ to the axis for fisheye coefficients (4,)."""
     return np.asarray(angle_rad * np.polynomial.polynomial.polyval(angle_rad**2, [1.0, *coefficients]))
 
 
@@ -87,9 +88,9 @@ def fisheye(focal_px: FloatArray, centre_px: FloatArray, coefficients: FloatArra
 
 @dataclass(frozen=True, eq=False)
 class NearestCamera:
-    """The camera nearest to a lens: in a frame turned by `turn` (3,), a rotation vector in rad, it sees what that sees.
+    """The camera nearest to a lens, in a rotated frame, with the largest difference.
 
-    `largest_px`: the largest difference left over the picture.
+    `turn` (3,): rotation vector in rad of that frame. `largest_px`: largest difference over the image.
     """
 
     camera: Camera
@@ -98,10 +99,10 @@ class NearestCamera:
 
 
 def nearest_camera(lens: Lens, size_px: IntArray) -> NearestCamera:
-    """Return the camera that sees, with least squares over the picture, what a lens sees.
+    """Return the least-squares camera for a lens over the image.
 
-    A lens of this program's form is taken over as it is. Another radial polynomial is fitted by this one's, with the
-    matrix; a fisheye lens by the rational model.
+    A lens of this program's form is used unchanged. Another radial polynomial is approximated by this one, together
+    with the matrix; a fisheye lens by the rational model.
     """
     if lens.is_exact:
         return NearestCamera(Camera.from_parameters(lens.parameters, size_px), np.zeros(3), 0.0)
@@ -123,15 +124,15 @@ TURN = ("x", "y", "z")
 def fit_camera(
     pixel: FloatArray, normalised: FloatArray, start: FloatArray, free: Sequence[str], size_px: IntArray
 ) -> NearestCamera:
-    """Return the camera, by least squares, that sees points (N, 2) with X/Z, Y/Z (N, 2) at pixels (N, 2).
+    """Fit a camera that projects X/Z, Y/Z (N, 2) to pixels (N, 2).
 
-    Parameters (13,) begin at `start`; `free` names those that are fitted and components of the turn about x, y, z.
+    Parameters (13,) begin at `start`. `free` names the fitted ones and components of the rotation about x, y, z.
     """
     from scipy.optimize import least_squares
 
     rays = np.column_stack([normalised, np.ones(len(normalised))])
     names = (*CAMERA_PARAMETERS, *TURN)
-    places = [names.index(name) for name in free]
+    indices = [names.index(name) for name in free]
     # Each unknown in steps that move the corner by about 1 px.
     radius = float(np.linalg.norm(normalised, axis=1).max())
     reach = float(start[:2].mean())
@@ -145,7 +146,7 @@ def fit_camera(
 
     def moved(scaled: FloatArray) -> tuple[Camera, FloatArray]:
         values = np.concatenate([start, np.zeros(3)])
-        values[places] += scaled * steps
+        values[indices] += scaled * steps
         return Camera.from_parameters(values[:-3], size_px), values[-3:]
 
     def difference(scaled: FloatArray) -> FloatArray:
@@ -158,14 +159,14 @@ def fit_camera(
 
 
 def pixel_grid(size_px: IntArray) -> FloatArray:
-    """Return a grid (N, 2) of pixels over the picture, its corners included."""
+    """Return a grid (N, 2) of pixels over the image, including its corners."""
     width, height = (float(length) - 1.0 for length in size_px)
     columns, rows = np.meshgrid(np.linspace(0.0, width, _GRID), np.linspace(0.0, height, _GRID))
     return np.stack([columns.ravel(), rows.ravel()], axis=1)
 
 
 def _seen(lens: Lens, size_px: IntArray) -> FloatArray:
-    """Return the normalised coordinates (N, 2) of a grid of pixels over the picture, by fixed-point steps."""
+    """Return the normalised coordinates (N, 2) of a grid of pixels, by fixed-point steps."""
     pixel = pixel_grid(size_px)
     normalised = (pixel - lens.centre_px) / lens.focal_px
     for _ in range(_STEPS):
@@ -179,7 +180,7 @@ def _seen(lens: Lens, size_px: IntArray) -> FloatArray:
 
 
 def _seen_by_fisheye(lens: Lens, coefficients: FloatArray, size_px: IntArray) -> FloatArray:
-    """Return the normalised coordinates (N, 2) of a grid of pixels over the picture of a fisheye lens, from a table."""
+    """Return the normalised coordinates (N, 2) of a grid of pixels of a fisheye lens."""
     matrix = np.array([[lens.focal_px[0], lens.skew_px], [0.0, lens.focal_px[1]]])
     distorted = np.linalg.solve(matrix, (pixel_grid(size_px) - lens.centre_px).T).T
     angle = np.linspace(0.0, WIDEST_RAD, 20_001)
@@ -218,7 +219,7 @@ SIDES = ("left", "right")
 
 @dataclass(frozen=True, eq=False)
 class ImportedCalibration:
-    """A stereo pair read from another program's file, that file's format, and what the user should know."""
+    """A stereo pair from another program's file, with that file's format and notices."""
 
     rig: StereoRig
     format: str
@@ -227,11 +228,11 @@ class ImportedCalibration:
 
 @dataclass(frozen=True, eq=False)
 class StatedCalibration:
-    """What a file states: lenses, sizes (None where it has none), x_right = rotation·x_left + translation (file units).
+    """Content of a calibration file: lenses, sizes, rotation and translation in file units.
 
-    `unit` is the unit that the file or its format fixes, None where neither does; `habit` the one that its program
-    uses then, None where nobody can know. `essential` is name and value (3, 3) of the
-    pair's essential matrix where the file holds it.
+    x_right = rotation·x_left + translation. A size is None if the file has none. `unit` is fixed by the file or its
+    format, otherwise None. `habit` is the usual unit of its program, None if there is none. `essential` is name and
+    value (3, 3) of the pair's essential matrix, if the file has one.
     """
 
     format: str
@@ -246,14 +247,14 @@ class StatedCalibration:
 
 
 def unit_of(word: str | None) -> LengthUnit | None:
-    """Return the unit of length that a file's word means, None for none or another word."""
+    """Return the unit of length of a file's word, None for another word."""
     return None if word is None else _UNIT_WORDS.get(word.strip().lower())
 
 
 def build_rig(
     stated: StatedCalibration, image_size: tuple[int, int] | None, length_unit: LengthUnit | None
 ) -> ImportedCalibration:
-    """Return the stereo rig of what a file states."""
+    """Return the stereo rig of a file's content."""
     sizes, unit = _sizes(stated.sizes_px, image_size), length_unit or stated.unit or stated.habit
     if unit is None:
         raise ValueError(f"length_unit: expected m or mm, which a file of {stated.format} does not say")
@@ -288,9 +289,9 @@ def build_rig(
 
 
 def _distance(between: RigidTransform, unit: str, by_habit: bool) -> list[Notice]:
-    """Return what is said of two cameras too near to each other or too far apart for a pair.
+    """Return a notice of two cameras too near or too far apart for a pair.
 
-    `ValueError` where the unit is only its program's habit.
+    `ValueError` if the unit is only the usual one of the program.
     """
     distance = float(np.linalg.norm(between.translation_m))
     if NEAR_M <= distance <= FAR_M:
@@ -302,21 +303,21 @@ def _distance(between: RigidTransform, unit: str, by_habit: bool) -> list[Notice
 
 
 def _see_the_same(rig: StereoRig) -> bool:
-    """Return whether any ray of the left picture's middle half leads to a point that is within the right picture.
+    """Return whether the fields of view overlap, for the middle half of the left image.
 
-    By their matrices alone: what a lens bends does not matter at this scale.
+    Only the matrices are used: distortion is negligible for this purpose.
     """
     middle, baseline = (rig.left.size_px - 1) / 2, float(np.linalg.norm(rig.right_from_left.translation_m))
     pixel = middle + (pixel_grid(rig.left.size_px) - middle) / 2
     rays = np.column_stack([pixel, np.ones(len(pixel))]) @ np.linalg.inv(rig.left.matrix).T
     points = rig.right_from_left.apply((_DEPTHS[:, None, None] * baseline * rays).reshape(-1, 3))
     seen = points[points[:, 2] > 0] @ rig.right.matrix.T
-    place = seen[:, :2] / seen[:, 2:]
-    return bool(((place > -0.5) & (place < rig.right.size_px - 0.5)).all(axis=1).any())
+    pixel_right = seen[:, :2] / seen[:, 2:]
+    return bool(((pixel_right > -0.5) & (pixel_right < rig.right.size_px - 0.5)).all(axis=1).any())
 
 
 def _check_essential(name: str, given: FloatArray, stated: StatedCalibration) -> None:
-    """Refuse a file whose essential matrix is not that of its rotation and translation."""
+    """Raise `ValueError` unless the essential matrix is that of rotation and translation."""
     expected = skew(stated.translation) @ stated.rotation
     share = abs(float((given * expected).sum())) / (np.linalg.norm(given) * np.linalg.norm(expected))
     if not 1.0 - share < _ESSENTIAL**2:
@@ -324,7 +325,7 @@ def _check_essential(name: str, given: FloatArray, stated: StatedCalibration) ->
 
 
 def parse_numbers(where: str, values: Any, count: int | tuple[int, ...]) -> FloatArray:
-    """Return texts or numbers as an array of `count` elements or of that shape; `ValueError` names what is wrong."""
+    """Return texts or numbers as an array of `count` elements or of that shape."""
     shape = (count,) if isinstance(count, int) else count
     expected = " x ".join(str(length) for length in shape) + " numbers"
     try:
@@ -339,9 +340,10 @@ def parse_numbers(where: str, values: Any, count: int | tuple[int, ...]) -> Floa
 
 
 def rotation_from_cardan(angles_deg: FloatArray) -> FloatArray:
-    """Return R = R_z(γ)·R_y(β)·R_x(α) of the Cardan angles α, β, γ (3,) in degrees of VIC-3D and DICe.
+    """Return R = R_z(γ)·R_y(β)·R_x(α) of Cardan angles (3,) in degrees.
 
-    Dicengine, `Camera_Info::eulers_to_rotation_matrix`; the same matrix is in sdynpy's reader of VIC-3D projects.
+    The convention of VIC-3D and DICe (dicengine, `Camera_Info::eulers_to_rotation_matrix`; sdynpy's reader of VIC-3D
+    projects).
     """
     (sa, sb, sc), (ca, cb, cc) = np.sin(np.deg2rad(angles_deg)), np.cos(np.deg2rad(angles_deg))
     about_x = np.array([[1, 0, 0], [0, ca, -sa], [0, sa, ca]])
@@ -351,13 +353,13 @@ def rotation_from_cardan(angles_deg: FloatArray) -> FloatArray:
 
 
 def right_from_left(left: Sequence[FloatArray], right: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Return rotation and translation from the left to the right camera, of their poses x_camera = R·x_world + t."""
+    """Return rotation and translation from left to right, of poses x_camera = R·x_world + t."""
     rotation = right[0] @ np.linalg.inv(left[0])
     return rotation, right[1] - rotation @ left[1]
 
 
 def _sizes(sizes: tuple[tuple[int, int] | None, ...], option: tuple[int, int] | None) -> list[IntArray]:
-    """Return the image sizes (2,), width and height, of both cameras, from the file or from the caller."""
+    """Return the image sizes (2,), width and height, from the file or from the caller."""
     found = []
     for size in sizes:
         if size is None and option is None:
@@ -369,12 +371,12 @@ def _sizes(sizes: tuple[tuple[int, int] | None, ...], option: tuple[int, int] | 
 
 
 def _times(size: tuple[int, int]) -> str:
-    """The size as users write it."""
+    """Return the size as users write it."""
     return f"{size[0]}x{size[1]}"
 
 
 def approximation_notice(where: str, beyond: str, nearest: NearestCamera) -> Notice:
-    """Return what is said of a camera that lacks what is `beyond` it; `ValueError` where it is not near enough."""
+    """Return a notice of an approximated camera; `ValueError` for a large difference."""
     remain = f"up to {nearest.largest_px:.3f} px remain over the picture"
     if not nearest.largest_px <= UNUSABLE_PX:
         raise ValueError(f"{where}: {beyond} has no camera near enough: {remain}, {UNUSABLE_PX} px are allowed")
@@ -383,10 +385,7 @@ def approximation_notice(where: str, beyond: str, nearest: NearestCamera) -> Not
 
 
 def _camera(side: str, lens: Lens, size: IntArray, notices: list[Notice]) -> Camera:
-    """Return the camera of one side and note what it cannot describe; `ValueError` where none is near enough.
-
-    Noted is also a principal point that cannot belong to a picture of that size.
-    """
+    """Return the camera of one side, and add notices of its approximation and centre."""
     where = f"{side} camera"
     try:
         nearest = nearest_camera(lens, size)

@@ -59,13 +59,13 @@ Values = dict[str, tuple[str, Any]]
 def read_opencv(
     content: str | dict[str, Any], extrinsics: str | None = None, model: DistortionModel | None = None
 ) -> StatedCalibration:
-    """Return what an OpenCV file holds: matrices and distortions of two cameras, R and T with x₂ = R·x₁ + T.
+    """Read an OpenCV file: matrices and distortions of two cameras, x₂ = R·x₁ + T.
 
-    Names in any of the usual spellings (M1 D1 M2 D2 R T, cameraMatrix1 distCoeffs1, K_left, mtxL, left: {…}); a
+    Names are in any of the usual spellings (M1 D1 M2 D2 R T, cameraMatrix1 distCoeffs1, K_left, mtxL, left: {…}); a
     rotation vector is accepted for R. Distortion in OpenCV's order k1 k2 p1 p2 k3 k4 k5 k6; later coefficients, of thin
-    prisms and tilted sensors, must be zero. Four coefficients are k1 k2 p1 p2 or those of OpenCV's fisheye module,
-    which no file shows by its numbers: a key such as `distortion_model` or `fisheye_model` says it, or the caller. A
-    `length_unit` is this program's own addition. `content`: the text, or arrays by name.
+    prisms and tilted sensors, must be zero. Four coefficients are k1 k2 p1 p2 or those of OpenCV's fisheye module.
+    Their numbers do not distinguish them: a key such as `distortion_model` or `fisheye_model`, or the caller, states
+    the model. `length_unit` is an extension of this program. `content`: the text, or arrays by name.
     """
     values = _values(content)
     if extrinsics is not None:
@@ -85,9 +85,9 @@ def read_opencv(
     return StatedCalibration("OpenCV", (left, right), sizes, rotation, translation, unit, essential=essential)
 
 
-def _model(values: Values, asked: DistortionModel | None) -> DistortionModel | None:
-    """Return the model of distortion that a file's keys, or else the caller, state, None where neither does."""
-    found: dict[DistortionModel, str] = {} if asked is None else {asked: f"{asked} as asked for"}
+def _model(values: Values, requested: DistortionModel | None) -> DistortionModel | None:
+    """Return the distortion model of a file's keys or of the caller, None if unknown."""
+    found: dict[DistortionModel, str] = {} if requested is None else {requested: f"{requested} as asked for"}
     for name, (key, value) in values.items():
         if re.fullmatch(r"xi(\d|l|r|left|right)?|(left|right|camera\d)xi", name):
             raise ValueError(f"{key}: expected a pinhole or a fisheye lens, found one of the omnidirectional model")
@@ -126,7 +126,7 @@ def parse_json(text: str) -> Any:
 
 
 def _flat(prefix: str, content: Any) -> Iterator[tuple[str, Any]]:
-    """Yield name and value of everything, the names of objects within objects joined by points."""
+    """Yield name and value of everything; names of nested objects are joined by points."""
     if not isinstance(content, dict):
         yield prefix, content
     elif "data" in content and ("rows" in content or "sizes" in content):  # a matrix; a vector of OpenCV 5
@@ -139,9 +139,9 @@ def _flat(prefix: str, content: Any) -> Iterator[tuple[str, Any]]:
 def _storage(text: str) -> Any:
     """Return the content of a FileStorage text as nested objects.
 
-    OpenCV's parser follows what is nested by recursion, until the process dies: a text of YAML that may hold more than
-    `_DEEPEST` levels, by its brackets, by the indents of its lines and by names and dashes on one line, is not given to
-    it. XML has been looked at before.
+    OpenCV's parser is recursive without a limit and can crash the process. A YAML text that may have more than
+    `_DEEPEST` levels is therefore refused before: levels by brackets, by indents, and by names and dashes on one line.
+    XML is checked by the caller.
     """
     import cv2
 
@@ -164,7 +164,7 @@ def _storage(text: str) -> Any:
 
 
 def _node(node: Any, visited: Iterator[int]) -> Any:
-    """Return a node of a FileStorage as number, text, list, or object of such; long ones, of no camera, as None.
+    """Return a node of a FileStorage as plain value, None if it is long.
 
     Every access to an element walks the list to it.
     """
@@ -181,7 +181,7 @@ def _node(node: Any, visited: Iterator[int]) -> Any:
 
 
 def _pair(values: Values, names: tuple[str, ...], what: str) -> tuple[tuple[str, Any], tuple[str, Any]]:
-    """Return the values of the left and the right camera; `ValueError` where there are none, or those of one only."""
+    """Return the values of the left and the right camera, or raise `ValueError`."""
     for first, second in _SIDES:
         for name in names:
             for left, right in ((name + first, name + second), (first + name, second + name)):
@@ -232,7 +232,7 @@ def _lens(matrix: tuple[str, Any], distortion: tuple[str, Any], model: Distortio
 
 
 def _sizes(values: Values) -> tuple[tuple[int, int] | None, tuple[int, int] | None]:
-    """Return width and height of either camera's pictures where the file holds them, by camera or of both."""
+    """Return width and height of each camera's images, if the file has them."""
     for sides in _SIDES:
         for spelling in ("{name}{side}", "{side}{name}"):
             first, second = (_size(values, partial(spelling.format, side=side)) for side in sides)
@@ -243,7 +243,7 @@ def _sizes(values: Values) -> tuple[tuple[int, int] | None, tuple[int, int] | No
 
 
 def _size(values: Values, spelled: Callable[..., str]) -> tuple[int, int] | None:
-    """Return width and height under names that are spelled so."""
+    """Return width and height under one spelling of the names."""
     for name in _SIZES:
         if (key := spelled(name=name)) in values:
             width, height = parse_numbers(*values[key], 2)
@@ -262,11 +262,11 @@ _ROS_MODELS: dict[str, tuple[tuple[int, ...], DistortionModel]] = {  # their num
     "equidistant": ((4,), "fisheye"),
     "fisheye": ((4,), "fisheye"),
 }
-_PLACES = ("T_cn_cnm1", "T_cam_imu", "T_imu_cam")
+_POSE_KEYS = ("T_cn_cnm1", "T_cam_imu", "T_imu_cam")
 
 
 def parse_yaml(text: str) -> dict[str, Any]:
-    """Return the content of a YAML text of plain values; names that stand for other parts of the text are refused."""
+    """Return the content of a YAML text of plain values, without references."""
     try:
         import yaml
     except ImportError as error:
@@ -290,10 +290,10 @@ def parse_yaml(text: str) -> dict[str, Any]:
 
 
 def read_ros(text: str, second: str | None) -> StatedCalibration:
-    """Return what the `camera_info` files of a left and a right camera hold (sensor_msgs/CameraInfo, REP 104). m.
+    """Read the `camera_info` files of a left and a right camera (sensor_msgs/CameraInfo, REP 104).
 
-    The rectifying rotations turn both cameras into one frame, x_rect = R·x, in which P of the right one has the
-    baseline, P₁₄ = fx·B: x_right = R_rightᵀ·(R_left·x_left + (B, 0, 0)).
+    Lengths in m. The rectifying rotations transform both cameras into one frame, x_rect = R·x, in which P of the right
+    one has the baseline, P₁₄ = fx·B: x_right = R_rightᵀ·(R_left·x_left + (B, 0, 0)).
     """
     if second is None:
         raise ValueError("camera_info: expected the right camera's file as the second file, found the left one alone")
@@ -329,7 +329,7 @@ def read_ros(text: str, second: str | None) -> StatedCalibration:
 
 
 def _reduced(content: dict[str, Any]) -> Iterator[tuple[str, float]]:
-    """Yield what says that pictures are binned or cut, of which `camera_matrix` knows nothing."""
+    """Yield the keys of binned or cropped images, to which `camera_matrix` does not refer."""
     region = content.get("roi")
     parts = region if isinstance(region, dict) else {}
     for key, value, whole in (
@@ -349,10 +349,10 @@ def _ros_data(side: str, content: dict[str, Any], name: str) -> tuple[str, Any]:
 
 
 def read_kalibr(text: str) -> StatedCalibration:
-    """Return what a Kalibr camchain holds of two pinhole cameras, `radtan`, `equidistant` or `none`. Lengths in m.
+    """Read a Kalibr camchain of two pinhole cameras: `radtan`, `equidistant` or `none`.
 
-    `T_cn_cnm1` (4, 4): x_cam1 = T·x_cam0; else both cameras have `T_cam_imu`, x_cam = T·x_imu, or `T_imu_cam`, its
-    inverse.
+    Lengths in m. `T_cn_cnm1` (4, 4): x_cam1 = T·x_cam0. Otherwise both cameras have `T_cam_imu`, x_cam = T·x_imu, or
+    its inverse `T_imu_cam`.
     """
     content = parse_yaml(text)
     names = sorted(name for name in content if re.fullmatch(r"cam\d+", str(name)))
@@ -376,7 +376,9 @@ def read_kalibr(text: str) -> StatedCalibration:
         lenses.append(fisheye(focal, centre, k) if models[1] == "equidistant" else plain)
         width, height = parse_numbers(f"{name}.resolution", camera.get("resolution"), 2)
         sizes.append((int(width), int(height)))
-        poses.append({key: _place(f"{name}.{key}", camera[key]) for key in _PLACES if camera.get(key) is not None})
+        poses.append(
+            {key: _pose_matrix(f"{name}.{key}", camera[key]) for key in _POSE_KEYS if camera.get(key) is not None}
+        )
     if "T_cn_cnm1" in poses[1]:
         between = poses[1]["T_cn_cnm1"]
     elif "T_cam_imu" in poses[0] and "T_cam_imu" in poses[1]:
@@ -384,13 +386,13 @@ def read_kalibr(text: str) -> StatedCalibration:
     elif "T_imu_cam" in poses[0] and "T_imu_cam" in poses[1]:
         between = np.linalg.inv(poses[1]["T_imu_cam"]) @ poses[0]["T_imu_cam"]
     else:
-        raise ValueError(f"cam1: expected its place against cam0, one of {', '.join(_PLACES)}, found none")
+        raise ValueError(f"cam1: expected its place against cam0, one of {', '.join(_POSE_KEYS)}, found none")
     pair, both = (lenses[0], lenses[1]), (sizes[0], sizes[1])
     return StatedCalibration("Kalibr", pair, both, between[:3, :3], between[:3, 3], None, habit="m")
 
 
-def _place(where: str, value: Any) -> FloatArray:
-    """Return a transform (4, 4), its last row checked, so that it can be inverted."""
+def _pose_matrix(where: str, value: Any) -> FloatArray:
+    """Return a transform (4, 4) after a check that it can be inverted."""
     matrix = parse_numbers(where, value, (4, 4))
     if not np.array_equal(matrix[3], [0, 0, 0, 1]) or abs(np.linalg.det(matrix)) < 0.5:
         raise ValueError(f"{where}: expected a rigid transform with a last row 0 0 0 1, found {matrix.tolist()}")
