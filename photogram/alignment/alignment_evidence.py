@@ -30,9 +30,9 @@ from photogram.targets.target_view import Target, TargetView
 
 _POINT_STEP_M = 1e-6
 FEWEST_PIXELS = 4
-"""Points whose pixels in one camera leave one pose."""
+"""Least number of points for a unique pose from one camera."""
 CALIBRATION = "calibration"
-"""Name of the effects of the pair's own calibration."""
+"""Name of the effects of the pair's calibration."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -188,7 +188,7 @@ class KnownPixels(
         shown = self.camera.project(placed)
         lost = [name for name, pixel in zip(self.names, shown, strict=True) if not np.isfinite(pixel).all()]
         if lost:
-            raise ValueError(f"evidence: expected {lost[0]} before the camera, found it behind; check for mix-ups")
+            raise ValueError(f"evidence: expected {lost[0]} in front of the camera, found it behind; check for mix-ups")
         rate = derivatives(lambda step: self.camera.project(placed + step), np.full(3, _POINT_STEP_M))
         by_position = rate @ to_camera.rotation
         jacobian = -by_position @ displacement_jacobian(self.sensor_m)
@@ -217,7 +217,7 @@ class KnownPixels(
         rays = self.camera.undistort(self.pixel_px)
         try:
             found, *pose = cv2.solvePnP(self.sensor_m, rays, np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_SQPNP)
-        except cv2.error:  # as it tells points that leave the rotation open
+        except cv2.error:  # points that do not determine the rotation
             return None
         turn, shift = (np.asarray(part, dtype=np.float64).ravel() for part in pose)
         return RigidTransform(rotation_from_vector(turn), shift).inverse() if found else None
@@ -432,7 +432,7 @@ def _check_direction(name: str, direction: FloatArray) -> None:
         raise ValueError(f"{name}: expected a unit vector, found one of length {length:.9g}")
 
 
-# What a calibrated pair sees of points, targets and motions, with the effects of its calibration's errors.
+# Points and target poses measured by a calibrated pair, with the effects of its calibration.
 
 
 def calibration_steps(rig: StereoRig, scale_u: float = 0.0) -> FloatArray:

@@ -14,7 +14,7 @@ from photogram.motion import RigidMotion
 _RANK = 1e-10  # singular values below this share of the largest count as zero
 _STEPS = 30
 _CONVERGED = 1e-12
-_LEAST_TURN = 5.0  # turn of the body in standard uncertainties below which it has no axis
+_LEAST_TURN = 5.0  # least rotation of a body in standard uncertainties
 
 
 def linear_motion(
@@ -66,7 +66,7 @@ def fit_axis(motion: RigidMotion) -> RotationAxis:
     tilt = perpendicular_directions(direction)
     projected = tilt @ (np.eye(3) - rotation_from_vector(pose[:, 3:])) @ tilt.T
     point = np.linalg.lstsq(projected.reshape(-1, 2), (pose[:, :3] @ tilt.T).ravel(), rcond=None)[0]
-    line = np.concatenate([point @ tilt, direction])  # the point that moves least
+    line = np.concatenate([point @ tilt, direction])  # the point with the least motion
     angle = np.ptp(pose[:, 3:] @ direction)
     noise = float(np.sqrt(np.median(covariance[:, 3:, 3:] @ line[3:] @ line[3:])))
     if not angle > _LEAST_TURN * noise:
@@ -110,7 +110,7 @@ def _equations(
     by_axis[:, 2:, :2] = tilt @ (rotation - np.eye(3)) @ tilt.T
     by_axis[:, :2, 2:] = -(pose[:, 3:] @ direction)[:, None, None] * np.eye(2)
     by_axis[:, 2:, 2:] = -(moved @ direction)[:, None, None] * np.eye(2)
-    first = np.zeros((len(pose), 6, 6))  # T·exp(n): the first frame's noise moves every pose from the right
+    first = np.zeros((len(pose), 6, 6))  # T·exp(n): the noise of frame 0 multiplies every pose from the right
     first[:, :3, :3] = rotation
     first[:, 3:, 3:] = rotation_vector_rate(-pose[:, 3:])
     by_first = by_pose @ first

@@ -15,6 +15,7 @@ from photogram.alignment.alignment_evidence import (
     KnownPoses,
     PoseEvidence,
 )
+from photogram.alignment.alignment_notices import CONTRADICTORY_EVIDENCE
 from photogram.alignment.motion_axes import sum_of_squares
 from photogram.arrays import Arrays, FloatArray, IntArray
 from photogram.geometry import RigidTransform, fit_rigid, fixes_rotation, nearest_rotation, rotation_from_vector
@@ -38,7 +39,7 @@ def starting_pose(evidence: Sequence[PoseEvidence]) -> RigidTransform | None:
         try:
             return fit_rigid(camera, sensor)
         except ValueError:
-            pass  # points that leave the rotation open
+            pass  # points that do not determine the rotation
     return _pose_from_faces([item for item in evidence if isinstance(item, KnownFace)])
 
 
@@ -60,12 +61,12 @@ def _pose_from_faces(faces: Sequence[KnownFace]) -> RigidTransform | None:
     return RigidTransform(rotation, np.linalg.lstsq([face.normal for face in flat], offset, rcond=1e-9)[0])
 
 
-# Which components of a pose the evidence leaves open, told by name.
+# Names of undetermined components of a pose.
 
 LIMIT = 0.1
-"""Standard uncertainty (m, rad) from which a component counts as open: nothing is evaluated with such a pose."""
-_SAME = 0.02  # sine of the angle below which a direction goes by the name of an axis
-_PURE = 1e-2  # share below which a displacement counts as one without rotation
+"""Standard uncertainty (m, rad) of an undetermined component; such a pose is useless."""
+_SAME = 0.02  # sine of the angle below which a direction has the name of an axis
+_PURE = 1e-2  # share of rotation below which a displacement is a pure shift
 
 
 class UndeterminedPose(ValueError):
@@ -120,11 +121,11 @@ def _upright(direction: FloatArray) -> FloatArray:
     return np.asarray(np.where(np.abs(positive) < _SAME, 0.0, positive))
 
 
-# All evidence in one weighted least squares: the pose, its covariance, and whether the pieces fit each other.
+# Weighted least squares over all evidence: pose, covariance, and tests of each piece.
 
 TEST_LEVEL = 0.99
 _STEPS = 50
-_CONVERGED = 1e-10  # a step (m, rad) this small ends the iteration
+_CONVERGED = 1e-10  # step (m, rad) that ends the iteration
 
 
 @dataclass(frozen=True)
@@ -215,7 +216,7 @@ def align(evidence: Sequence[PoseEvidence], start: RigidTransform | None = None)
     pose = starting_pose(evidence) if start is None else start
     if pose is None:
         raise ValueError(
-            "start: expected a first pose beside this evidence, which is not enough to find one: state what is known"
+            "start: expected a first pose, which this evidence does not determine: state an approximate one"
         )
     for _ in range(_STEPS):
         system = assemble(evidence, pose)
@@ -226,7 +227,9 @@ def align(evidence: Sequence[PoseEvidence], start: RigidTransform | None = None)
         pose = RigidTransform(nearest_rotation(turn @ pose.rotation), turn @ pose.translation_m + step[:3])
         if np.abs(step).max() <= _CONVERGED:
             return _judged(pose, assemble(evidence, pose))
-    raise ValueError("evidence: expected pieces that describe one pose, found that no pose settles; check for mix-ups")
+    raise ValueError(
+        "evidence: expected pieces of one pose, found that the iteration does not converge; check for mix-ups"
+    )
 
 
 def _judged(pose: RigidTransform, system: AlignmentSystem) -> Alignment:
@@ -235,7 +238,7 @@ def _judged(pose: RigidTransform, system: AlignmentSystem) -> Alignment:
 
     chi2, dof = sum_of_squares(system.rows, system.residual)
     pieces = []
-    for number, name in enumerate(system.names):  # the fit without a piece, linear about the pose, against that with it
+    for number, name in enumerate(system.names):  # the linear fit without a piece, compared with the whole fit
         others = system.piece != number
         without, freedom = sum_of_squares(system.rows[others], system.residual[others])
         pieces.append(EvidenceTest(name, max(chi2 - without, 0.0), dof - freedom))
@@ -245,12 +248,8 @@ def _judged(pose: RigidTransform, system: AlignmentSystem) -> Alignment:
         enlargement = float(np.sqrt(chi2 / dof))
         compared = [piece for piece in pieces if piece.dof]
         worst = min(compared, key=lambda piece: float(chi_square.logsf(piece.chi2, piece.dof)))
-        text = (
-            f"the evidence does not fit together (chi2 {chi2:.3g} with {dof} degrees of freedom); {worst.name} fits "
-            f"least, off by {worst.normalised:.2g} times what is stated; uncertainties are enlarged by "
-            f"{enlargement:.2g}"
-        )
-        notices.append(Notice("warning", text, worst.name))
+        values = {"chi2": chi2, "dof": dof, "ratio": worst.normalised, "enlargement": enlargement}
+        notices.append(Notice(CONTRADICTORY_EVIDENCE, worst.name, piece=worst.name, **values))
     return Alignment(
         pose,
         enlargement**2 * system.covariance(),
@@ -336,6 +335,6 @@ def assemble(evidence: Sequence[PoseEvidence], pose: RigidTransform) -> Alignmen
         np.concatenate([*pieces, np.full(width - 6, -1)]).astype(np.int64),
         names,
         columns,
-        # about the pose when the common errors are unknown: the Schur complement
+        # information about the pose with unknown common errors: the Schur complement
         normal[:6, :6] - normal[:6, 6:] @ np.linalg.solve(normal[6:, 6:], normal[6:, :6]),
     )

@@ -21,7 +21,7 @@ from photogram.camera import LEFT, RIG_PARAMETERS, RIGHT
 from photogram.geometry import RigidTransform
 
 _RIG = len(RIG_PARAMETERS)
-_STEPS = 100  # steps allowed; five to ten are the rule, more with long focal lengths and large residuals
+_STEPS = 100  # usually 5 to 10 are sufficient; more with long focal lengths and large residuals
 _DAMPING, _DAMPING_NEAR = 1e-3, 1e-9  # of the first step
 _CONVERGED = 1e-3  # expected decrease of χ² that ends the iteration: parameters to 0.03 of their uncertainty
 
@@ -99,7 +99,7 @@ def adjust(start: Bundle, images: Sequence[ImageObservations], prior: RigPrior, 
                 return AdjustedBundle(bundle, *normal.covariance(), normal)
         else:
             damping = max(10 * damping, 1e-6)
-    raise ValueError("the bundle adjustment did not converge; add views or leave out doubtful pictures")
+    raise ValueError("the bundle adjustment did not converge; add views or remove doubtful images")
 
 
 def residuals(bundle: Bundle, images: Sequence[ImageObservations]) -> list[FloatArray]:
@@ -146,12 +146,12 @@ class _Side:
         return slope
 
 
-def _sides(pictures: Sequence[ImageObservations]) -> list[_Side]:
+def _sides(images: Sequence[ImageObservations]) -> list[_Side]:
     """Return the images by camera."""
     sides = []
-    for side in sorted({image.side for image in pictures}):
-        number = tuple(n for n, image in enumerate(pictures) if image.side == side)
-        mine = [pictures[n] for n in number]
+    for side in sorted({image.side for image in images}):
+        number = tuple(n for n, image in enumerate(images) if image.side == side)
+        mine = [images[n] for n in number]
         ends = np.cumsum([0, *(len(image.point) for image in mine)]).tolist()
         view = np.concatenate([np.full(len(image.point), image.view) for image in mine])
         position, precision = (

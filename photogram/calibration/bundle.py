@@ -12,10 +12,10 @@ from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray
 from photogram.camera import LEFT, RIG_PARAMETERS, RIGHT, ROTATION, TRANSLATION, Camera, StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector
 
-_OVER, _UNDER = [4, 5, 8], [9, 10, 11]  # places of k1 k2 k3 and of k4 k5 k6 among a camera's parameters
-_RADII2 = np.array([0.25, 0.6, 1.0])  # squared, in units of the picture's corner's
+_OVER, _UNDER = [4, 5, 8], [9, 10, 11]  # indices of k1 k2 k3 and of k4 k5 k6 among a camera's parameters
+_RADII2 = np.array([0.25, 0.6, 1.0])  # squared radii over that of the image corner, spread over the image
 _ANGLE = 2 * np.pi * np.arange(12) / 12
-_RIM = np.column_stack([np.cos(_ANGLE), np.sin(_ANGLE)])  # where on a dot's rim the lens's distortion is looked at
+_RIM = np.column_stack([np.cos(_ANGLE), np.sin(_ANGLE)])  # points on a dot's rim at which the distortion is evaluated
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,13 +184,13 @@ def _by_camera(camera: Camera, flat: FloatArray, placed: FloatArray) -> FloatArr
     return by_camera
 
 
-# The target's shape: flat, bowed, or every point where it is.
+# Geometry of the target: flat, bowed, or with free points.
 
 ShapeKind = Literal["flat", "bowed", "free"]
 
-_BOW = 0.01  # what is known of a bow beforehand: its height over the target's half diagonal
-_FREE = 0.01  # and of single points: their displacement over the spacing
-_DETERMINED = 0.1  # least number of values by which a spread is told, against rounding where they tell nothing
+_BOW = 0.01  # prior of a bow: height over the target's half diagonal; printed plates are bent less
+_FREE = 0.01  # initial prior of single points: displacement over the spacing
+_DETERMINED = 0.1  # least number of determined values, against rounding without information
 _STRETCH = 3.0  # rms displacement by stretch of one axis and by shear, over that of single points
 
 
@@ -324,7 +324,7 @@ class FocalDrift:
         return np.asarray(self.value[side] * self.relative_time[view])
 
 
-DRIFT_SPREAD = 5e-3  # standard deviation of what is known of a drift beforehand
+DRIFT_SPREAD = 5e-3  # prior standard deviation of a relative drift; warming lenses change by some 10⁻³
 
 
 def scale_focal_lengths(seen: ModelledPixels, camera: Camera, growth: FloatArray) -> ModelledPixels:

@@ -15,10 +15,10 @@ from photogram.calibration.calibration_result import Calibration
 from photogram.camera import CAMERA_PARAMETERS, LEFT, RIG_PARAMETERS, Camera, StereoRig, undistort
 from photogram.geometry import RigidTransform, nearest_rotation
 
-_LARGEST_FILE = 2**22  # bytes; a file of this program has some 20 kB
+_LARGEST_FILE = 2**22  # bytes; a file of this program has about 20 kB
 LARGEST = 1e12
-"""No number of a calibration is larger."""
-_SHORTEST = 0.1  # focal length over the longer side of the picture
+"""Limit of every number in a calibration."""
+_SHORTEST = 0.1  # focal length over the longer side of the image: a field of view of 158°
 _WIDEST, _FOCAL = 100_000, 1e9  # px
 _NEAR, _FAR = 1e-6, 1e4  # m
 _KEYS = ("format", "image_size", "left", "right", "rotation", "translation", "reprojection_rms", "covariance")
@@ -73,17 +73,17 @@ def check_plausible(rig: StereoRig) -> StereoRig:
         if not ((focal >= 1.0) & (focal <= _FOCAL)).all():
             raise ValueError(f"{side}.matrix: expected focal lengths of 1 to {_FOCAL:g} px, found {focal.tolist()}")
         if focal.min() < _SHORTEST * camera.size_px.max():
-            told = f"expected focal lengths in px of at least {_SHORTEST:g} of the picture's {camera.size_px.max()} px"
-            raise ValueError(f"{side}.matrix: {told}, found {focal.tolist()}, as if in mm")
+            expected = f"focal lengths in px of at least {_SHORTEST:g} of the image's {camera.size_px.max()} px"
+            raise ValueError(f"{side}.matrix: expected {expected}, found {focal.tolist()}: are they in mm?")
         middle = (camera.size_px - 1) / 2
-        # So that reading a calibration does not import numba, Python computes this one point.
+        # Plain Python computes this one point: numba would slow down the import.
         if not np.isfinite(undistort.plain(*middle.tolist(), camera.parameters.tolist())).all():
             found = f"none: principal point {camera.matrix[:2, 2].tolist()}, distortion {camera.distortion.tolist()}"
-            raise ValueError(f"{side}: expected a ray to the middle of the picture, found {found}")
+            raise ValueError(f"{side}: expected a ray to the centre of the image, found {found}")
     distance = float(np.linalg.norm(rig.right_from_left.translation_m))
     if not _NEAR <= distance <= _FAR:
-        told = f"expected the right camera {_NEAR:g} to {_FAR:g} m from the left one"
-        raise ValueError(f"translation: {told}, found {distance:g} m")
+        expected = f"the right camera {_NEAR:g} to {_FAR:g} m from the left one"
+        raise ValueError(f"translation: expected {expected}, found {distance:g} m")
     return rig
 
 
@@ -109,7 +109,7 @@ def write_calibration(path: str | Path, rig: StereoRig, reprojection_rms_px: flo
     """
     sizes = [[int(length) for length in camera.size_px] for camera in (rig.left, rig.right)]
     covariance = rig.covariance
-    # The lens's further terms, after the 24 parameters of every file, stand in it only where they are uncertain
+    # The lens's further terms, after the 24 parameters of every file, are written only if they are uncertain
     stated = [n for n in range(len(RIG_PARAMETERS)) if covariance is not None and (n < 24 or covariance[n, n] > 0)]
     content = {
         "format": 1,
@@ -221,7 +221,7 @@ def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for key, value in pairs:
         if key in found:
-            raise ValueError(f"key {key!r:.60} stands twice")
+            raise ValueError(f"key {key!r:.60} occurs twice")
         found[key] = value
     return found
 
@@ -250,7 +250,7 @@ def _size(found: Any) -> FloatArray:
     """Return the width and height of the images."""
     size = _numbers("image_size", found, (2,))
     if (size != np.round(size)).any() or (size < 1).any():
-        raise ValueError(f"image_size: expected two whole numbers of pixels, found {found!r:.60}")
+        raise ValueError(f"image_size: expected two integers in pixels, found {found!r:.60}")
     return size
 
 
@@ -273,7 +273,9 @@ def _numbers(where: str, found: Any, shape: tuple[int, ...], largest: float = LA
     try:
         array = np.asarray(_plain(where, found), dtype=np.float64)
     except (OverflowError, RecursionError) as error:
-        raise ValueError(f"{where}: expected finite numbers, found one too large, or lists without end") from error
+        raise ValueError(
+            f"{where}: expected finite numbers, found one too large, or lists nested too deeply"
+        ) from error
     check_shape(where, array, shape)
     if not (np.abs(array) <= largest).all():
         raise ValueError(f"{where}: expected finite numbers up to {largest:g}, found {array.ravel()[:16].tolist()}")

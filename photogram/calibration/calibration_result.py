@@ -9,6 +9,20 @@ from typing import Literal
 import numpy as np
 
 from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray
+from photogram.calibration.calibration_notices import (
+    ASPECT_RATIO,
+    EXCESS_NOISE,
+    FEW_VIEWS,
+    FOCAL_DRIFT,
+    LITTLE_TILT,
+    LOW_COVERAGE,
+    MODEL_DIFFERENCE,
+    PARAMETERS_INDISTINCT,
+    PARAMETERS_UNDETERMINED,
+    SPACING_UNCERTAINTY_UNSTATED,
+    TARGET_DEVIATION,
+    UNCERTAIN_FOCAL_LENGTH,
+)
 from photogram.camera import LEFT, RIG_PARAMETERS, RIGHT, TRANSLATION, StereoRig
 from photogram.geometry import RigidTransform
 from photogram.targets.target_view import Target
@@ -157,7 +171,7 @@ class Calibration(Arrays, shapes="shape_index P 2; shape_m P 3"):
         return all(view.right is None for view in self.views)
 
 
-COVERAGE_CELLS = (8, 6)  # columns and rows of the cells by which coverage is told
+COVERAGE_CELLS = (8, 6)  # columns and rows of the cells for the coverage
 _NO_TURN_RAD = np.radians(2.0)
 
 
@@ -181,27 +195,23 @@ def check_view_angles(poses: Sequence[RigidTransform]) -> None:
     spread, _ = spread_of_turns(poses)
     if spread.max() < _NO_TURN_RAD:
         raise ValueError(
-            f"all {len(poses)} views show the target under nearly one angle ({np.degrees(spread.max()):.1f}° rms), "
-            "which does not determine the cameras; add views turned by 20° and more about both axes of the picture"
+            f"all {len(poses)} views have nearly the same angle to the target ({np.degrees(spread.max()):.1f}° rms), "
+            "which does not determine the cameras; add views tilted by 20° or more about both axes of the image"
         )
 
 
-# Which parameters a session determines, what it covers, what to add.
+# Determined parameters, coverage, and notices of a session.
 
-_OPEN = 0.5  # share of the prior's standard deviation above which the views told nothing
-_DISTINCT = 2.0  # standard uncertainties beyond which a distortion is not zero
+_OPEN = 0.5  # share of the prior's standard deviation above which a parameter is undetermined
+_DISTINCT = 2.0  # standard uncertainties beyond which a distortion differs from zero
 _MANY_VIEWS = 8
 _LITTLE_TURN_RAD = np.radians(5.0)
 _ENOUGH_COVER = 0.6
-_FOCAL_U = 0.005  # relative standard uncertainty of a focal length above which the user is told
-_FOCAL_LIMIT = 0.05  # and above which the calibration is refused
-_ADDED_PX = 0.15  # noise beyond the pictures' own, per coordinate, above which the user is told
+_FOCAL_U = 0.005  # relative standard uncertainty of a focal length for a warning
+_FOCAL_LIMIT = 0.05  # and for a refusal of the calibration
+_ADDED_PX = 0.15  # noise in addition to that of the images, per coordinate, for a warning
 _UNITS = {"f": "px", "c": "px", "s": "px", "k": "1", "p": "1"}
-_SQUARE = 1e-3  # pixels of a sensor are square within this, relative
-_STATES = {
-    "open": "not determined by these views (taken from an ordinary lens)",
-    "indistinct": "not distinguishable from zero",
-}
+_SQUARE = 1e-3  # relative tolerance of square pixels
 
 
 def rig_parameters(rig: StereoRig, prior_sigma: FloatArray) -> tuple[CalibrationParameter, ...]:
@@ -232,56 +242,58 @@ def check_focal_lengths(parameters: Sequence[CalibrationParameter]) -> None:
     for item in parameters:
         if item.name.endswith((".fx", ".fy")) and not item.u < _FOCAL_LIMIT * item.value:
             raise ValueError(
-                f"the views leave {item.name} open: {item.value:.0f} px, standard uncertainty {item.u:.0f} px; "
-                "add views turned by 20° and more about both axes of the picture, and at other distances"
+                f"the views do not determine {item.name}: {item.value:.0f} px, standard uncertainty {item.u:.0f} px; "
+                "add views tilted by 20° or more about both axes of the image, and at other distances"
             )
 
 
 def session_notices(calibration: Calibration) -> tuple[Notice, ...]:
     """Return the notices of a calibration."""
-    notices: list[Notice] = []
+    notices = [*_view_notices(calibration), *_parameter_notices(calibration), *_target_notices(calibration)]
+    worst = max(calibration.added_px)
+    if worst >= _ADDED_PX:
+        notices.append(Notice(EXCESS_NOISE, "residuals", added_px=worst))
+    if calibration.scale_u == 0 and not calibration.single:
+        notices.append(Notice(SPACING_UNCERTAINTY_UNSTATED, "scale"))
+    return tuple(notices)
 
-    def warn(text: str, where: str) -> None:
-        notices.append(Notice("warning", text, where))
 
+def _view_notices(calibration: Calibration) -> Iterator[Notice]:
+    """Yield notices of number, tilt and coverage of the views."""
     pairs = sum(calibration.single or (view.left is not None and view.right is not None) for view in calibration.views)
     if pairs < _MANY_VIEWS:
-        many = "views" if calibration.single else "pairs"
-        warn(f"only {pairs} {many}; {_MANY_VIEWS} to 20 make a calibration that can be judged", "views")
+        yield Notice(
+            FEW_VIEWS, "views", count=pairs, kind="views" if calibration.single else "pairs", least=_MANY_VIEWS
+        )
     spread, axes = spread_of_turns([view.left_from_target for view in calibration.views])
     if spread[0] < _LITTLE_TURN_RAD:
         axis = "vertical" if abs(axes[0, 0]) > abs(axes[1, 0]) else "horizontal"
-        text = f"the target is hardly turned about the picture's {axis} axis ({np.degrees(spread[0]):.1f}° rms)"
-        warn(f"{text}; add views turned by 20° and more about it", "views")
+        yield Notice(LITTLE_TILT, "views", spread_deg=float(np.degrees(spread[0])), axis=axis)
     for side, share in zip(("left", "right"), calibration.coverage, strict=True):
         if share < _ENOUGH_COVER:
-            text = f"the points cover {100 * share:.0f} % of the {side} picture"
-            more = "add views with the target near its edges, or measure within the part that is covered"
-            warn(f"{text}; {more}", side)
+            yield Notice(LOW_COVERAGE, side, share_percent=100 * share, side=side)
+
+
+def _parameter_notices(calibration: Calibration) -> Iterator[Notice]:
+    """Yield notices of uncertain parameters, drifts and alternative models."""
     for item in calibration.parameters:
         if item.name.endswith((".fx", ".fy")) and item.u > _FOCAL_U * item.value:
-            text = f"{item.name} is known to {100 * item.u / item.value:.1f} % only (k = 1)"
-            warn(f"{text}; more turned views at other distances improve it", item.name)
-    notices += [*_aspects(calibration.rig), *_drifts(calibration), *_differences(calibration)]
-    for state, text in _STATES.items():
+            yield Notice(UNCERTAIN_FOCAL_LENGTH, item.name, parameter=item.name, u_percent=100 * item.u / item.value)
+    yield from (*_aspects(calibration.rig), *_drifts(calibration), *_differences(calibration))
+    for state, declared in (("open", PARAMETERS_UNDETERMINED), ("indistinct", PARAMETERS_INDISTINCT)):
         names = [item.name for item in calibration.parameters if item.state == state]
         if names:
-            notices.append(Notice("note", f"{', '.join(names)}: {text}", "distortion"))
+            yield Notice(declared, "distortion", parameters=", ".join(names))
+
+
+def _target_notices(calibration: Calibration) -> Iterator[Notice]:
+    """Yield a notice of the target's deviation from its lattice."""
     flat = np.column_stack([calibration.shape_index * calibration.target.spacing_m, np.zeros(len(calibration.shape_m))])
     off = calibration.shape_m - flat
     if off.any():
         rms = 1e6 * np.sqrt((off**2).mean(axis=0))
-        digits = max(0, 1 - int(np.floor(np.log10(rms.max()))))  # two of the largest
-        x, y, z = (f"{value:.{digits}f}" for value in rms)
-        text = f"the target's points lie {x}, {y} µm rms off their lattice and {z} µm across it"
-        notices.append(Notice("note", f"{text}; this was estimated together with the cameras", "target"))
-    worst = max(calibration.added_px)
-    if worst >= _ADDED_PX:
-        text = f"the points are {worst:.2f} px (per coordinate) off beyond the pictures' noise: rough print, a bent"
-        warn(f"{text} target or a lens that the model does not describe; see the residual maps", "residuals")
-    if calibration.scale_u == 0 and not calibration.single:
-        warn("the uncertainty of the target's spacing is not stated, so that of all lengths lacks its share", "scale")
-    return tuple(notices)
+        digits = max(0, 1 - int(np.floor(np.log10(rms.max()))))  # two digits of the largest
+        yield Notice(TARGET_DEVIATION, "target", x_um=rms[0], y_um=rms[1], z_um=rms[2], digits=digits)
 
 
 def _aspects(rig: StereoRig) -> Iterator[Notice]:
@@ -293,49 +305,46 @@ def _aspects(rig: StereoRig) -> Iterator[Notice]:
         slope = np.array([1 / fy, -fx / fy**2])
         ratio, u = fx / fy, float(np.sqrt(slope @ rig.covariance[np.ix_(indices[:2], indices[:2])] @ slope))
         if abs(ratio - 1) > 2 * np.hypot(u, _SQUARE):
-            text = f"{side}.fx/{side}.fy is {ratio:.4f} (U = {2 * u:.4f}, k = 2); a sensor with square pixels has 1"
-            more = "a print stretched along one axis, too few turned views, or pictures scaled in one direction"
-            yield Notice("warning", f"{text}: {more}", side)
+            yield Notice(ASPECT_RATIO, side, side=side, ratio=ratio, expanded=2 * u)
 
 
 def _drifts(calibration: Calibration) -> Iterator[Notice]:
     """Yield a notice of focal lengths that changed during the session."""
     if calibration.cross_validation is None or calibration.cross_validation.drift is None:
         return
-    many = calibration.cross_validation.drift[: 1 if calibration.single else 2]
-    said = " and ".join(
+    drifts = calibration.cross_validation.drift[: 1 if calibration.single else 2]
+    changes = " and ".join(
         f"{side} by {100 * value:+.3f} % (U = {200 * u:.3f} %, k = 2)"
-        for side, (value, u) in zip(("left", "right"), many, strict=False)
+        for side, (value, u) in zip(("left", "right"), drifts, strict=False)
     )
-    text = f"the focal lengths changed from the first view to the last: {said}; stated are those of the middle, and the"
-    yield Notice(
-        "warning", f"{text} range is in their uncertainty; let the cameras warm up, and fix the lenses", "drift"
-    )
+    yield Notice(FOCAL_DRIFT, "drift", changes=changes)
 
 
 def _differences(calibration: Calibration) -> Iterator[Notice]:
     """Yield a notice of each alternative model that differs beyond the expanded uncertainty."""
-    judged, sigma = calibration.cross_validation, calibration.rig.covariance
-    if judged is None or sigma is None:
+    used, sigma = calibration.cross_validation, calibration.rig.covariance
+    if used is None or sigma is None:
         return
-    for other in judged.alternatives:
-        value = _main_values(other.rig)
-        apart = {
-            name: (mine, value[name], 2 * u)
-            for (name, mine), u in zip(
-                _main_values(calibration.rig).items(), _main_uncertainties(calibration.rig), strict=True
+    values, uncertainties = _main_values(calibration.rig), _main_uncertainties(calibration.rig)
+    for other in used.alternatives:
+        alternative = _main_values(other.rig)
+        differences = [
+            f"{name} {alternative[name]:.6g} instead of {value:.6g} (U = {2 * u:.2g})"
+            for (name, value), u in zip(values.items(), uncertainties, strict=True)
+            if abs(alternative[name] - value) > 2 * u > 0
+        ]
+        if differences:
+            yield Notice(
+                MODEL_DIFFERENCE,
+                "model",
+                shape=other.shape,
+                lens=other.lens,
+                differences=", ".join(differences),
+                used_px=used.predicted_px,
+                used_shape=used.shape,
+                used_lens=used.lens,
+                other_px=other.predicted_px,
             )
-            if abs(value[name] - mine) > 2 * u > 0
-        }
-        if apart:
-            said = ", ".join(
-                f"{name} {theirs:.6g}, not {mine:.6g} (U = {u:.2g})" for name, (mine, theirs, u) in apart.items()
-            )
-            text = (
-                f"a {other.shape} target with a {other.lens} lens would give {said}; the views left out are predicted "
-                f"to {judged.predicted_px:.3f} px ({judged.shape}, {judged.lens}) and {other.predicted_px:.3f} px there"
-            )
-            yield Notice("warning", text, "model")
 
 
 def _main_values(rig: StereoRig) -> dict[str, float]:

@@ -21,8 +21,8 @@ ViewPair = tuple[TargetView | None, TargetView | None]
 Poses = dict[int, RigidTransform]
 LensKind = Literal["polynomial", "rational"]
 
-_STRANGE = 5.0  # times the median disagreement, beyond which a pair is strange
-_TOLERATED = 0.05  # disagreement that is never strange: rad, share of the distance
+_STRANGE = 5.0  # times the median disagreement, beyond which a pair is inconsistent
+_TOLERATED = 0.05  # disagreement that is always consistent: rad, share of the distance
 _QUARTER_TURN = np.array([[0, -1], [1, 0]])
 
 
@@ -40,7 +40,7 @@ def _pair_up(
     common = sorted(set(left_poses) & set(right_poses))
     if not common:
         raise ValueError(
-            "no position of the target is seen by both cameras; the two lists of pictures must be in one order"
+            "both cameras see the target in no common position; both lists of images must have the same order"
         )
     depth = float(np.median([np.linalg.norm(left_poses[view].translation_m) for view in common]))
     turns = [(np.eye(2, dtype=np.int64), np.zeros(2)), *target_symmetries(target)]
@@ -64,8 +64,8 @@ def _pair_up(
         numbered[view], poses[view] = (left, renumber_points(right, *turns[nearest])), offered[row][nearest]
     if len(strange) * 2 > len(common) or limit > 10 * _TOLERATED:
         raise ValueError(
-            "the left and right pictures do not belong together: no relative pose of the cameras fits most pairs; "
-            "give all left pictures first, then all right ones in the same order"
+            "the left and right images do not correspond: no relative pose of the cameras fits most pairs; "
+            "name all left images first, then all right ones in the same order"
         )
     return relatives[best], numbered, poses, strange
 
@@ -112,11 +112,11 @@ def renumber_points(view: TargetView, turn: IntArray, shift: FloatArray) -> Targ
     return replace(view, index=np.rint(view.index @ turn.T + shift).astype(np.int64))
 
 
-# Where a target stands, seen by a calibrated pair.
+# Pose of a target from views of a calibrated pair.
 
 _STEPS = 30
 _CONVERGED = 1e-9  # expected decrease of the sum of squares that ends the iteration
-_WORST_PX = 3.0  # rms beyond which points are not those of the target in one pose before these cameras
+_WORST_PX = 3.0  # largest rms of points in one pose of the target
 
 
 def estimate_target_pose(
@@ -131,7 +131,7 @@ def estimate_target_pose(
     """
     seen = [(view, side) for side, view in enumerate((left, right)) if view is not None]
     if not seen:
-        raise ValueError("left, right: expected at least one picture of the target, found none")
+        raise ValueError("left, right: expected at least one image of the target, found none")
     pose, covariance, rms_px = _posed(rig, target, seen)
     if not rms_px <= _WORST_PX:
         names = " and ".join(view.name for view, _ in seen)
@@ -218,14 +218,14 @@ def refine_pose(bundle: Bundle, images: list[ImageObservations]) -> tuple[RigidT
     return bundle.poses[0], np.full((6, 6), np.nan), np.inf
 
 
-# Where the bundle adjustment starts: each camera alone by OpenCV, the relative pose by agreement of the views.
+# Start of the bundle adjustment: each camera by OpenCV, the relative pose by agreement of the views.
 
 FEWEST_VIEWS = 3
 FEWEST_POINTS = 6
-_TOLERATED_PX = 1.0  # rms that is never strange
+_TOLERATED_PX = 1.0  # rms that is always consistent
 
-# What is known of a lens beforehand: principal point off the middle in widths of the picture; the terms of distortion
-# at the picture's corner, radial relative to the radius (k1, k2, k3), decentring likewise.
+# Prior of a lens: offset of the principal point in image widths; terms of distortion at the image corner, relative to
+# the radius (k1, k2, k3), and decentring.
 _CENTRE_SPREAD = 0.05
 _RADIAL_SPREAD = (0.1, 0.05, 0.05)
 _DECENTRING_SPREAD = 0.005
@@ -251,7 +251,7 @@ def start_bundle(
     relative, pairs, right_poses, strange = _pair_up(pairs, sides[0].poses, sides[1].poses, target)
     for view in strange:
         names = " and ".join(seen.name for seen in pairs[view] if seen is not None)
-        reason = "the two pictures do not show one position of the target (mixed up, mirrored, or it moved in between)"
+        reason = "the two images do not show one position of the target (mixed up, mirrored, or moved in between)"
         dropped.append(Rejection(names, 0, reason))
     used_pairs, poses = [], []
     for view, pair in enumerate(pairs):
@@ -264,7 +264,7 @@ def start_bundle(
         poses.append(sides[0].poses[view] if used[0] is not None else relative.inverse() @ right_poses[view])
     both = sum(left is not None and right is not None for left, right in used_pairs)
     if both < FEWEST_VIEWS:
-        raise ValueError(f"{both} positions of the target are seen by both cameras, at least {FEWEST_VIEWS} are needed")
+        raise ValueError(f"both cameras see {both} positions of the target, at least {FEWEST_VIEWS} are needed")
     rig = StereoRig(sides[0].camera, sides[1].camera, relative)
     index = np.unique(np.concatenate([seen.index for pair in used_pairs for seen in pair if seen is not None]), axis=0)
     return Bundle(rig, tuple(poses), make_shape(shape, index, target.spacing_m)), tuple(used_pairs), tuple(dropped)
@@ -326,7 +326,7 @@ def _single(pairs: Sequence[ViewPair], side: int, target: Target) -> _Single:
         if len(views) < FEWEST_VIEWS:
             camera_name, reasons = ("left", "right")[side], [f"; {item.name}: {item.reason}" for item in dropped]
             raise ValueError(
-                f"the {camera_name} camera has {len(views)} usable pictures of the target, at least {FEWEST_VIEWS} are "
+                f"the {camera_name} camera has {len(views)} usable images of the target, at least {FEWEST_VIEWS} are "
                 f"needed{''.join(reasons)}"
             )
         camera, poses, rms = _opencv(list(views.values()), target)
@@ -335,7 +335,7 @@ def _single(pairs: Sequence[ViewPair], side: int, target: Target) -> _Single:
         if rms[worst] <= limit:
             return _Single(camera, dict(zip(views, poses, strict=True)), tuple(dropped))
         view = list(views)[worst]
-        reason = f"its points are {rms[worst]:.1f} px off what the other pictures of this camera say"
+        reason = f"its points are {rms[worst]:.1f} px away from the prediction by the other images of this camera"
         dropped.append(Rejection(views.pop(view).name, 0, reason))
 
 
@@ -350,10 +350,10 @@ def _of_one_size(views: dict[int, TargetView]) -> tuple[dict[int, TargetView], l
             f"{next(view.name for view in views.values() if tuple(view.size_px.tolist()) == size)} of {_times(size)} px"
             for size in (most, second)
         )
-        raise ValueError(f"pictures of one camera differ in size: {' and '.join(shown)}")
+        raise ValueError(f"images of one camera differ in size: {' and '.join(shown)}")
     usable = {number: view for number, view in views.items() if tuple(view.size_px.tolist()) == most}
     dropped = [
-        Rejection(view.name, 0, f"{_times(view.size_px)} px, most pictures of this camera have {_times(most)}")
+        Rejection(view.name, 0, f"{_times(view.size_px)} px, most images of this camera have {_times(most)}")
         for number, view in views.items()
         if number not in usable
     ]
@@ -375,14 +375,14 @@ def _opencv(views: Sequence[TargetView], target: Target) -> tuple[Camera, list[R
     pixels = [seen.position_px.astype(np.float32).reshape(-1, 1, 2) for seen in views]
     shape = tuple(views[0].size_px.tolist())
     flags = cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST
-    flags |= cv2.CALIB_FIX_PRINCIPAL_POINT | cv2.CALIB_FIX_ASPECT_RATIO  # hardly determined with long focal lengths
+    flags |= cv2.CALIB_FIX_PRINCIPAL_POINT | cv2.CALIB_FIX_ASPECT_RATIO  # poorly determined with long focal lengths
     centred = np.array([[shape[0], 0.0, (shape[0] - 1) / 2], [0.0, shape[0], (shape[1] - 1) / 2], [0.0, 0.0, 1.0]])
     try:
         _, matrix, distortion, turns, shifts, *_, rms = cv2.calibrateCameraExtended(
             objects, pixels, shape, centred, np.zeros(5), flags=flags
         )
     except cv2.error as error:
-        raise ValueError(f"the pictures of {views[0].name} and others do not determine a camera") from error
+        raise ValueError(f"the images of {views[0].name} and others do not determine a camera") from error
     parameters = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *np.ravel(distortion)[:5]])
     return (
         Camera.from_parameters(parameters, views[0].size_px),

@@ -13,7 +13,7 @@ from photogram.calibration.bundle import Bundle, ImageObservations
 from photogram.calibration.initial_bundle import refine_pose
 from photogram.camera import StereoRig
 
-_LEAST = 1e-9  # of the largest variance: what counts as none
+_LEAST = 1e-9  # of the largest variance: smaller ones are rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,10 +105,10 @@ def stated_covariance(covariance: FloatArray, left_out: LeaveOneOut, factor: flo
     scale = np.sqrt(np.maximum(np.diagonal(expected), _LEAST * np.diagonal(fit)))
     size, axes = np.linalg.eigh(expected / np.outer(scale, scale))
     size = np.sqrt(np.maximum(size, _LEAST * size[-1]))
-    white = (left_out.steps[:, free] / scale) @ axes / size * np.sqrt(views - 1)  # variances of 1 by the noise alone
+    white = (left_out.steps[:, free] / scale) @ axes / size * np.sqrt(views - 1)  # unit variances by noise alone
     variance, turn = np.linalg.eigh(white.T @ white / views)
     few, ratio = (views - 1) / max(views - 3, 1), len(free) / views
-    sum_ = variance + 1 - ratio  # a variance v beside ones is found as v + v·ratio/(v − 1)
+    sum_ = variance + 1 - ratio  # a variance v among unit variances is estimated as v + v·ratio/(v − 1)
     true = (sum_ + np.sqrt(np.maximum(sum_**2 - 4 * variance, 0.0))) / 2
     more = np.where(variance > (1 + np.sqrt(ratio)) ** 2, few * true - 1, 0.0)
     root = scale[:, None] * (axes * size) @ turn * np.sqrt(more)

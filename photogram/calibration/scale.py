@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from photogram.arrays import FloatArray
+from photogram.calibration.calibration_notices import KNOWN_LENGTH_CONTRADICTED, KNOWN_LENGTH_USED
 from photogram.calibration.calibration_result import CalibratedView, Calibration
 from photogram.camera import TRANSLATION
 from photogram.geometry import RigidTransform, skew
 from shakercal._common.notices import Notice
 
-_LIKELY_RATIO = 2.0  # of a known length to the calibration's; prints are some percent off, a wrong unit much more
+_LIKELY_RATIO = 2.0  # of a known length to the calibration's; prints deviate by some percent, a wrong unit by more
 _MAX_DEVIATION = 2.0  # standard uncertainties beyond which spacing and known length contradict each other
 
 
@@ -31,8 +32,8 @@ class KnownLength:
 
     def __post_init__(self) -> None:
         if not (0 < self.length_m < np.inf and 0 <= self.u_m < self.length_m):
-            told = "a length above 0 m and a smaller uncertainty"
-            raise ValueError(f"known length: expected {told}, found {self.length_m} and {self.u_m}")
+            expected = "a length above 0 m and a smaller uncertainty"
+            raise ValueError(f"known length: expected {expected}, found {self.length_m} and {self.u_m}")
 
     @staticmethod
     def from_words(first: str, second: str, length: str, u: str) -> KnownLength:
@@ -55,23 +56,29 @@ def scale_to_length(calibration: Calibration, known_length: KnownLength) -> Cali
     length, u = _length(calibration, known_length)
     ratio = known_length.length_m / length
     if not 1 / _LIKELY_RATIO <= ratio <= _LIKELY_RATIO:
-        told = f"about {length:.4g} m, which the spacing of {calibration.target.spacing_m:g} m makes it"
-        raise ValueError(f"known length: expected {told}, found {known_length.length_m:g} m: is one of them in mm?")
+        expected = f"about {length:.4g} m, the length by the spacing of {calibration.target.spacing_m:g} m"
+        raise ValueError(f"known length: expected {expected}, found {known_length.length_m:g} m: is one of them in mm?")
     u_ratio = ratio * float(np.hypot(known_length.u_m / known_length.length_m, u / length))
     spacing = calibration.scale_u
     deviation = abs(ratio - 1) / float(np.hypot(u_ratio, spacing)) if spacing or u_ratio else float("inf")
     weight = spacing**2 / (spacing**2 + u_ratio**2) if spacing > 0 else 1.0
     scale, scale_u = 1 + weight * (ratio - 1), u_ratio * float(np.sqrt(weight))
     contradicts = spacing > 0 and deviation > _MAX_DEVIATION
-    told = (
-        f"the known length of {1e3 * known_length.length_m:.6g} mm from {known_length.first} to {known_length.second} is "
-        f"{1e3 * length:.6g} mm by the target's spacing ({100 * (ratio - 1):+.2g} %, U = {200 * u_ratio:.2g} %)"
-    )
+    values: dict[str, str | float] = {
+        "stated_mm": 1e3 * known_length.length_m,
+        "first": known_length.first,
+        "second": known_length.second,
+        "measured_mm": 1e3 * length,
+        "difference_percent": 100 * (ratio - 1),
+        "change_percent": 100 * (scale - 1),
+    }
     if contradicts:
         scale_u *= deviation
-        told += f"; they contradict each other by {deviation:.1f} standard uncertainties, measure both again"
-    told += f"; all lengths are changed by {100 * (scale - 1):+.2g} %, U = {200 * scale_u:.2g} % (k = 2)"
-    notice = Notice("warning" if contradicts else "note", told, "scale")
+        values |= {"deviation": deviation, "scale_expanded_percent": 200 * scale_u}
+        notice = Notice(KNOWN_LENGTH_CONTRADICTED, "scale", **values)
+    else:
+        values |= {"expanded_percent": 200 * u_ratio, "scale_expanded_percent": 200 * scale_u}
+        notice = Notice(KNOWN_LENGTH_USED, "scale", **values)
     others = [item for item in calibration.notices if item.where != "scale"]
     return replace(_scaled(calibration, scale, scale_u), notices=(*others, notice))
 
@@ -94,7 +101,7 @@ def _length(calibration: Calibration, known_length: KnownLength) -> tuple[float,
             covariance = covariance + slope @ view.covariance @ slope.T
     length = float(np.linalg.norm(separation))
     if length == 0:
-        raise ValueError(f"known length: expected two different places, found {known_length.first} twice")
+        raise ValueError(f"known length: expected two different positions, found {known_length.first} twice")
     direction = separation / length
     return length, float(np.sqrt(direction @ covariance @ direction))
 
@@ -111,7 +118,7 @@ def _view(calibration: Calibration, name: str) -> CalibratedView:
     ]
     if len(found) != 1:
         raise ValueError(
-            f"known length: expected column,row of a point of the target, or a picture in the calibration, found {name}"
+            f"known length: expected column,row of a point of the target, or an image of the calibration, found {name}"
         )
     return found[0]
 

@@ -36,17 +36,17 @@ from photogram.camera import LEFT, RIGHT, TRANSLATION, StereoRig
 from photogram.targets.target_view import Target, TargetView
 
 _ROUNDS = 12
-_START_NOISE_PX = 0.2  # noise added to every point's own in the first round
-_REJECTED = 25.0  # squared distance, in standard deviations, beyond which a point is an outlier
+_START_NOISE_PX = 0.2  # noise added to that of every point in the first round
+_REJECTED = 25.0  # squared distance of an outlier, in standard deviations
 _MEDIAN_CHI2 = 2 * np.log(2.0)  # median of χ² with two degrees of freedom
-_REJECTED_SHARE = 0.3  # of a picture's points, beyond which the whole picture is dropped
-_SCATTER = 5.0  # times what three quarters of the pictures stay below, beyond which a picture is dropped
-_WORTH = 1.0  # unexplained over own variance above which offsets of the target's points and other lenses are tried
+_REJECTED_SHARE = 0.3  # share of rejected points beyond which the whole image is rejected
+_SCATTER = 5.0  # times the upper quartile of the images' scatter, beyond which an image is rejected
+_WORTH = 1.0  # added variance over that of the points above which other models are tried
 _VIEWS_FOR_MORE = 5
 _VIEWS_TO_HALVE = 8
-_CHANCE = 0.01  # that a drift is taken for one where there is none
+_CHANCE = 0.01  # level of the test for a drift
 _SETTLED = 0.01  # relative change of the added noise that ends the rounds
-_SETTLED_SPREAD = 0.1  # and of the spread of free points: where it is small it matters little, and settles slowly
+_SETTLED_SPREAD = 0.1  # and of the spread of free points, which converges slowly if it is small
 
 
 def calibrate_pair(
@@ -115,7 +115,7 @@ def calibrate_pair(
                 continue
             try:
                 tried = _calibrated(pairs, target, model)
-            except ValueError:  # what the views do not determine is no better
+            except ValueError:  # a model that the views do not determine
                 continue
             better = _predicts_better(tried, best) if step != "flat" else not _predicts_better(best, tried)
             others.append(best if better else tried)
@@ -145,7 +145,7 @@ def _calibrated(pairs: Sequence[ViewPair], target: Target, model: _Model) -> _Fi
     while True:
         bundle, pairs, dropped_at_start = start_bundle(pairs, target, model.shape)
         session = _Session.of(bundle, pairs, target)
-        if model.lens == "rational":  # from the best polynomial, near which its bent valley is short
+        if model.lens == "rational":  # starts at the best polynomial: its curved valley is short there
             bundle = adjust(bundle, session.weighted(), replace(model, lens="polynomial").prior(bundle.rig)).bundle
         if model.drifts:
             bundle = replace(bundle, drift=FocalDrift.initial(len(bundle.poses)))
@@ -170,7 +170,7 @@ def _drifting(fit: _Fit) -> bool:
     assert adjusted.bundle.drift is not None
     u = drift_uncertainty(adjusted, leave_views_out(adjusted), fit.factor)
     t = float((np.abs(adjusted.bundle.drift.value) / u).max())
-    if t < NormalDist().inv_cdf(1 - _CHANCE / 4):  # Student's quantiles are larger: SciPy's are not needed
+    if t < NormalDist().inv_cdf(1 - _CHANCE / 4):  # Student's quantiles are larger; SciPy is not needed
         return False
     from scipy.special import stdtrit
 
@@ -185,9 +185,7 @@ def _predicts_better(fit: _Fit, other: _Fit) -> bool:
     """
     theirs = dict(zip((view.name for view in other.session.views), other.predictions, strict=True))
     squares: dict[int, list[FloatArray]] = {}
-    for view, image, (residual_here, used) in zip(
-        fit.session.views, fit.session.pictures, fit.predictions, strict=True
-    ):
+    for view, image, (residual_here, used) in zip(fit.session.views, fit.session.images, fit.predictions, strict=True):
         if view.name in theirs:
             both = used & theirs[view.name][1]
             pair = [(residual[both] ** 2).sum(axis=1) for residual in (residual_here, theirs[view.name][0])]
@@ -202,7 +200,7 @@ class _Session:
     """The images with the points (N,) used and the added noise (left, right)."""
 
     views: tuple[TargetView, ...]
-    pictures: tuple[ImageObservations, ...]
+    images: tuple[ImageObservations, ...]
     used: tuple[BoolArray, ...]
     added_px: tuple[float, float]
 
@@ -226,7 +224,7 @@ class _Session:
         Rejected points have weight 0 unless `every`.
         """
         weighted = []
-        for view, image, used in zip(self.views, self.pictures, self.used, strict=True):
+        for view, image, used in zip(self.views, self.images, self.used, strict=True):
             total = view.covariance_px2 + self.added_px[image.side] ** 2 * np.eye(2)
             precision = np.asarray(np.linalg.inv(total), dtype=np.float64)
             weighted.append(replace(image, precision=precision * (used | every)[:, None, None]))
@@ -281,7 +279,7 @@ class _Fit:
         assert self.left_out is not None
         stated = stated_covariance(self.adjusted.covariance, self.left_out, self.factor)
         drift = self.adjusted.bundle.drift
-        if drift is not None:  # whenever the pair is used, it lies anywhere between the first view's and the last's
+        if drift is not None:  # in use, the drift may be anywhere in the range of the session
             change = np.zeros(len(stated))
             for camera, indices, value in zip((self.rig.left, self.rig.right), (LEFT, RIGHT), drift.value, strict=True):
                 change[indices[:2]] = camera.parameters[:2] * value
@@ -317,7 +315,7 @@ def _fit(bundle: Bundle, session: _Session, model: _Model, near: bool) -> _Fit:
     differences = residuals(adjusted.bundle, images)
     both = zip(differences, images, strict=True)
     squares = tuple(np.einsum("ni,nij,nj->n", residual, each.precision, residual) for residual, each in both)
-    # The number of coordinates minus that of parameters, a parameter counting as far as the data fix it
+    # Number of coordinates minus effective number of parameters, which priors reduce
     drift = np.full(len(adjusted.drift_variance), DRIFT_SPREAD)
     prior = np.concatenate([model.prior(adjusted.bundle.rig).sigma, adjusted.bundle.shape.prior_m, drift])
     variance = np.concatenate([np.diagonal(adjusted.covariance), adjusted.shape_variance, adjusted.drift_variance])
@@ -325,7 +323,7 @@ def _fit(bundle: Bundle, session: _Session, model: _Model, near: bool) -> _Fit:
     parameters = float(np.sum(1 - determined)) + 6 * len(adjusted.bundle.poses)
     dof = 2 * sum(int(used.sum()) for used in session.used) - parameters
     if dof < 1:
-        raise ValueError("the pictures have fewer points than a calibration has unknowns; add views")
+        raise ValueError("the images have fewer points than a calibration has unknowns; add views")
     return _Fit(session, adjusted, model, tuple(differences), squares, dof)
 
 
@@ -340,7 +338,7 @@ def _select_points(fit: _Fit) -> _Session:
     share = 2 * sum(len(used) for used in session.used) / fit.dof
     added = []
     for side in (0, 1):
-        mine = [n for n, image in enumerate(session.pictures) if image.side == side]
+        mine = [n for n, image in enumerate(session.images) if image.side == side]
         if not mine:
             added.append(0.0)
             continue
@@ -363,7 +361,9 @@ def _bad_images(fit: _Fit) -> list[Rejection]:
     for view, used, scatter in zip(session.views, session.used, spread, strict=True):
         share = 1 - used.mean()
         if share > _REJECTED_SHARE:
-            reason = f"{100 * share:.0f} % of its points are more than {np.sqrt(_REJECTED):.0f} standard deviations off"
+            reason = (
+                f"{100 * share:.0f} % of its points deviate by more than {np.sqrt(_REJECTED):.0f} standard deviations"
+            )
             bad.append(Rejection(view.name, 0, reason))
         elif scatter > _SCATTER * typical:
             reason = f"its points scatter by {scatter:.2f} px, those of the others by {typical:.2f} px"
@@ -384,15 +384,15 @@ def _result(fit: _Fit, others: Sequence[_Fit], target: Target, scale_u: float) -
         for view, residual, squares, used in zip(session.views, fit.residuals, fit.squares, session.used, strict=True)
     ]
     left_out = [
-        Rejection(image.name, int((~image.used).sum()), "more than five standard deviations off")
+        Rejection(image.name, int((~image.used).sum()), "more than five standard deviations away")
         for image in images
         if not image.used.all()
     ]
     views = []
     for number, pose in enumerate(bundle.poses):
-        sides = {p.side: seen for p, seen in zip(session.pictures, images, strict=True) if p.view == number}
+        sides = {p.side: seen for p, seen in zip(session.images, images, strict=True) if p.view == number}
         views.append(CalibratedView(pose, fit.adjusted.pose_covariance[number] * factor, sides.get(0), sides.get(1)))
-    by_side = [[seen for p, seen in zip(session.pictures, images, strict=True) if p.side == s] for s in (0, 1)]
+    by_side = [[seen for p, seen in zip(session.images, images, strict=True) if p.side == s] for s in (0, 1)]
     parameters = rig_parameters(rig, prior.sigma)
     check_focal_lengths(parameters)
     calibration = Calibration(

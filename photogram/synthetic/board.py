@@ -19,7 +19,7 @@ from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.kernels import njit
 from photogram.targets.target_view import Target, TargetView
 
-_FAR = 4.5  # σ of the softening beyond which an edge has no effect
+_FAR = 4.5  # distance in σ of the blur beyond which an edge has no effect
 _NODE = math.sqrt(0.6)  # Gauss-Legendre points of degree 5 on (−1, 1), weights 5/18, 8/18, 5/18 of the mean
 
 
@@ -192,10 +192,10 @@ def render_dots(camera, homography, spots, first, sheet, sigma, image):  # type:
             image[row, column, 0], image[row, column, 1] = black, cover
 
 
-# Pictures of calibration targets with known truth.
+# Images of calibration targets with known truth.
 
-_FINER = 2  # pixels are drawn as so many squares across
-_SOFT_PX = 0.5  # softening of the drawn edges, in these
+_FINER = 2  # rendered squares along a pixel
+_SOFT_PX = 0.5  # blur of the rendered edges, in these squares
 
 
 @dataclass(frozen=True)
@@ -237,7 +237,7 @@ class Board:
 
     def __post_init__(self) -> None:
         if self.target.kind == "charuco" and self.target.dictionary is None:
-            raise ValueError("target: expected the dictionary of a ChArUco board to draw, found none")
+            raise ValueError("target: expected the dictionary of a ChArUco board, found none")
         if self.target.kind == "dots" and (self.target.size is None) != (self.rings is not None):
             raise ValueError(f"rings: expected them where the target has no size, found {self.rings}")
 
@@ -422,10 +422,10 @@ def _spots(board: Board) -> tuple[FloatArray, FloatArray]:
     return spots, first.astype(np.float64)
 
 
-# Random stereo pairs, and random poses of a calibration target before them: sessions with known truth.
+# Random stereo pairs and random poses of a calibration target: sessions with known truth.
 
-_TRIES = 1500  # random poses tried for each that is wanted
-_STEEPEST_RAD = 0.9  # between the board's normal and the ray to either camera
+_TRIES = 1500  # random poses tried for each accepted one
+_STEEPEST_RAD = 0.9  # largest angle between the board's normal and the ray to a camera
 
 
 def random_rig(rng: np.random.Generator, size_px: IntArray, field_m: float) -> StereoRig:
@@ -476,7 +476,7 @@ def random_poses(rng: np.random.Generator, rig: StereoRig, board: Board, count: 
         if len(poses) == count:
             return poses
     raise ValueError(
-        f"board: expected one that fits into both pictures, found {len(poses)} poses in {_TRIES * count} tries"
+        f"board: expected one that fits into both images, found {len(poses)} poses in {_TRIES * count} tries"
     )
 
 

@@ -137,7 +137,7 @@ def spline_value(coefficients: NDArray[np.float32], x: float, y: float) -> float
     return value
 
 
-# What a camera looks at: a flat textured face of a rigid body, and the view of it.
+# Objects: a flat textured face of a rigid body, and the view of it.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -296,7 +296,7 @@ class ImageSensor:
 
 # Rendering by ray intersection: pixel aperture and exposure are integrated, lens blur is part of the face.
 
-_FAR = 4.0  # rim blur in σ beyond which a point is wholly inside or outside
+_FAR = 4.0  # distance in σ of the rim blur beyond which a point is inside or outside
 
 
 def render(view: View, face: Face, poses: FloatArray, weights: FloatArray, nodes: int = 2) -> FloatArray:
@@ -452,9 +452,9 @@ def _cover(size: FloatArray, u: float, v: float) -> float:
     return 0.0 if cover < -_FAR else 0.5 * (1.0 + math.erf(cover / math.sqrt(2.0)))
 
 
-# The Cramér-Rao bound of the motion in a set of images: how well any program could place the body.
+# Cramér-Rao bound of the motion in a set of images.
 
-_POSE_STEP = np.array([2e-6] * 3 + [2e-5] * 3)  # m and, at 0.1 m from the origin, rad: a few hundredths of a pixel
+_POSE_STEP = np.array([2e-6] * 3 + [2e-5] * 3)  # m and, at 0.1 m from the origin, rad: some hundredths of a pixel
 
 
 def motion_bound(
@@ -489,10 +489,10 @@ def motion_bound(
     return np.asarray(np.linalg.inv(information))
 
 
-# A calibration session that was never held: the covariance that a stereo pair's parameters would have.
+# Simulated calibration session: covariance of a stereo pair's parameters.
 
-# Steps of the numeric derivative, and what is known before the session (focal lengths and centres in px, the
-# distortion of a good lens, rotation in rad, translation in m). Without the latter k3 of a narrow field is open.
+# Steps of the numeric derivative, and prior standard deviations (focal lengths and centres in px, the distortion of a
+# good lens, rotation in rad, translation in m). Without a prior, k3 of a narrow field is undetermined.
 _CAMERA_STEP = (0.1, 0.1, 0.1, 0.1, 1e-4, 1e-3, 1e-5, 1e-5, 1e-2)
 _CAMERA_PRIOR = (100.0, 100.0, 30.0, 30.0, 0.2, 0.5, 2e-3, 2e-3, 0.5)
 _STEPS = np.array([*_CAMERA_STEP, *_CAMERA_STEP, *[1e-6] * 6])

@@ -10,6 +10,7 @@ import numpy as np
 
 from photogram.arrays import FloatArray
 from photogram.calibration.calibration_file import write_whole
+from photogram.calibration.exchange.exchange_notices import COVARIANCE_NOT_EXPORTED, SKEW_IGNORED
 from photogram.calibration.exchange.lens import (
     RADIAL,
     SIDES,
@@ -48,7 +49,7 @@ def opencv_yaml(rig: StereoRig) -> tuple[str, list[Notice]]:
     storage.write("R", rig.right_from_left.rotation)
     storage.write("T", rig.right_from_left.translation_m.reshape(3, 1))
     skews = [
-        Notice("warning", f"OpenCV's functions leave out its skew of {camera.matrix[0, 1]:.3g} px", f"{side} camera")
+        Notice(SKEW_IGNORED, f"{side} camera", skew_px=camera.matrix[0, 1])
         for side, camera in zip(SIDES, (rig.left, rig.right), strict=True)
         if camera.matrix[0, 1] != 0
     ]
@@ -64,7 +65,7 @@ def vic3d_xml(rig: StereoRig) -> tuple[str, list[Notice]]:
     """
     if not np.array_equal(rig.left.size_px, rig.right.size_px):
         found = " and ".join("x".join(map(str, camera.size_px)) for camera in (rig.left, rig.right))
-        raise ValueError(f"image_size: expected pictures of one size, as VIC-3D's projects have them, found {found}")
+        raise ValueError(f"image_size: expected images of one size, as in VIC-3D's projects, found {found}")
     notices: list[Notice] = []
     free = (*_MATRIX, *RADIAL, *TURN)
     left, right = (
@@ -116,7 +117,7 @@ FORMATS = {
     ".xml": ("VIC-3D", vic3d_xml),
     ".json": ("MATLAB", matlab_json),
 }
-"""By a file's suffix: which program it is for, and what writes it."""
+"""Program and writer of each file suffix."""
 
 
 def export_calibration(path: str | Path, rig: StereoRig) -> tuple[str, tuple[Notice, ...]]:
@@ -154,7 +155,7 @@ def export_calibration(path: str | Path, rig: StereoRig) -> tuple[str, tuple[Not
     program, write = FORMATS[path.suffix.lower()]
     text, notices = write(rig)
     if rig.covariance is not None:
-        notices.append(Notice("note", f"a file of {program} holds no covariance; keep the original", "covariance"))
+        notices.append(Notice(COVARIANCE_NOT_EXPORTED, "covariance", program=program))
     write_whole(path, text)
     return program, tuple(notices)
 

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.lib.format import read_array_header_1_0, read_array_header_2_0, read_magic
 
 from photogram.calibration.exchange.dic import is_matchid, read_dice_text, read_dice_xml, read_matchid, read_vic3d
+from photogram.calibration.exchange.exchange_notices import MALFORMED_XML
 from photogram.calibration.exchange.lens import (
     DistortionModel,
     ImportedCalibration,
@@ -28,14 +29,14 @@ from photogram.calibration.exchange.matlab import read_bouguet, read_mat, read_m
 from photogram.calibration.exchange.opencv import parse_json, read_kalibr, read_opencv, read_ros
 from shakercal._common.notices import Notice
 
-_PROJECT = "project.xml"  # the file inside a .z3d file that holds the calibration
-_LARGEST = 16 * 2**20  # bytes of a file or of a zipped part; calibrations have some kB, projects around them some MB
-_LARGEST_TEXT = 2**20  # of a text that is neither OpenCV's, XML nor JSON: these hold a calibration and nothing else
-_DEEPEST = 64  # lists within lists: readers follow these by recursion
+_PROJECT = "project.xml"  # the file inside a .z3d file with the calibration
+_LARGEST = 16 * 2**20  # bytes of a file or of a zipped part; calibrations have some kB, projects some MB
+_LARGEST_TEXT = 2**20  # of a text that is neither OpenCV's, XML nor JSON: such a file has only a calibration
+_DEEPEST = 64  # lists within lists: the readers are recursive
 _QUOTED = re.compile(r""" "[^"]*" | '[^'\n]*' """, re.VERBOSE)
 _PROGRAMS = "OpenCV, DICe, VIC-3D, MatchID, MATLAB or its toolbox of Bouguet, ROS, Kalibr"
-_MOST_ARRAYS, _LONGEST_ARRAY = 1000, 2000  # in a file of NumPy; elements of one that is looked at
-_LONGEST_SENTENCE = 400  # of what is said of a file, which may quote it
+_MOST_ARRAYS, _LONGEST_ARRAY = 1000, 2000  # in a file of NumPy; elements of an array that is read
+_LONGEST_SENTENCE = 400  # of an error, which may quote the file
 
 
 def parse_xml(content: bytes) -> ElementTree.Element:
@@ -44,14 +45,14 @@ def parse_xml(content: bytes) -> ElementTree.Element:
     Entities and deep nesting are refused.
     """
     if b"<!ENTITY" in content.upper():
-        raise ValueError("expected an XML text without entities of its own, found one")
+        raise ValueError("expected an XML text without entities, found one")
     events, depth = ElementTree.iterparse(BytesIO(content), ("start", "end")), 0
     try:
         for event, _ in events:
             depth += 1 if event == "start" else -1
             if depth > _DEEPEST:
                 raise ValueError(f"expected at most {_DEEPEST} elements within each other, found more")
-    except (ElementTree.ParseError, LookupError) as error:  # LookupError: an encoding that nobody knows
+    except (ElementTree.ParseError, LookupError) as error:  # LookupError: an unknown encoding
         raise ValueError(f"expected an XML text, found: {error}") from error
     root: ElementTree.Element = events.root  # type: ignore[attr-defined]
     for element in root.iter():
@@ -122,7 +123,7 @@ def import_calibration(
     path = Path(path)
     if image_size is not None and min(image_size) < 1:
         raise ValueError(f"image_size: expected a width and a height of at least 1, found {image_size}")
-    with _one_sentence(path), np.errstate(all="ignore"):  # of numbers beyond reason, told by what comes of them
+    with _one_sentence(path), np.errstate(all="ignore"):  # extreme numbers: their results are checked
         second = None if extrinsics is None else _second(Path(extrinsics))
         stated = _read(path, second, even_radial, distortion_model)
         for name, given, formats in (
@@ -142,15 +143,15 @@ def _one_sentence(path: Path) -> Iterator[None]:
         yield
     except (ValueError, RecursionError, OverflowError, MemoryError) as error:
         if isinstance(error, np.linalg.LinAlgError):
-            told = "expected rotations, found a matrix that has no inverse"
+            text = "expected rotations, found a matrix that has no inverse"
         elif isinstance(error, RecursionError):
-            told = f"expected at most {_DEEPEST} lists within each other, found more"
+            text = f"expected at most {_DEEPEST} lists within each other, found more"
         elif isinstance(error, ValueError):
-            told = " ".join(str(error).split())
+            text = " ".join(str(error).split())
         else:
-            told = "expected numbers of a calibration, found one too large"
-        told = told if len(told) <= _LONGEST_SENTENCE else told[:_LONGEST_SENTENCE] + " …"
-        raise ValueError(told if told.startswith(f"{path}: ") else f"{path}: {told}") from error
+            text = "expected numbers of a calibration, found one too large"
+        text = text if len(text) <= _LONGEST_SENTENCE else text[:_LONGEST_SENTENCE] + " …"
+        raise ValueError(text if text.startswith(f"{path}: ") else f"{path}: {text}") from error
 
 
 def _second(path: Path) -> str:
@@ -162,7 +163,7 @@ def _second(path: Path) -> str:
         except UnicodeDecodeError as error:
             raise ValueError("expected a text, found other bytes") from error
         if text.lstrip().startswith("<"):
-            parse_xml(content)  # for its depth
+            parse_xml(content)  # checks its depth
             return text
         return _text(text)
 
@@ -186,7 +187,7 @@ def _content(path: Path) -> bytes:
         return path.read_bytes()
     with _unpacking(), zipfile.ZipFile(path) as archive:
         if _PROJECT not in archive.namelist():
-            raise ValueError(f"expected {_PROJECT} in this zipped file, or arrays of NumPy alone, found neither")
+            raise ValueError(f"expected {_PROJECT} in this zipped file, or only arrays of NumPy, found neither")
         with archive.open(_PROJECT) as part:
             content = part.read(_LARGEST + 1)
     if len(content) > _LARGEST:
@@ -258,7 +259,7 @@ def _read_json(text: str, second: str | None, model: DistortionModel | None) -> 
     if "CameraParameters1" in values:
         return read_matlab(values)
     if values.get("format") == 1 and "rotation" in values:
-        raise ValueError("expected another program's calibration, found one of this program, ready for use")
+        raise ValueError("expected another program's calibration, found one of this program, which needs no import")
     return read_opencv(text, second, model)
 
 
@@ -294,8 +295,7 @@ def _read_xml(content: bytes, even_radial: bool) -> StatedCalibration | None:
         parts = _vic3d_parts(content)
         if parts is None:
             raise
-        text = "the file is no well-formed XML; its calibration and the size of its pictures are, and are taken"
-        root, notices = parts, (Notice("warning", text, "content"),)
+        root, notices = parts, (Notice(MALFORMED_XML, "content"),)
     if root.tag == "parameterlist":
         return read_dice_xml(root, even_radial)
     if next(root.iter("camera"), None) is not None and root.tag != "opencv_storage":

@@ -9,6 +9,11 @@ from xml.etree import ElementTree
 import numpy as np
 
 from photogram.arrays import FloatArray
+from photogram.calibration.exchange.exchange_notices import (
+    EVEN_POWERS_REQUESTED,
+    LINEAR_POWERS,
+    UNUSED_COEFFICIENTS,
+)
 from photogram.calibration.exchange.lens import (
     EVEN,
     NO_ROTATION,
@@ -24,17 +29,17 @@ from shakercal._common.notices import Notice
 # DICe: camera systems in XML, and the text of 16 intrinsic and 6 or 12 extrinsic numbers before it.
 
 _SYSTEM_FILE = "dice_xml_camera_system_file"
-_POWERS = {  # of r in the factor by which x and y are multiplied
+_POWERS = {  # of r in the factor of x and y
     "OPENCV_LENS_DISTORTION": EVEN,
     "K1R1_K2R2_K3R3": (0, 1, 2),  # r + k1·r + k2·r² + k3·r³
     "K1R2_K2R4_K3R6": (1, 3, 5),
     "K1R3_K2R5_K3R7": EVEN,
-    "VIC3D_LENS_DISTORTION": EVEN,  # the numbers are VIC-3D's own
+    "VIC3D_LENS_DISTORTION": EVEN,  # the numbers are those of VIC-3D
 }
 _LINEAR = "K1R1_K2R2_K3R3"
 _NONE = "NO_LENS_DISTORTION"
 _COEFFICIENTS = ("K1", "K2", "K3", "P1", "P2", "K4", "K5", "K6")
-_USED = {_NONE: 0, "OPENCV_LENS_DISTORTION": len(_COEFFICIENTS)}  # of these, by model; of all others K1 K2 K3
+_USED = {_NONE: 0, "OPENCV_LENS_DISTORTION": len(_COEFFICIENTS)}  # of these, by model; other models use K1 K2 K3
 _DICE_BEYOND = ("S1", "S2", "S3", "S4", "T1", "T2")
 _TEXT_ORDER = "cx cy fx fy fs k1 k2 k3 of either camera, alpha beta gamma or R11…R33, tx ty tz, [height width]"
 
@@ -67,18 +72,14 @@ def _by_order(left: Lens, right: Lens, even_radial: bool) -> tuple[tuple[Lens, L
     """Return both lenses with the chosen radial powers and a notice of the choice."""
     linear = [lens for lens in (left, right) if lens.exponents == _POWERS[_LINEAR]]
     if even_radial and not linear:
-        raise ValueError(f"even_radial: expected coefficients of {_LINEAR}, found others, whose powers of r are stated")
+        raise ValueError(f"even_radial: expected coefficients of {_LINEAR}, found others, with stated powers of r")
     if not any(lens.radial.any() for lens in linear):
         return (left, right), ()
     if even_radial:
-        told = "k1 k2 k3 are taken as the factor 1 + k1 r^2 + k2 r^4 + k3 r^6, as asked for; DICe takes them otherwise"
-        return (replace(left, exponents=EVEN), replace(right, exponents=EVEN)), (Notice("note", told, "distortion"),)
-    text = (
-        f"k1 k2 k3 are taken as {_LINEAR}, x (1 + k1 + k2 r + k3 r^2), as DICe itself takes this file, by which its "
-        f"focal lengths are {100 * left.radial[0]:+.2g} % and {100 * right.radial[0]:+.2g} % off fx; numbers copied "
-        "from OpenCV or VIC-3D belong to r^2, r^4, r^6: for these ask for even_radial (--even-radial)"
-    )
-    return (left, right), (Notice("warning", text, "distortion"),)
+        even = replace(left, exponents=EVEN), replace(right, exponents=EVEN)
+        return even, (Notice(EVEN_POWERS_REQUESTED, "distortion"),)
+    percent = {"left_percent": 100 * left.radial[0], "right_percent": 100 * right.radial[0]}
+    return (left, right), (Notice(LINEAR_POWERS, "distortion", model=_LINEAR, **percent),)
 
 
 def read_dice_text(text: str, even_radial: bool = False) -> StatedCalibration:
@@ -123,14 +124,13 @@ def _camera(
             raise ValueError(f"{name}.{key}: missing")
     for key in _DICE_BEYOND:
         if number(key) != 0:
-            raise ValueError(f"{name}.{key}: expected k1 … k6, p1 and p2 alone, found {key} = {number(key):g}")
+            raise ValueError(f"{name}.{key}: expected only k1 … k6, p1 and p2, found {key} = {number(key):g}")
     model = values.get("LENS_DISTORTION_MODEL", _NONE).upper()
     if model != _NONE and model not in _POWERS:
         raise ValueError(f"{name}.LENS_DISTORTION_MODEL: expected {', '.join((_NONE, *_POWERS))}, found {model}")
     unused = [key for key in _COEFFICIENTS[_USED.get(model, 3) :] if number(key) != 0]
     if unused and "LENS_DISTORTION_MODEL" not in values:
-        told = f"the model of distortion that {', '.join(unused)} belong to"
-        raise ValueError(f"{name}.LENS_DISTORTION_MODEL: expected {told}, found none")
+        raise ValueError(f"{name}.LENS_DISTORTION_MODEL: expected the model of {', '.join(unused)}, found none")
     radial = np.array([number("K1"), number("K2"), number("K3")]) * (model != _NONE)
     is_opencv = model == "OPENCV_LENS_DISTORTION"
     tangential = np.array([number("P1"), number("P2")]) * is_opencv
@@ -150,11 +150,14 @@ def _camera(
             rows = _parameters(part)
             matrix = np.array([_list(f"{name}.ROW {i}", rows.get(f"ROW {i}", ""), 3) for i in range(3)])
             if {"ALPHA", "BETA", "GAMMA"} & set(values) and not np.abs(matrix - rotation).max() <= NO_ROTATION:
-                told = f"found ones off by {np.abs(matrix - rotation).max():.2g}: are they in degrees?"
-                raise ValueError(f"{name}.ALPHA, BETA, GAMMA: expected the angles of rotation_3x3_matrix, {told}")
+                off = float(np.abs(matrix - rotation).max())
+                expected = "the angles of rotation_3x3_matrix"
+                raise ValueError(
+                    f"{name}.ALPHA, BETA, GAMMA: expected {expected}, off by {off:.2g}: are they in degrees?"
+                )
             rotation = matrix
-    told = f"{name}: {', '.join(unused)} are left out, since {model} has no such coefficients"
-    notices = (Notice("warning", told, "distortion"),) if unused else ()
+    values = {"camera": name, "coefficients": ", ".join(unused), "model": model}
+    notices = (Notice(UNUSED_COEFFICIENTS, "distortion", **values),) if unused else ()
     shift = np.array([number("TX"), number("TY"), number("TZ")])
     return lens, (int(width), int(height)), rotation, shift, notices
 
@@ -164,7 +167,7 @@ def _list(where: str, text: str, count: int) -> FloatArray:
     return parse_numbers(where, re.findall(r"[^\s,{}]+", text), count)
 
 
-# VIC-3D: the calibration in a project's XML, on its own or inside a .z3d file.
+# VIC-3D: the calibration in a project's XML, separate or inside a .z3d file.
 
 
 def read_vic3d(root: ElementTree.Element) -> StatedCalibration:
@@ -181,7 +184,7 @@ def read_vic3d(root: ElementTree.Element) -> StatedCalibration:
         raise ValueError(f"camera: expected the ids 0 and 1, found {', '.join(sorted(cameras)) or 'none'}")
     (left, *left_pose), (right, *right_pose) = (_vic3d_camera(f"camera {key}", cameras[key]) for key in "01")
     rotation, translation = right_from_left(left_pose, right_pose)
-    size = None  # of the pictures: it stands at an area of interest where there is one
+    size = None  # of the images: stated at an area of interest, if there is one
     for mask in root.iter("polygonmask"):
         if size is None and mask.get("width") and mask.get("height"):
             width, height = parse_numbers("polygonmask", [mask.get("width"), mask.get("height")], 2)
@@ -201,8 +204,8 @@ def _vic3d_camera(name: str, camera: ElementTree.Element) -> tuple[Lens, FloatAr
     coefficients = parse_numbers(f"{name}.distortion", radial, len(radial))
     if coefficients[3:].any():
         raise ValueError(
-            f"{name}.distortion: expected k1 k2 k3, found {coefficients[3:].tolist()} beside them, "
-            "whose meaning is not published; calibrate with radial distortion alone"
+            f"{name}.distortion: expected k1 k2 k3, found also {coefficients[3:].tolist()}, "
+            "whose definition is not published; calibrate with radial distortion only"
         )
     if orientation is None:
         raise ValueError(f"{name}.orientation: missing")

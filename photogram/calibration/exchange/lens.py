@@ -10,16 +10,27 @@ import numpy as np
 
 from photogram.arrays import Arrays, FloatArray, IntArray
 from photogram.calibration.calibration_file import LARGEST, check_plausible
+from photogram.calibration.exchange.exchange_notices import (
+    APPROXIMATED_CAMERA,
+    CAMERA_GEOMETRY,
+    CENTRE_FAR_FROM_MIDDLE,
+    CENTRE_OUTSIDE_IMAGE,
+    INEXACT_ROTATION,
+    NO_COMMON_VIEW,
+    POORLY_APPROXIMATED_CAMERA,
+    UNCERTAINTIES_MISSING,
+    UNUSUAL_DISTANCE,
+)
 from photogram.camera import CAMERA_PARAMETERS, Camera, StereoRig
 from photogram.geometry import RigidTransform, nearest_rotation, rotation_from_vector, skew
 from shakercal._common.notices import Notice
 
 EVEN = (2, 4, 6)
-"""Exponents of the radial polynomial 1 + k1·r² + k2·r⁴ + k3·r⁶, which is this program's."""
-_GRID = 21  # points along each side of the picture at which two cameras are compared
+"""Exponents of this program's radial polynomial 1 + k1·r² + k2·r⁴ + k3·r⁶."""
+_GRID = 21  # points along each side of the image for the comparison of two cameras
 _STEPS = 200  # fixed-point steps of the inverse
 _INVERTED_PX = 1e-6
-_ESSENTIAL = 1e-3  # relative departure of an essential matrix from that of R and T above which they contradict
+_ESSENTIAL = 1e-3  # largest relative deviation of an essential matrix from that of R and T
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -176,7 +187,7 @@ def _seen(lens: Lens, size_px: IntArray) -> FloatArray:
         if not np.isfinite(difference).all():
             break
         normalised = normalised + difference / lens.focal_px
-    raise ValueError("distortion: expected coefficients with an inverse over the picture, found none")
+    raise ValueError("distortion: expected coefficients with an inverse over the image, found none")
 
 
 def _seen_by_fisheye(lens: Lens, coefficients: FloatArray, size_px: IntArray) -> FloatArray:
@@ -185,15 +196,15 @@ def _seen_by_fisheye(lens: Lens, coefficients: FloatArray, size_px: IntArray) ->
     distorted = np.linalg.solve(matrix, (pixel_grid(size_px) - lens.centre_px).T).T
     angle = np.linspace(0.0, WIDEST_RAD, 20_001)
     table, radius = fisheye_radius(angle, coefficients), np.linalg.norm(distorted, axis=1)
-    growing = int(np.argmin(np.append(np.diff(table) > 0, False)))  # how far it grows, and has an inverse
+    growing = int(np.argmin(np.append(np.diff(table) > 0, False)))  # range with an inverse
     if not radius.max() <= table[growing]:
-        told = f"at most {np.degrees(angle[growing]):.0f} degrees off its axis, as far as its model has an inverse"
-        raise ValueError(f"distortion: expected a fisheye lens whose picture shows {told}, found more")
+        expected = f"a field of view of at most {np.degrees(angle[growing]):.0f} degrees off the axis"
+        raise ValueError(f"distortion: expected {expected}, the range of the fisheye model's inverse, found more")
     theta = np.interp(radius, table[: growing + 1], angle[: growing + 1])
     return np.asarray(distorted * (np.tan(theta) / np.where(radius > 0, radius, 1.0))[:, None])
 
 
-# From what a file holds to a stereo rig: units, rotations written with few digits, differences of camera models.
+# Conversion of a file's content to a stereo rig: units, inexact rotations, differences of camera models.
 
 LengthUnit = Literal["m", "mm", "cm", "um", "in"]
 METRES = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "um": 1e-6, "in": 0.0254}
@@ -205,15 +216,15 @@ _UNIT_WORDS: dict[str, LengthUnit] = {
     **dict.fromkeys(("in", "inch", "inches"), "in"),
 }
 DistortionModel = Literal["plumb_bob", "fisheye"]
-"""What four coefficients of a distortion are: k1 k2 p1 p2, or those of an angle."""
-FEW_DIGITS = 1e-5  # departure from a rotation above which the user is told
-NO_ROTATION = 1e-3  # and above which it is none
-WIDEST_RAD = np.radians(79.0)  # off the axis; as far as a camera of this program sees
-_OFF_MIDDLE = 0.2  # of the picture's side; at half the resolution the principal point is 0.25 off, a lens some 0.02
-REMARKABLE_PX = 0.05  # difference between the file's camera and this program's that is worth a warning
-NEAR_M, FAR_M = 1e-3, 20.0  # between two cameras of a pair; beyond these a unit is likely to be wrong
-_DEPTHS = np.geomspace(0.3, 1000.0, 40)  # in baselines, at which two cameras may see the same
-UNUSABLE_PX = 0.5  # and that is refused
+"""Model of four distortion coefficients: k1 k2 p1 p2, or those of an angle."""
+FEW_DIGITS = 1e-5  # deviation from a rotation for a warning
+NO_ROTATION = 1e-3  # and for a refusal
+WIDEST_RAD = np.radians(79.0)  # off the axis; the widest field of view of a camera of this program
+_OFF_MIDDLE = 0.2  # of the image's side; at half the resolution the offset is 0.25, of a real lens about 0.02
+REMARKABLE_PX = 0.05  # difference between the file's camera and this program's for a warning
+NEAR_M, FAR_M = 1e-3, 20.0  # usual distances of two cameras; others suggest a wrong unit
+_DEPTHS = np.geomspace(0.3, 1000.0, 40)  # in baselines, of points in a common field of view
+UNUSABLE_PX = 0.5  # and for a refusal
 SIDES = ("left", "right")
 
 
@@ -257,7 +268,7 @@ def build_rig(
     """Return the stereo rig of a file's content."""
     sizes, unit = _sizes(stated.sizes_px, image_size), length_unit or stated.unit or stated.habit
     if unit is None:
-        raise ValueError(f"length_unit: expected m or mm, which a file of {stated.format} does not say")
+        raise ValueError(f"length_unit: expected m or mm, which a file of {stated.format} does not state")
     if stated.unit is not None and unit != stated.unit:
         raise ValueError(f"length_unit: expected {stated.unit} as in the file, found {unit}")
     departure = float(np.abs(stated.rotation.T @ stated.rotation - np.eye(3)).max())
@@ -268,24 +279,19 @@ def build_rig(
         )
     notices = list(stated.notices)
     if departure > FEW_DIGITS:
-        text = f"the rotation is written with so few digits that it is {1e3 * departure:.2f} mrad away from one"
-        notices.append(Notice("warning", text, "rotation"))
+        notices.append(Notice(INEXACT_ROTATION, "rotation", deviation_mrad=1e3 * departure))
     if stated.essential is not None:
         _check_essential(*stated.essential, stated)
     left, right = (_camera(*each, notices) for each in zip(SIDES, stated.lenses, sizes, strict=True))
     between = RigidTransform(nearest_rotation(stated.rotation), stated.translation * METRES[unit])
     cosine = np.clip((np.trace(between.rotation) - 1.0) / 2.0, -1.0, 1.0)
-    told = (
-        f"the cameras are {1e3 * np.linalg.norm(between.translation_m):.2f} mm apart and turned by "
-        f"{np.rad2deg(np.arccos(cosine)):.2f} degrees against each other (lengths in the file taken as {unit})"
-    )
-    missing = "no uncertainties came with it: state scale_uncertainty under [stereo.NAME] in rig.toml"
+    distance_mm, angle_deg = 1e3 * float(np.linalg.norm(between.translation_m)), float(np.rad2deg(np.arccos(cosine)))
+    geometry = Notice(CAMERA_GEOMETRY, "extrinsics", distance_mm=distance_mm, angle_deg=angle_deg, unit=unit)
     rig, by_habit = check_plausible(StereoRig(left, right, between)), length_unit is None and stated.unit is None
-    notices += [Notice("note", told, "extrinsics"), *_distance(between, unit, by_habit)]
+    notices += [geometry, *_distance(between, unit, by_habit)]
     if not _see_the_same(rig):
-        told = "the right camera does not see what the middle of the left picture shows: is x_right = R x_left + T?"
-        notices.append(Notice("warning", told, "extrinsics"))
-    return ImportedCalibration(rig, stated.format, (*notices, Notice("note", missing, "covariance")))
+        notices.append(Notice(NO_COMMON_VIEW, "extrinsics"))
+    return ImportedCalibration(rig, stated.format, (*notices, Notice(UNCERTAINTIES_MISSING, "covariance")))
 
 
 def _distance(between: RigidTransform, unit: str, by_habit: bool) -> list[Notice]:
@@ -296,10 +302,10 @@ def _distance(between: RigidTransform, unit: str, by_habit: bool) -> list[Notice
     distance = float(np.linalg.norm(between.translation_m))
     if NEAR_M <= distance <= FAR_M:
         return []
-    found = f"cameras {distance:.3g} m apart with lengths in {unit}"
     if by_habit:
-        raise ValueError(f"length_unit: expected the unit to be stated, as the file does not, found {found}")
-    return [Notice("warning", f"{found}: is the unit right?", "extrinsics")]
+        found = f"cameras {distance:.3g} m apart with lengths in {unit}"
+        raise ValueError(f"length_unit: expected the unit of lengths, which the file does not state, found {found}")
+    return [Notice(UNUSUAL_DISTANCE, "extrinsics", distance_m=distance, unit=unit)]
 
 
 def _see_the_same(rig: StereoRig) -> bool:
@@ -363,7 +369,7 @@ def _sizes(sizes: tuple[tuple[int, int] | None, ...], option: tuple[int, int] | 
     found = []
     for size in sizes:
         if size is None and option is None:
-            raise ValueError("image_size: expected width and height of the pictures, which the file does not hold")
+            raise ValueError("image_size: expected width and height of the images, which the file does not have")
         if size is not None and option is not None and size != option:
             raise ValueError(f"image_size: expected {_times(size)} as in the file, found {_times(option)}")
         found.append(np.array(size or option, dtype=np.int64))
@@ -377,11 +383,11 @@ def _times(size: tuple[int, int]) -> str:
 
 def approximation_notice(where: str, beyond: str, nearest: NearestCamera) -> Notice:
     """Return a notice of an approximated camera; `ValueError` for a large difference."""
-    remain = f"up to {nearest.largest_px:.3f} px remain over the picture"
     if not nearest.largest_px <= UNUSABLE_PX:
-        raise ValueError(f"{where}: {beyond} has no camera near enough: {remain}, {UNUSABLE_PX} px are allowed")
-    text = f"{beyond} is described by the nearest camera without it; {remain}"
-    return Notice("warning" if nearest.largest_px > REMARKABLE_PX else "note", text, where)
+        expected = f"a camera without {beyond} that differs by at most {UNUSABLE_PX} px over the image"
+        raise ValueError(f"{where}: expected {expected}, found {nearest.largest_px:.3f} px")
+    declared = POORLY_APPROXIMATED_CAMERA if nearest.largest_px > REMARKABLE_PX else APPROXIMATED_CAMERA
+    return Notice(declared, where, missing=beyond, largest_px=nearest.largest_px)
 
 
 def _camera(side: str, lens: Lens, size: IntArray, notices: list[Notice]) -> Camera:
@@ -394,10 +400,9 @@ def _camera(side: str, lens: Lens, size: IntArray, notices: list[Notice]) -> Cam
     if not lens.is_exact:
         notices.append(approximation_notice(where, lens.model, nearest))
     centre, (width, height) = nearest.camera.matrix[:2, 2], size
+    values = {"x_px": float(centre[0]), "y_px": float(centre[1]), "width_px": int(width), "height_px": int(height)}
     if not ((centre >= 0).all() and (centre < size).all()):
-        text = f"its principal point ({centre[0]:.0f}, {centre[1]:.0f}) lies outside a picture of {width}x{height}: "
-        notices.append(Notice("warning", f"{text}width and height may be exchanged", where))
+        notices.append(Notice(CENTRE_OUTSIDE_IMAGE, where, **values))
     elif (np.abs(centre - (size - 1) / 2) > _OFF_MIDDLE * size).any():
-        text = f"its principal point ({centre[0]:.0f}, {centre[1]:.0f}) lies far from the middle of a picture of "
-        notices.append(Notice("warning", f"{text}{width}x{height}: is the matrix that of this size, uncut?", where))
+        notices.append(Notice(CENTRE_FAR_FROM_MIDDLE, where, **values))
     return nearest.camera

@@ -35,7 +35,7 @@ def read_matlab(content: dict[str, Any]) -> StatedCalibration:
     given = None if essential is None else (name, parse_numbers(name, essential, (3, 3)))
     word = str(content.get("WorldUnits", unit))
     file_unit, sizes = unit_of(word), (left_size, right_size)
-    stated = None if file_unit == "mm" else file_unit  # millimetres stand there as well where nobody chose a unit
+    stated = None if file_unit == "mm" else file_unit  # millimetres are also MATLAB's default unit
     return StatedCalibration(
         "MATLAB", (left, right), sizes, rotation, translation, stated, habit=file_unit, essential=given
     )
@@ -98,7 +98,7 @@ def _variables(path: Path) -> dict[str, Any]:
         ) from error
     except _ExternalDataError as error:
         raise ValueError("expected data in this file, found some in other files") from error
-    except Exception as error:  # the readers raise whatever damaged bytes lead to
+    except Exception as error:  # damaged bytes lead to any exception of the readers
         raise ValueError(f"expected a .mat file that can be read, found {type(error).__name__} in it") from error
 
 
@@ -161,8 +161,8 @@ def _matlab_camera(name: str, camera: Any) -> tuple[Lens, tuple[int, int] | None
     inner = camera.get("Intrinsics")
     parameters = {**camera, **inner} if isinstance(inner, dict) else camera
     if parameters.get("MappingCoefficients") is not None:
-        told = "a pinhole camera (cameraParameters), found a fisheye lens by mapping coefficients (Scaramuzza's model)"
-        raise ValueError(f"{name}: expected {told}")
+        found = "a fisheye lens by mapping coefficients (Scaramuzza's model)"
+        raise ValueError(f"{name}: expected a pinhole camera (cameraParameters), found {found}")
     if parameters.get("K") is not None:
         k = parse_numbers(f"{name}.K", parameters["K"], (3, 3))
     elif parameters.get("IntrinsicMatrix") is not None:

@@ -39,21 +39,21 @@ _BEYOND = ("s1", "s2", "s3", "s4", "tauX", "tauY")
 _LENGTHS = (4, 5, 8, 12, 14)
 _FEW = 4  # coefficients: k1 k2 p1 p2, or a fisheye lens's k1 k2 k3 k4
 _MODEL_KEY = re.compile(r"(distortion|camera|lens)(model|type)|fisheye|^model$")
-_FLAG_KEY = re.compile(r"distortiontype|fisheye")  # of which a number is a model: 0 or 1 (OpenCV's sample, MC-Calib)
-_MODELS: dict[str, DistortionModel | None] = {  # None: says nothing of the distortion
+_FLAG_KEY = re.compile(r"distortiontype|fisheye")  # keys whose number is a model: 0 or 1 (OpenCV's sample, MC-Calib)
+_MODELS: dict[str, DistortionModel | None] = {  # None: no statement about the distortion
     **dict.fromkeys(("plumbbob", "radtan", "radialtangential", "brown", "brownconrady", "opencv"), "plumb_bob"),
     **dict.fromkeys(("rational", "rationalpolynomial", "fullopencv", "none", "0", "false", "no"), "plumb_bob"),
     **dict.fromkeys(("fisheye", "equidistant", "equi", "kannalabrandt", "1", "true", "yes"), "fisheye"),
     **dict.fromkeys(("pinhole", "perspective"), None),
 }
 _OTHER_MODELS = re.compile(r"omni|^mei|^ds$|doublesphere|^eucm|scaramuzza|ocam|fov|division|thinprism|kannala|fisheye")
-_DEEPEST = 500  # levels that OpenCV's parser can be trusted with; it dies beyond some 30 000
-_LONGEST = 2000  # elements of one list or object; image points may stand beside the calibration
+_DEEPEST = 500  # levels; OpenCV's parser crashes beyond about 30 000
+_LONGEST = 2000  # elements of one list or object; a file may also contain image points
 _MOST_VALUES = 500_000
-_LARGEST_YAML = 2**18  # characters; PyYAML reads some 50 000 in a second
+_LARGEST_YAML = 2**18  # characters; PyYAML reads about 50 000 per second
 
 Values = dict[str, tuple[str, Any]]
-"""Values of a file by simplified name, each with the name as it stands there."""
+"""Values of a file by simplified name, each with its name in the file."""
 
 
 def read_opencv(
@@ -87,7 +87,7 @@ def read_opencv(
 
 def _model(values: Values, requested: DistortionModel | None) -> DistortionModel | None:
     """Return the distortion model of a file's keys or of the caller, None if unknown."""
-    found: dict[DistortionModel, str] = {} if requested is None else {requested: f"{requested} as asked for"}
+    found: dict[DistortionModel, str] = {} if requested is None else {requested: f"{requested} as requested"}
     for name, (key, value) in values.items():
         if re.fullmatch(r"xi(\d|l|r|left|right)?|(left|right|camera\d)xi", name):
             raise ValueError(f"{key}: expected a pinhole or a fisheye lens, found one of the omnidirectional model")
@@ -96,8 +96,8 @@ def _model(values: Values, requested: DistortionModel | None) -> DistortionModel
             continue
         word = re.sub(r"[^a-z0-9]", "", f"{value:g}" if number else str(value).lower())
         if word not in _MODELS and ("distortion" in name or _OTHER_MODELS.search(word)):
-            told = "plumb_bob, rational_polynomial or fisheye, the models of distortion that are read"
-            raise ValueError(f"{key}: expected {told}, found {str(value)[:40]}")
+            expected = "plumb_bob, rational_polynomial or fisheye, the available models of distortion"
+            raise ValueError(f"{key}: expected {expected}, found {str(value)[:40]}")
         stated = _MODELS.get(word)
         if stated is not None:
             found.setdefault(stated, f"{key} = {str(value)[:40]}")
@@ -155,7 +155,7 @@ def _storage(text: str) -> Any:
     level = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
-        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)  # its nodes live as long
+        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)  # its nodes require it
         return _node(storage.root(), count())
     except (SystemError, cv2.error) as error:
         raise ValueError("expected an OpenCV FileStorage text, found one that OpenCV cannot parse") from error
@@ -218,8 +218,8 @@ def _lens(matrix: tuple[str, Any], distortion: tuple[str, Any], model: Distortio
             raise ValueError(f"{name}: expected the {_FEW} coefficients of a fisheye lens, found {length}")
         return fisheye(focal, centre, coefficients, float(k[0, 1]))
     if length == _FEW and model is None:
-        told = "k1 k2 p1 p2 (plumb_bob) or k1 k2 k3 k4 of a fisheye lens"
-        raise ValueError(f"distortion_model: expected plumb_bob or fisheye, for {name} has 4 coefficients, {told}")
+        found = f"4 coefficients in {name}: k1 k2 p1 p2 (plumb_bob) or k1 k2 k3 k4 (fisheye)"
+        raise ValueError(f"distortion_model: expected plumb_bob or fisheye, found none for {found}")
     for label, coefficient in zip(_BEYOND, coefficients[8:], strict=False):
         if coefficient != 0:
             raise ValueError(
@@ -256,7 +256,7 @@ def _size(values: Values, spelled: Callable[..., str]) -> tuple[int, int] | None
 
 # ROS and Kalibr: YAML.
 
-_ROS_MODELS: dict[str, tuple[tuple[int, ...], DistortionModel]] = {  # their numbers of coefficients, OpenCV's
+_ROS_MODELS: dict[str, tuple[tuple[int, ...], DistortionModel]] = {  # numbers of coefficients and OpenCV's model
     "plumb_bob": ((5, 4), "plumb_bob"),
     "rational_polynomial": ((8,), "plumb_bob"),
     "equidistant": ((4,), "fisheye"),
@@ -275,12 +275,12 @@ def parse_yaml(text: str) -> dict[str, Any]:
         ) from error
     if len(text) > _LARGEST_YAML:
         raise ValueError(f"expected a YAML text of at most {_LARGEST_YAML >> 10} kB, found {len(text) >> 10} kB")
-    body = re.sub(r"\A%YAML:1\.0[^\n]*\n", "", text)  # OpenCV's header is no YAML
+    body = re.sub(r"\A%YAML:1\.0[^\n]*\n", "", text)  # OpenCV's header is not valid YAML
     references = False
     try:
         references = any(isinstance(token, yaml.AliasToken) for token in yaml.scan(body))
         content = None if references else yaml.safe_load(body)
-    except Exception as error:  # besides its own, whatever the values of damaged texts lead to
+    except Exception as error:  # damaged texts lead to any exception
         raise ValueError(f"expected a YAML text, found: {' '.join(str(error).split())[:200]}") from error
     if references:
         raise ValueError("expected a YAML text without references, found one")
@@ -309,8 +309,8 @@ def read_ros(text: str, second: str | None) -> StatedCalibration:
             raise ValueError(f"{distortion[0]}: expected {lengths[0]} coefficients for {kind}, found {length}")
         lenses.append(_lens(matrix, distortion, model))
         for key, value in _reduced(content):
-            told = "those of the whole sensor at full resolution, to which camera_matrix belongs"
-            raise ValueError(f"{side} {key}: expected {told}, found {value:g}")
+            expected = "the value of full-size images, to which camera_matrix refers"
+            raise ValueError(f"{side} {key}: expected {expected}, found {value:g}")
         rotations.append(parse_numbers(*rectification, (3, 3)))
         p = parse_numbers(*projection, (3, 4))
         if not p[0, 0] > 0:
@@ -365,8 +365,8 @@ def read_kalibr(text: str) -> StatedCalibration:
             raise ValueError(f"{name}: expected named values, found {str(camera)[:40]!r}")
         models = camera.get("camera_model"), camera.get("distortion_model")
         if models[0] != "pinhole" or models[1] not in ("radtan", "equidistant", "none"):
-            told = "a camera pinhole-radtan, pinhole-equidistant or pinhole-none"
-            raise ValueError(f"{name}: expected {told}, found {models[0]}-{models[1]}")
+            expected = "a camera pinhole-radtan, pinhole-equidistant or pinhole-none"
+            raise ValueError(f"{name}: expected {expected}, found {models[0]}-{models[1]}")
         fx, fy, cx, cy = parse_numbers(f"{name}.intrinsics", camera.get("intrinsics"), 4)
         k = np.zeros(4)
         if models[1] != "none":
@@ -386,7 +386,7 @@ def read_kalibr(text: str) -> StatedCalibration:
     elif "T_imu_cam" in poses[0] and "T_imu_cam" in poses[1]:
         between = np.linalg.inv(poses[1]["T_imu_cam"]) @ poses[0]["T_imu_cam"]
     else:
-        raise ValueError(f"cam1: expected its place against cam0, one of {', '.join(_POSE_KEYS)}, found none")
+        raise ValueError(f"cam1: expected its pose relative to cam0, one of {', '.join(_POSE_KEYS)}, found none")
     pair, both = (lenses[0], lenses[1]), (sizes[0], sizes[1])
     return StatedCalibration("Kalibr", pair, both, between[:3, :3], between[:3, 3], None, habit="m")
 
