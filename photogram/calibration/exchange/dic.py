@@ -156,8 +156,8 @@ def _camera(
                     f"{name}.ALPHA, BETA, GAMMA: expected {expected}, off by {off:.2g}: are they in degrees?"
                 )
             rotation = matrix
-    values = {"camera": name, "coefficients": ", ".join(unused), "model": model}
-    notices = (Notice(UNUSED_COEFFICIENTS, "distortion", **values),) if unused else ()
+    ignored = {"camera": name, "coefficients": ", ".join(unused), "model": model}
+    notices = (Notice(UNUSED_COEFFICIENTS, "distortion", **ignored),) if unused else ()
     shift = np.array([number("TX"), number("TY"), number("TZ")])
     return lens, (int(width), int(height)), rotation, shift, notices
 
