@@ -339,8 +339,8 @@ def pose_text(file: AlignmentFile, alignment: Alignment, pair: CalibratedPair | 
             covered = len(calibration_steps(pair.rig))
             sensitivity = parameter_derivatives(alignment.by_calibration[:, :covered], pair.steps[:covered])
             sensitivity = sensitivity if sensitivity[:, 24:].any() else sensitivity[:, :24]
-        u = np.sqrt(np.diagonal(alignment.held_covariance) + (alignment.by_calibration**2).sum(axis=1))
-    conditional = K2 * np.sqrt(np.diagonal(alignment.held_covariance))
+        u = np.sqrt(np.diagonal(alignment.conditional_covariance) + (alignment.by_calibration**2).sum(axis=1))
+    conditional = K2 * np.sqrt(np.diagonal(alignment.conditional_covariance))
     blocks = [(len(getattr(file, key)), one, many) for key, one, many in EVIDENCE]
     origin = [f"{count} {one if count == 1 else many}" for count, one, many in blocks if count]
     origin += ["the pose known before"] if file.pose is not None else []

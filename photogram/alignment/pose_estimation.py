@@ -80,7 +80,7 @@ class UndeterminedPose(ValueError):
         cures += ["a motion in another direction"] if turns else []
         cures += ["a rotation axis that is not parallel to others"] if shifts else []
         verb = "is" if len(components) == 1 and " and " not in components[0] else "are"
-        text = f"{' and '.join(components)} {verb} open: add {', '.join(cures)}, or a pose known before"
+        text = f"{' and '.join(components)} {verb} undetermined: add {', '.join(cures)}, or a prior pose"
         super().__init__(text)
 
 
@@ -147,7 +147,7 @@ class EvidenceTest:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Alignment(Arrays, shapes="covariance 6 6; held_covariance 6 6; by_calibration 6 P"):
+class Alignment(Arrays, shapes="covariance 6 6; conditional_covariance 6 6; by_calibration 6 P"):
     """Pose of the left camera in the sensor frame: x_sensor = R·x_camera + t.
 
     Attributes
@@ -166,7 +166,7 @@ class Alignment(Arrays, shapes="covariance 6 6; held_covariance 6 6; by_calibrat
 
     sensor_from_camera: RigidTransform
     covariance: FloatArray
-    held_covariance: FloatArray
+    conditional_covariance: FloatArray
     by_calibration: FloatArray
     chi2: float
     dof: int

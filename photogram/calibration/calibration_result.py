@@ -313,11 +313,8 @@ def _drifts(calibration: Calibration) -> Iterator[Notice]:
     if calibration.cross_validation is None or calibration.cross_validation.drift is None:
         return
     drifts = calibration.cross_validation.drift[: 1 if calibration.single else 2]
-    changes = " and ".join(
-        f"{side} by {100 * value:+.3f} % (U = {200 * u:.3f} %, k = 2)"
-        for side, (value, u) in zip(("left", "right"), drifts, strict=False)
-    )
-    yield Notice(FOCAL_DRIFT, "drift", changes=changes)
+    for side, (value, u) in zip(("left", "right"), drifts, strict=False):
+        yield Notice(FOCAL_DRIFT, side, side=side, change_percent=100 * value, expanded_percent=200 * u)
 
 
 def _differences(calibration: Calibration) -> Iterator[Notice]:
