@@ -8,7 +8,6 @@ not the calibration's share by its principal components, which all evidence has 
 from __future__ import annotations
 
 import json
-import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,8 +26,16 @@ from fusion.cameras.align_manifest import (
     read_pair,
     static_evidence,
 )
-from fusion.cameras.calibrate import IMAGE_FILE_SUFFIXES
-from fusion.errors import ComputeError, InputError
+from fusion.cameras.calibrate import IMAGE_FILE_SUFFIXES, log_each_notice
+from fusion.cameras.camera_notices import (
+    ELLIPTICAL_MOTION,
+    FUNDAMENTAL_UNRESOLVED,
+    NO_AXIS,
+    NO_POSE,
+    UNSTEADY_AXIS,
+    UNSUITABLE_RECORDING,
+)
+from fusion.errors import ARGUMENT, ComputeError, InputError
 from fusion.instruments.stereo import CALIBRATION
 from fusion.phasors.channel_phasors import find_channel_lines
 from fusion.phasors.shutter_refinement import refine_rolling_shutter
@@ -62,12 +69,10 @@ from photogram.motion import RigidMotion, fit_motion
 from shaker.arrays import FloatArray
 from shakercal._common.notices import Notice
 
-log = logging.getLogger("shakercal")
-
-EFFECT_FRAMES = 12  # frames and subsets that show what the calibration does to an axis
+EFFECT_FRAMES = 12  # frames and subsets for the effect of the calibration on an axis, which is smooth
 EFFECT_SUBSETS = 200
 FEWEST_SUBSETS = 6
-UNSTEADY = 4.0  # reduced chi-square of the frames against a fixed axis from which the user is told
+UNSTEADY = 4.0  # reduced chi-square of the frames against a fixed axis for a warning
 EVIDENCE = (
     ("point", "point", "points"),
     ("face", "face", "faces"),
@@ -107,21 +112,25 @@ def align_file(
     notices += orientation_notices(file)
     if file.pose is not None:
         evidence.append(prior_pose_evidence(file.pose))
-    shown = file.pose is not None or file.target_view or file.common_view  # by which the search knows where to start
+    shown = file.pose is not None or file.target_view or file.common_view  # these give the search a start
     try:
         alignment = align(evidence, None if shown else stated)
     except ValueError as error:
-        raise ComputeError(f"{path}: {error}".replace("start: ", "").replace("evidence: ", "")) from error
+        raise ComputeError(NO_POSE, str(path), reason=_without_argument(error)) from error
     orientation_tags = tag_notices(
         read_orientations(p for p in stated_files if p.suffix.lower() in IMAGE_FILE_SUFFIXES)
     )
-    for notice in (*orientation_tags, *notices, *alignment.notices):
-        log.log(logging.WARNING if notice.severity == "warning" else logging.INFO, "%s", notice.text)
+    log_each_notice((*orientation_tags, *notices, *alignment.notices))
     text = pose_text(file, alignment, pair)
     inputs.check()
     if output is not None:
         write_atomically(output, text)
     return text
+
+
+def _without_argument(error: ValueError) -> str:
+    """Return a sentence without the name of a function's argument."""
+    return ARGUMENT.sub("", str(error), count=1)
 
 
 def _paths(value: object) -> Iterator[Path]:
@@ -189,7 +198,7 @@ def _record(
     points = next((entry for entry in manifest.points if entry.stereo == file.stereo), None)
     if images is None and points is None:
         expected = f'images or points of the stereo pair "{file.stereo}"'
-        raise InputError(path, key, f"none in {manifest.path}", expected)
+        raise InputError(UNSUITABLE_RECORDING, path, key, found=f"none in {manifest.path}", expected=expected)
     base = tie_daqs(manifest, read_daqs(manifest))
     if points is not None:
         return _Recorded(manifest, base, measure_points(manifest, base, points))
@@ -197,12 +206,13 @@ def _record(
     calibration = manifest.rig.stereo[file.stereo].calibration
     if file.calibration is None or calibration is None or sha256(calibration) != sha256(file.calibration):
         found = "none" if file.calibration is None else "another calibration"
-        raise InputError(path, "calibration", found, f"the one that {manifest.rig_path} names for {file.stereo}")
-    open_pair = replace(prepare_images(manifest, base, images), depth_m=None)  # by the pose that is sought
+        expected = f"the one of {file.stereo} in {manifest.rig_path}"
+        raise InputError(UNSUITABLE_RECORDING, path, "calibration", found=found, expected=expected)
+    open_pair = replace(prepare_images(manifest, base, images), depth_m=None)  # depends on the pose to be determined
     measured = measure_images(open_pair, settings, progress)
     lines = find_channel_lines(manifest, base) or motion_lines(manifest, base, [measured])[0]
     measured = refine_rolling_shutter(measured, (open_pair,), lines)
-    fixed = measured.sight.pair.model_copy(update={"pose_by_calibration": None})  # effects in the camera's own frame
+    fixed = measured.sight.pair.model_copy(update={"pose_by_calibration": None})  # effects in the camera's frame
     return _Recorded(manifest, base, replace(measured, sight=replace(measured.sight, pair=fixed)))
 
 
@@ -224,11 +234,8 @@ def _direction(
     changes = np.pad(changes, ((0, steps - len(changes)), (0, 0)))
     motion, covariance, effects = _to_camera_axes(to_camera, moved, covariance, changes)
     if minor > block.direction_uncertainty:
-        text = (
-            f"{item.manifest.name}: the body moves on an ellipse, {1e3 * minor:.2g} mrad wide, but direction_"
-            f"uncertainty is {1e3 * block.direction_uncertainty:.2g} mrad; is the direction known that well?"
-        )
-        notices.append(Notice("warning", text, name))
+        widths = {"width_mrad": 1e3 * minor, "stated_mrad": 1e3 * block.direction_uncertainty}
+        notices.append(Notice(ELLIPTICAL_MOTION, name, recording=item.manifest.name, **widths))
     origin, u = to_camera.translation_m[None], block.direction_uncertainty
     return KnownDirection(name, motion, covariance, origin, direction, effects, u), notices
 
@@ -241,10 +248,11 @@ def _stated_direction(path: Path, block: MotionBlock, manifests: Sequence[Manife
     for manifest, direction in zip(manifests, stated, strict=True):
         if direction is None or len(direction) != 3:
             expected = f"3 numbers, or the key direction in motion.{block.name} of {path}"
-            raise InputError(manifest.path, "excitation.direction", "no direction of a translation", expected)
+            key, found = "excitation.direction", "no direction of a translation"
+            raise InputError(UNSUITABLE_RECORDING, manifest.path, key, found=found, expected=expected)
         if direction != stated[0]:
-            expected = "recordings of one direction in a block, since its uncertainty is common to them"
-            raise InputError(path, f"motion.{block.name}.recordings", "several directions", expected)
+            key, expected = f"motion.{block.name}.recordings", "recordings of one direction in a block"
+            raise InputError(UNSUITABLE_RECORDING, path, key, found="several directions", expected=expected)
     return np.array(stated[0])
 
 
@@ -255,8 +263,8 @@ def _strongest(item: _Recorded) -> tuple[FloatArray, FloatArray, FloatArray, flo
     value = seen.phasors.value
     size = np.where(lines.multiple == 1, np.linalg.norm(value[:, :3], axis=1), np.nan)
     if not np.isfinite(size).any():
-        name = item.measured.sight.name
-        raise ComputeError(f"stereo pair {name}: its camera rate tells no fundamental of {item.manifest.path} apart")
+        name, recording = item.measured.sight.name, str(item.manifest.path)
+        raise ComputeError(FUNDAMENTAL_UNRESOLVED, f"stereo pair {name}", pair=name, recording=recording)
     line = int(np.nanargmax(size))
     covariance = seen.phasors.covariance[line].copy()
     for what, changes in seen.effects.items():
@@ -276,11 +284,10 @@ def _axis(block: AxisBlock, item: _Recorded, pair: CalibratedPair | None) -> tup
         axis = fit_axis(item.measured.motion)
         changes = _axis_effects(item, pair, axis.line)
     except ValueError as error:
-        raise ComputeError(f"{item.manifest.path}: {error}".replace("motion: ", "")) from error
+        raise ComputeError(NO_AXIS, str(item.manifest.path), reason=_without_argument(error)) from error
     if axis.dof and axis.chi2 / axis.dof > UNSTEADY:
-        factor = np.sqrt(axis.chi2 / axis.dof)
-        text = f"{item.manifest.name}: the body turns about no fixed axis, its frames are off by {factor:.2g} times"
-        notices.append(Notice("warning", f"{text} their noise; the axis counts as that much less certain", name))
+        ratio = float(np.sqrt(axis.chi2 / axis.dof))
+        notices.append(Notice(UNSTEADY_AXIS, name, recording=item.manifest.name, ratio=ratio))
     line, covariance, effects = _to_camera_axes(to_camera, axis.line, axis.covariance, changes)
     line[:, :3] += to_camera.translation_m
     point, direction, u_point = (np.array(values) for values in (block.point, block.direction, block.point_uncertainty))
@@ -309,7 +316,7 @@ def _axis_effects(item: _Recorded, pair: CalibratedPair | None, line: FloatArray
     pixels = np.concatenate(both)[np.argsort(np.argsort(chosen))]
     common = np.flatnonzero(np.isfinite(pixels).all(axis=(0, 2)))
     if len(common) < FEWEST_SUBSETS:
-        raise ValueError(f"only {len(common)} subsets are followed through all frames; look at the images")
+        raise ValueError(f"only {len(common)} subsets are followed through all frames; check the images")
     subsets = common[np.unique(np.linspace(0, len(common) - 1, EFFECT_SUBSETS).astype(int))]
     left, right = pixels[:, subsets, :2], pixels[:, subsets, 2:]
     covariance = motion.covariance[chosen]
@@ -335,25 +342,25 @@ def pose_text(file: AlignmentFile, alignment: Alignment, pair: CalibratedPair | 
     frame = f"the left camera of {file.other.stereo}" if relative and file.other else "the sensor frame"
     u, sensitivity = alignment.u, np.zeros((0, 0))
     if pair is not None and pair.rig.covariance is not None and not relative:
-        if not pair.is_single:  # no run asks it of a camera alone
+        if not pair.is_single:  # a run does not use it for a single camera
             covered = len(calibration_steps(pair.rig))
             sensitivity = parameter_derivatives(alignment.by_calibration[:, :covered], pair.steps[:covered])
             sensitivity = sensitivity if sensitivity[:, 24:].any() else sensitivity[:, :24]
         u = np.sqrt(np.diagonal(alignment.conditional_covariance) + (alignment.by_calibration**2).sum(axis=1))
-    conditional = K2 * np.sqrt(np.diagonal(alignment.conditional_covariance))
+    exact = K2 * np.sqrt(np.diagonal(alignment.conditional_covariance))
     blocks = [(len(getattr(file, key)), one, many) for key, one, many in EVIDENCE]
     origin = [f"{count} {one if count == 1 else many}" for count, one, many in blocks if count]
-    origin += ["the pose known before"] if file.pose is not None else []
+    origin += ["the prior pose"] if file.pose is not None else []
     sources = " and ".join([", ".join(origin[:-1]), origin[-1]] if len(origin) > 1 else origin)
     camera = "camera" if pair is not None and pair.is_single else "left camera"
     comments = [
         f"Pose of the {camera} of {file.stereo} in {frame}, from {sources}.",
         f"U (k = 2): position {_numbers(1e3 * K2 * u[:3])} mm, rotation {_numbers(1e3 * K2 * u[3:])} mrad (x, y, z).",
-        f"Without the calibration's share: {_numbers(1e3 * conditional[:3])} mm and {_numbers(1e3 * conditional[3:])} mrad.",
+        f"Without the calibration's share: {_numbers(1e3 * exact[:3])} mm and {_numbers(1e3 * exact[3:])} mrad.",
         f"chi2 = {alignment.chi2:.3g} with {alignment.dof} degrees of freedom.",
     ]
     if alignment.enlargement > 1.0:
-        comments.append(f"The evidence does not fit together: U is enlarged by {alignment.enlargement:.3g}.")
+        comments.append(f"The evidence is contradictory: U is enlarged by {alignment.enlargement:.3g}.")
     pose = alignment.sensor_from_camera
     name = file.stereo if file.stereo.replace("_", "").replace("-", "").isalnum() else json.dumps(file.stereo)
     lines = [f"# {comment}" for comment in comments]

@@ -15,6 +15,17 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import BeforeValidator, model_validator
 
+from fusion.cameras.camera_notices import (
+    IMAGE_SIZE_MISMATCH,
+    NEEDS_STEREO_PAIR,
+    PIXEL_TABLE,
+    RAYS_DO_NOT_MEET,
+    RIGHT_PIXEL_MISSING,
+    SCALE_OF_SINGLE_CAMERA,
+    SCALE_UNSTATED,
+    SYMMETRIC_TARGET,
+    UNLIKELY_SPACING,
+)
 from fusion.errors import InputError, as_input_error
 from fusion.recording.toml import read_text, read_toml, validate
 from fusion.recording.values import (
@@ -64,7 +75,7 @@ from shakercal._common.notices import Notice
 def _size(value: Any) -> tuple[int, int]:
     """Check columns and rows of a target."""
     if not (isinstance(value, list | tuple) and len(value) == 2 and all(type(item) is int for item in value)):
-        raise refusal("2 whole numbers, columns and rows", f"{value}"[:60])
+        raise refusal("2 integers, columns and rows", f"{value}"[:60])
     return value[0], value[1]
 
 
@@ -111,8 +122,8 @@ class TargetBlock(ManifestBlock):
         try:
             Target(self.kind, self.spacing, self.size, self.dictionary)
         except ValueError as error:
-            key, _, told = str(error).partition(": expected ")
-            expected, _, found = told.rpartition(", found ")
+            key, _, sentence = str(error).partition(": expected ")
+            expected, _, found = sentence.rpartition(", found ")
             raise refusal(expected, found, key=key.removesuffix("_m")) from error
         return self
 
@@ -130,9 +141,9 @@ class TargetViewBlock(ManifestBlock):
     @model_validator(mode="after")
     def _pictures(self) -> Self:
         if not self.left and not self.right:
-            raise refusal("the pictures of at least one camera", "none", key="left")
+            raise refusal("the images of at least one camera", "none", key="left")
         if self.left and self.right and len(self.left) != len(self.right):
-            raise refusal(f"{len(self.left)} pictures as on the left", f"{len(self.right)}", key="right")
+            raise refusal(f"{len(self.left)} images as on the left", f"{len(self.right)}", key="right")
         return self
 
 
@@ -227,9 +238,9 @@ class AlignmentFile(ManifestBlock):
             if twice is not None:
                 raise refusal("different names", f'"{twice}" twice', key=key)
             if blocks and self.calibration is None and key not in ("motion", "axis"):
-                raise refusal(f"the calibration that [[{key}]] needs", "nothing", key="calibration")
+                raise refusal(f"the calibration that [[{key}]] requires", "nothing", key="calibration")
         if (self.target_view or self.common_view) and self.target is None:
-            raise refusal("the [target] that is seen in the views", "nothing", key="target")
+            raise refusal("the [target] of the views", "nothing", key="target")
         if self.common_view and self.other is None:
             raise refusal("the [other] pair of the common views", "nothing", key="other")
         if self.other is not None and self.other.rotation is None:
@@ -238,7 +249,7 @@ class AlignmentFile(ManifestBlock):
             )
             if stray is not None or self.pose is not None:
                 raise refusal(
-                    "the pose of the other pair, without which all else belongs to another frame",
+                    "the pose of the other pair, without which all other evidence refers to another frame",
                     "nothing",
                     key="other.rotation",
                 )
@@ -273,17 +284,16 @@ def read_pair(path: Path, calibration: Path, scale_u: float | None, key: str = "
             return _single_camera(path, calibration, scale_u, key)
         rig = read_calibration(calibration)
     if rig.covariance is None and scale_u is None:
-        expected = "the relative standard uncertainty of all lengths, required without a calibration's covariance"
-        raise InputError(path, f"{key}scale_uncertainty", "nothing", expected)
+        expected = "the relative standard uncertainty of all lengths"
+        raise InputError(SCALE_UNSTATED, path, f"{key}scale_uncertainty", found="nothing", expected=expected)
     return CalibratedPair(rig, calibration_steps(rig, scale_u or 0.0))
 
 
 def _single_camera(path: Path, calibration: Path, scale_u: float | None, key: str) -> CalibratedPair:
     """Return a single camera, which has no scale."""
     if scale_u is not None:
-        raise InputError(
-            path, f"{key}scale_uncertainty", "one", "none of a camera alone, which has no scale of its own"
-        )
+        key = f"{key}scale_uncertainty"
+        raise InputError(SCALE_OF_SINGLE_CAMERA, path, key, found="one", expected="none of a single camera")
     camera, camera_covariance = read_camera(calibration)
     covariance = np.zeros((len(RIG_PARAMETERS),) * 2)
     covariance[np.ix_(LEFT, LEFT)] = camera_covariance
@@ -293,18 +303,20 @@ def _single_camera(path: Path, calibration: Path, scale_u: float | None, key: st
 
 def _check_cameras(path: Path, file: AlignmentFile, pair: CalibratedPair) -> None:
     """Refuse evidence of two cameras from one, and of one camera from two."""
-    file_told = "" if file.calibration is None else f"{file.calibration.name} being of one camera"
     if pair.is_single:
         for kind in ("face", "common_view", "motion", "axis"):
             if getattr(file, kind):
-                raise InputError(path, kind, "one", f"[[point]] or [[target_view]], {file_told}")
+                expected = "[[point]] or [[target_view]]"
+                raise InputError(NEEDS_STEREO_PAIR, path, kind, found="one", expected=expected)
         for key in (f"target_view.{view.name}.right" for view in file.target_view if view.right):
-            raise InputError(path, key, "pictures", f"none, {file_told}")
+            raise InputError(NEEDS_STEREO_PAIR, path, key, found="images", expected="none")
     for point in file.point:
+        key = f"point.{point.name}.right"
         if pair.is_single and point.right is not None:
-            raise InputError(path, f"point.{point.name}.right", "a pixel", f"none, {file_told}")
+            raise InputError(NEEDS_STEREO_PAIR, path, key, found="a pixel", expected="none")
         if not pair.is_single and point.right is None:
-            raise InputError(path, f"point.{point.name}.right", "nothing", "its pixel in the right camera")
+            expected = "the point's pixel in the right camera"
+            raise InputError(RIGHT_PIXEL_MISSING, path, key, found="nothing", expected=expected)
 
 
 def orientation_notices(file: AlignmentFile) -> list[Notice]:
@@ -314,11 +326,7 @@ def orientation_notices(file: AlignmentFile) -> list[Notice]:
     target = Target(file.target.kind, file.target.spacing, file.target.size, file.target.dictionary)
     if not target_symmetries(target) or file.pose or file.point or file.face or file.motion or file.axis:
         return []
-    told = (
-        "the target looks alike after a turn in its plane: its first axis is taken to point to the right of the left "
-        "picture, by which the pose may be turned; state [pose], or use a target with markers"
-    )
-    return [Notice("warning", told, "target")]
+    return [Notice(SYMMETRIC_TARGET, "target")]
 
 
 def static_evidence(path: Path, file: AlignmentFile, pair: CalibratedPair) -> list[PoseEvidence]:
@@ -331,7 +339,8 @@ def static_evidence(path: Path, file: AlignmentFile, pair: CalibratedPair) -> li
         target = Target(file.target.kind, file.target.spacing, file.target.size, file.target.dictionary)
         if not target.is_likely:
             found = f"{target.spacing_m:g} m, of a target {target.length_m:.3g} m long"
-            raise InputError(path, "target.spacing", found, f"m, a target of {SHORTEST_M:g} to {LONGEST_M:g} m")
+            expected = f"a spacing in m, of a target {SHORTEST_M:g} to {LONGEST_M:g} m long"
+            raise InputError(UNLIKELY_SPACING, path, "target.spacing", found=found, expected=expected)
         evidence += [item for view in file.target_view for item in _views(path, view, target, pair, datum)]
         if file.other is not None and file.common_view:
             evidence += _common(path, file.common_view, file.other, target, pair)
@@ -350,7 +359,7 @@ def prior_pose_evidence(prior: PosePriorBlock) -> PoseEvidence:
     pose = RigidTransform(np.array(prior.rotation), translation)
     identity = (RigidTransform.identity(),)
     return KnownPoses(
-        ("the pose known before",), identity, np.zeros((1, 6, 6)), (pose,), covariance[None], np.zeros((0, 1, 6))
+        ("the prior pose",), identity, np.zeros((1, 6, 6)), (pose,), covariance[None], np.zeros((0, 1, 6))
     )
 
 
@@ -367,7 +376,8 @@ def _points(path: Path, points: Sequence[PointBlock], pair: CalibratedPair, datu
     for point, point_m in zip(points, position, strict=True):
         if not np.isfinite(point_m).all():
             expected = "pixels of one point in front of both cameras"
-            raise InputError(path, f"point.{point.name}", "rays that do not meet", expected)
+            key = f"point.{point.name}"
+            raise InputError(RAYS_DO_NOT_MEET, path, key, found="rays that do not meet", expected=expected)
     return KnownPoints(names, position, covariance, sensor_m, spread, effects, datum)
 
 
@@ -380,7 +390,8 @@ def _face(path: Path, face: FaceBlock, pair: CalibratedPair, datum: StatedFrame)
     met = np.isfinite(position).all(axis=1)
     if np.count_nonzero(met) < FEWEST_FACE_POINTS:
         expected = f"at least {FEWEST_FACE_POINTS} points in front of both cameras"
-        raise InputError(path, f"face.{face.name}.pixels", f"{np.count_nonzero(met)}", expected)
+        key, found = f"face.{face.name}.pixels", int(np.count_nonzero(met))
+        raise InputError(RAYS_DO_NOT_MEET, path, key, found=found, expected=expected)
     return KnownFace(
         f"face {face.name}",
         position[met],
@@ -401,14 +412,15 @@ def _pixel_table(file: Path) -> FloatArray:
         missing = [name for name in PIXEL_COLUMNS if name not in (reader.fieldnames or ())]
         if missing:
             found = describe(", ".join(reader.fieldnames or ()), plain=True) or "nothing"
-            raise InputError(file, "", found, f"the columns {', '.join(PIXEL_COLUMNS)}")
+            raise InputError(PIXEL_TABLE, file, found=found, expected=f"the columns {', '.join(PIXEL_COLUMNS)}")
         rows = [[float(row[name]) for name in PIXEL_COLUMNS] for row in reader]
     except (TypeError, ValueError, csv.Error) as error:
-        raise InputError(file, "", describe(str(error), plain=True), "a number in each column") from error
+        found = describe(str(error), plain=True)
+        raise InputError(PIXEL_TABLE, file, found=found, expected="a number in each column") from error
     pixels = np.array(rows).reshape(-1, len(PIXEL_COLUMNS))
     if not np.isfinite(pixels).all():
         line = int(np.flatnonzero(~np.isfinite(pixels).all(axis=1))[0]) + 2
-        raise InputError(file, f"line {line}", "one that is none", "finite numbers")
+        raise InputError(PIXEL_TABLE, file, f"line {line}", found="another one", expected="finite numbers")
     return pixels
 
 
@@ -427,7 +439,8 @@ def _seen(
         size = (pair.rig.right if side.endswith("right") else pair.rig.left).size_px.tolist()
         if view.size_px.tolist() != size:
             shown = f"{image_path.name} of {view.size_px[0]} x {view.size_px[1]} pixels"
-            raise InputError(path, f"{key}.{side}", shown, f"{size[0]} x {size[1]} as the calibration")
+            expected = f"{size[0]} x {size[1]} as the calibration"
+            raise InputError(IMAGE_SIZE_MISMATCH, path, f"{key}.{side}", found=shown, expected=expected)
         views.append(view)
     with as_input_error(path, key):
         return measure_target_pose(pair.rig, pair.steps, target, *views)
@@ -457,7 +470,8 @@ def _common(
     """
     second = read_pair(path, other.calibration, other.scale_uncertainty, "other.")
     if second.is_single:
-        raise InputError(path, "other.calibration", f"{other.calibration.name}, of one camera", "that of a pair")
+        found = f"{other.calibration.name}, of one camera"
+        raise InputError(NEEDS_STEREO_PAIR, path, "other.calibration", found=found, expected="that of a pair")
     placed = RigidTransform.identity()
     if other.rotation is not None and other.translation is not None:
         placed = RigidTransform(np.array(other.rotation), np.array(other.translation))

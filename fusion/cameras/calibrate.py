@@ -21,6 +21,7 @@ from typing import Any, Literal
 import numpy as np
 
 from fusion.base import ProgressCallback, check_new_file, natural_key, no_progress, versions
+from fusion.cameras.camera_notices import IMAGE_LISTS, OUTPUT_SUFFIX, TOO_FEW_IMAGES
 from fusion.cameras.camera_quantities import axes_angle_rad, baseline_m, points_of_board
 from fusion.cameras.camera_report import render_camera_report
 from fusion.errors import InputError, as_input_error
@@ -89,9 +90,10 @@ def calibrate_cameras(
     for (side, paths), seen in zip(sides, zip(*pairs, strict=True), strict=False):
         usable = sum(view is not None for view in seen)
         if usable < FEWEST_VIEWS:
-            reasons = "; ".join(f"{Path(item.name).name}: {item.reason}" for item in failed) or "no picture failed"
-            found = f"{usable} usable of {len(paths)} {side if right is not None else ''}pictures ({reasons})"
-            raise InputError(_folder(paths), "", found=found, expected=f"at least {FEWEST_VIEWS} of each camera")
+            reasons = "; ".join(f"{Path(item.name).name}: {item.reason}" for item in failed) or "no image failed"
+            found = f"{usable} usable of {len(paths)} {side if right is not None else ''}images ({reasons})"
+            expected = f"at least {FEWEST_VIEWS} of each camera"
+            raise InputError(TOO_FEW_IMAGES, _folder(paths), found=found, expected=expected)
     progress("adjust", 0, 1)
     with as_input_error(_folder(images)):
         calibration = calibrate_pair(pairs, settings.target, settings.shape, settings.scale_u, settings.lens)
@@ -115,11 +117,11 @@ def split_images(arguments: Sequence[str]) -> tuple[list[Path], list[Path]]:
         every = [path for part in parts for path in part]
         left, right = every[: len(every) // 2], every[len(every) // 2 :]
     if len(left) != len(right):
-        expected = "as many left pictures as right ones, the left ones first"
-        raise InputError(_folder([*left, *right]), "", found=f"{len(left)} and {len(right)}", expected=expected)
+        found, expected = f"{len(left)} and {len(right)}", "equal numbers of left and right images"
+        raise InputError(IMAGE_LISTS, _folder([*left, *right]), found=found, expected=expected)
     twice = sorted(path for path in set(left) if path in right)
     if twice:
-        raise InputError(twice[0], "", found="a picture given for both cameras", expected="one for each")
+        raise InputError(IMAGE_LISTS, twice[0], found="one image for both", expected="one image for each camera")
     return left, right
 
 
@@ -147,7 +149,9 @@ def run_cameras(
     """Calibrate from the named images, write calibration and page, print the summary."""
     started, page = time.monotonic(), output.with_suffix(".html")
     if output.suffix != ".json":
-        raise InputError(output, "", found=output.suffix or "no suffix", expected="a name that ends in .json")
+        raise InputError(
+            OUTPUT_SUFFIX, output, found=output.suffix or "no suffix", expected="a name that ends in .json"
+        )
     for path in (output, page):
         check_new_file(path, force=force)
     left, right = split_images(arguments)
@@ -175,7 +179,9 @@ def run_camera(
 ) -> None:
     """Calibrate a single camera from the named images, write its file, print the summary."""
     if output.suffix != ".json":
-        raise InputError(output, "", found=output.suffix or "no suffix", expected="a name that ends in .json")
+        raise InputError(
+            OUTPUT_SUFFIX, output, found=output.suffix or "no suffix", expected="a name that ends in .json"
+        )
     check_new_file(output, force=force)
     images = [path for part in arguments for path in _expanded(part)]
     inputs = hash_files(images, _folder(images))
@@ -190,18 +196,25 @@ def run_camera(
     print(f"calibration: {output}")
 
 
+def _check_suffix(output: Path) -> None:
+    """Refuse another name than one of a JSON file."""
+    if output.suffix != ".json":
+        found = output.suffix or "no suffix"
+        raise InputError(OUTPUT_SUFFIX, output, found=found, expected="a name that ends in .json")
+
+
 def _print_remarks(calibration: Calibration) -> None:
     """Print the rejected images and the notices."""
     seen = [image for view in calibration.views for image in (view.left, view.right) if image]
     points = {image.name: len(image.used) for image in seen}
     every = points_of_board(calibration.target)
     of = "" if every is None else f" of {every}"
-    print(f"points found: {min(points.values())} to {max(points.values())}{of} in a picture")
+    print(f"points found: {min(points.values())} to {max(points.values())}{of} in an image")
     for dropped in calibration.rejections:
-        what = f"{dropped.points} of {points[dropped.name]} points left out, " if dropped.points else "left out: "
+        what = f"{dropped.points} of {points[dropped.name]} points rejected, " if dropped.points else "rejected: "
         print_text(f"{dropped.name}: {what}{dropped.reason}")
     for notice in calibration.notices:
-        print_text(f"{notice.severity}: {notice.text}")
+        print_text(f"{notice.severity} {notice.code} {notice.where}: {notice.text}")
 
 
 def _targets(target: Target, first: Path) -> tuple[Target, ...]:
@@ -220,7 +233,7 @@ def _targets(target: Target, first: Path) -> tuple[Target, ...]:
 def _find(targets: Sequence[Target], path: Path) -> TargetView | str:
     """Return the first target found in one image, or the reason of the last failure."""
     if not path.exists():
-        raise InputError(path, "", found="no such file", expected="a picture")
+        raise InputError(IMAGE_LISTS, path, found="no such file", expected="an image")
     try:
         image, full_scale = read_image(path)
     except (OSError, ValueError) as error:
@@ -245,7 +258,8 @@ def _expanded(argument: str) -> list[Path]:
     else:
         names = [entry for entry in path.parent.glob(path.name) if entry.is_file()]
     if not names:
-        raise InputError(path, "", found="no pictures", expected=f"files {', '.join(IMAGE_FILE_SUFFIXES)}")
+        expected = f"files {', '.join(IMAGE_FILE_SUFFIXES)}"
+        raise InputError(IMAGE_LISTS, path, found="no images", expected=expected)
     return sorted(names, key=lambda entry: natural_key(entry.name))
 
 
@@ -267,11 +281,11 @@ def convert_calibration(path: Path, output: Path, force: bool = False, **stated:
         raise InputError.from_exception(error, path) from error
     except ValueError as error:
         names = "|".join(stated)
-        told = re.sub(rf": ({names}): ", lambda found: f": --{found[1].replace('_', '-')}: ", str(error), count=1)
-        raise InputError.from_exception(ValueError(told), path) from error
+        text = re.sub(rf": ({names}): ", lambda found: f": --{found[1].replace('_', '-')}: ", str(error), count=1)
+        raise InputError.from_exception(ValueError(text), path) from error
     with as_input_error(output), report_write_errors(output):
         write_calibration(output, imported.rig)
-    _log_notices(imported.notices)
+    log_each_notice(imported.notices)
     return imported.format
 
 
@@ -282,11 +296,12 @@ def export_calibration_file(path: Path, output: Path, force: bool = False) -> st
         rig = read_calibration(path)
     with as_input_error(output), report_write_errors(output):
         program, notices = export_calibration(output, rig)
-    _log_notices(notices)
+    log_each_notice(notices)
     return program
 
 
-def _log_notices(notices: Sequence[Notice]) -> None:
+def log_each_notice(notices: Sequence[Notice]) -> None:
+    """Log every notice: these commands have no page that shows the notes."""
     for notice in notices:
         level = logging.WARNING if notice.severity == "warning" else logging.INFO
-        log.log(level, "%s: %s", notice.where, notice.text)
+        log.log(level, "%s %s: %s", notice.code, notice.where, notice.text)

@@ -42,23 +42,23 @@ from photogram.targets.target_view import outline
 from shaker.arrays import FloatArray
 
 AROUND_IN, BAR_IN = 0.75, 0.45
-"""Room above and below panels that show a picture area, and for a bar of colours."""
+"""Margin above and below panels of an image area, and height of a colour bar."""
 WIDTH_IN = 7.6
 FLATTEST_IN, TALLEST_IN = 1.2, 4.5
 ARROW_QUANTILE = 0.98  # quantile of the arrows' lengths that sets their scale
 ELLIPSE_QUANTILE = 2.448
-"""Half axes, in standard uncertainties, of the ellipse that holds two coordinates with 95 %: √χ²(0.95; 2)."""
-STRONG = 0.9  # coefficient from which on it is written into the figure
+"""Half axes, in standard uncertainties, of the 95 % ellipse of two coordinates: √χ²(0.95; 2)."""
+STRONG = 0.9  # coefficient from which it is written into the figure
 MEAN_QUANTILE = 1.731
 """Length of a mean of noise, in units of its rms length, that one in twenty exceeds: √(−ln 0.05)."""
-LONGEST_SHARE = 0.04  # of the picture's width, of the longest arrow
+LONGEST_SHARE = 0.04  # length of the longest arrow over the image width
 SIDE_COLOUR = {"left": BLUE, "right": ORANGE}
-MOST_NAMES = 8  # dropped pictures that are named in the figure
+MOST_NAMES = 8  # rejected images that are named in the figure
 BINS = 40
 CIRCLES_DEG = 15.0  # between the circles of the tilts
 LEAST_TURN_DEG, LEAST_DISTANCE_SHARE = 40.0, 0.2
-"""Least spans of the axes of turn and, of its median, of distance: views that are alike shall look so."""
-NAMED_VIEWS = 60  # numbers that stand beside their places
+"""Least spans of the axes of rotation and, relative to the median, of distance: similar views look similar."""
+NAMED_VIEWS = 60  # views up to which numbers are written
 
 
 def image_sheet(name: str, count: int, size_px: FloatArray, below_in: float = 0.0) -> Figure:
@@ -116,15 +116,15 @@ def draw_coverage(calibration: Calibration) -> Figure:
         left_out = [p.position_px[~p.used] for p in images_of_camera(calibration, side) if p is not None]
         crosses = np.concatenate([np.empty((0, 2)), *left_out])
         if len(crosses):
-            panel.points(crosses[:, 0], crosses[:, 1], "left out", marker="x", colour=RED, size=3.5)
+            panel.points(crosses[:, 0], crosses[:, 1], "rejected", marker="x", colour=RED, size=3.5)
         share = calibration.coverage[SIDES.index(side)]
-        panel.title = f"{side} camera: {len(view)} points, {100 * share:.0f} % of the picture covered"
+        panel.title = f"{side} camera: {len(view)} points, {100 * share:.0f} % of the image covered"
     caption = (
-        "Found points over the picture area of either camera, one colour per view in the order of the session; red "
-        "crosses are points left out. Grey cells hold no point: there the lens distortion is extrapolated. A good "
-        "session reaches all corners."
+        "Found points in the image area of each camera, one colour per view in the order of the session; red crosses "
+        "are rejected points. Grey cells have no point: the lens distortion is extrapolated there. A good session "
+        "reaches all corners."
     )
-    return drawn.with_title("Where the target was seen", caption, main=True)
+    return drawn.with_title("Positions of the target in the images", caption, main=True)
 
 
 def draw_views(calibration: Calibration) -> Figure:
@@ -137,18 +137,18 @@ def draw_views(calibration: Calibration) -> Figure:
     turn = np.degrees(turns_rad(calibration))
     panels[1].x.limits = _at_least(turn, LEAST_TURN_DEG)
     panels[1].y.limits = _at_least(distance, LEAST_DISTANCE_SHARE * float(np.median(distance)))
-    panels[1].x.label, panels[1].y.label = "turn in the left picture / °", "distance from the left camera / mm"
+    panels[1].x.label, panels[1].y.label = "rotation in the left image / °", "distance from the left camera / mm"
     _draw_scene(panels[2], calibration)
     _mark(panels[0], tilt)
     _mark(panels[1], np.stack([turn, distance], axis=1))
     caption = (
         "Left: direction and angle by which the target's normal is tilted off the left camera's axis; views with "
-        "the same tilt add little, and focal length and distance are told apart by tilts of 30° and more in "
-        "several directions. Middle: turn of the target about the camera's axis, and its distance. Right: the "
+        "the same tilt add little. Tilts of 30° and more in several directions separate focal length and distance. "
+        "Middle: rotation of the target about the camera's axis, and its distance. Right: the "
         "scene in the plane of the baseline and the left camera's axis, with the optical axes dashed and the "
         "target's outline."
     )
-    return drawn.with_title("How the target was held", caption)
+    return drawn.with_title("Poses of the target", caption)
 
 
 def _draw_tilts(panel: Panel, largest: float) -> None:
@@ -240,8 +240,8 @@ def draw_distortion(calibration: Calibration, side: Side) -> Figure:
         "Left: how far the lens moves points off where one without distortion would show them; the arrows give the "
         "direction, the cross is the principal point. Middle: standard uncertainty u (k = 1) per coordinate of "
         "that displacement, from the covariance of all nine parameters. Outside the dashed outline no point was "
-        "seen and the distortion is extrapolated. Right: the principal point, against the middle of the picture, "
-        "with the ellipse that holds it with 95 %."
+        "seen and the distortion is extrapolated. Right: the principal point with its 95 % ellipse, and the centre of "
+        "the image."
     )
     return drawn.with_title(f"Lens distortion of the {side} camera", caption)
 
@@ -261,7 +261,7 @@ def _draw_principal_point(panel: Panel, camera: Camera, covariance: FloatArray) 
     angle = float(np.arctan2(directions[1, 1], directions[0, 1]))
     panel.ellipse(complex(*point), (float(half[1]), float(half[0])), angle, label="principal point", colour=BLUE)
     panel.points(point[:1], point[1:], "principal point", colour=BLUE, marker="plus", size=7.0)
-    panel.points(middle[:1], middle[1:], "middle of the picture", colour=GREY, marker="square", size=4.0)
+    panel.points(middle[:1], middle[1:], "centre of the image", colour=GREY, marker="square", size=4.0)
     every = np.stack([point - half.max(), point + half.max(), middle])
     centre = 0.5 * (every.min(axis=0) + every.max(axis=0))
     reach = max(1.0, 0.65 * float(np.ptp(every, axis=0).max()))
@@ -296,9 +296,9 @@ def draw_correlation(calibration: Calibration) -> Figure:
     panel.x.names = panel.y.names = names
     panel.x.grid = panel.y.grid = False
     caption = (
-        f"Coefficients beyond ±{STRONG:g} are written in hundredths. Parameters that answer for each other, "
-        "as k1, k2 and k3, or principal point and tangential distortion, are each less certain than what they do "
-        "together: judge them by the uncertainty of the distortion. Grey: held fixed."
+        f"Coefficients beyond ±{STRONG:g} are written in hundredths. Strongly correlated parameters are individually "
+        "less certain than their combined effect, such as k1, k2 and k3, or principal point and tangential distortion. "
+        "The uncertainty of the distortion shows that effect. Grey: fixed."
     )
     return drawn.with_title("Correlation of the parameters", caption)
 
@@ -325,11 +325,11 @@ def draw_shape(calibration: Calibration) -> Figure | None:
         panel.x.label = "x / mm"
     drawn.panels[0].y.label = "y / mm"
     caption = (
-        "Estimated positions of the target's points against a flat lattice of the stated spacing, laid onto it as "
-        "a rigid body, in the target's frame. Left: out of the plane; right: in it, strongly enlarged. "
-        "A bow tells a bent plate, a gradient in the plane a print with unequal scales."
+        "Estimated positions of the target's points relative to a flat lattice of the stated spacing, fitted as a "
+        "rigid body, in the target's frame. Left: out of the plane; right: in it, strongly enlarged. A bow indicates "
+        "a bent plate, a gradient in the plane a print with unequal scales."
     )
-    return drawn.with_title("Shape of the target", caption)
+    return drawn.with_title("Geometry of the target", caption)
 
 
 def draw_residuals(calibration: Calibration, side: Side) -> Figure:
@@ -350,9 +350,9 @@ def draw_residuals(calibration: Calibration, side: Side) -> Figure:
     caption = (
         "Found minus modelled positions, strongly enlarged (the two scales differ). Left: "
         "every point in the fit. Right: mean per cell, red where it is longer than noise would make it in one "
-        f"cell of twenty ({int(clear.sum())} of {len(clear)} cells). The systematic part is the rms length "
-        "of the cells' means, their noise taken off: what lens model and target leave, beside a scatter of "
-        f"{two_digits(cells.within_px)} px within the cells."
+        f"cell of twenty ({int(clear.sum())} of {len(clear)} cells). The systematic part is the rms length of the "
+        "cells' means without their noise: the deviation of lens model and target. The scatter within the cells is "
+        f"{two_digits(cells.within_px)} px."
     )
     return drawn.with_title(f"Residuals of the {side} camera", caption)
 
@@ -389,10 +389,10 @@ def draw_distribution(calibration: Calibration) -> Figure:
     for panel in drawn.panels:
         panel.x.label = "normalised residual d"
     caption = (
-        "Length d of the residuals in units of their standard uncertainty: the points' own noise and what was "
-        "added to it. Left: density; right: share of points beyond d. Normal noise of that size follows the solid "
-        f"line, exp(−d²/2); dashed: the same for {scale:.2f} times the noise, the size found. Points above the "
-        "lines on the right are outliers that the rule for dropping them has kept, or a systematic part."
+        "Length d of the residuals in units of their standard uncertainty, which includes the added noise. Left: "
+        "density; right: share of points beyond d. Normal noise of that size follows the solid line, exp(−d²/2); "
+        f"dashed: the same for {scale:.2f} times the noise, the size found. Points above the lines on the right are "
+        "outliers within the limit of rejection, or a systematic part."
     )
     return drawn.with_title("Distribution of the residuals", caption)
 
@@ -408,7 +408,7 @@ def draw_image_residuals(calibration: Calibration) -> Figure:
         x = np.array([number + offset for number, _ in views])
         rms = np.nan_to_num([p.rms_px for _, p in views])
         highest = max(highest, float(rms.max(initial=0.0)))
-        names = tuple(f"view {number}, {int((~p.used).sum())} points left out" for number, p in views)
+        names = tuple(f"view {number}, {int((~p.used).sum())} points rejected" for number, p in views)
         label = f"{side}, all {two_digits(calibration.rms_sides_px[SIDES.index(side)])} px"
         look = {"colour": SIDE_COLOUR[side], "names": names}
         panel.boxes((x - 0.19, x + 0.19), (np.zeros(len(x)), rms), label, **look)
@@ -428,8 +428,8 @@ def draw_image_residuals(calibration: Calibration) -> Figure:
     panel.x.grid = False
     panel.x.label, panel.y.label = "view", "rms length / px"
     caption = (
-        "Rms length of the residuals in every picture; numbers in the bars count the points left out, crosses are "
-        "pictures dropped as a whole. Lines: rms over all pictures of the camera. A picture that stands out was "
+        "Rms length of the residuals in every image; numbers in the bars count the rejected points, crosses are "
+        "rejected images. Lines: rms over all images of the camera. An image with large residuals was "
         "blurred, or the target moved between the exposures of the two cameras."
     )
-    return drawn.with_title("Residuals picture by picture", caption)
+    return drawn.with_title("Residuals of each image", caption)

@@ -18,10 +18,9 @@ from shaker.arrays import FloatArray, IntArray
 Side = Literal["left", "right"]
 
 SIDES: tuple[Side, Side] = ("left", "right")
-"""Places of the pair's rotation and translation among its parameters."""
-STEP = 1e-3  # of a parameter's uncertainty, by which it is moved for a derivative
-CELLS_ACROSS = 16  # of a picture, in which residuals are averaged
-NEIGHBOURS = 3  # points along a row and rows whose residuals are compared in one picture
+STEP = 1e-3  # of a parameter's uncertainty: step of a derivative
+CELLS_ACROSS = 16  # cells along the image width in which residuals are averaged
+NEIGHBOURS = 3  # points along a row and rows whose residuals are compared in one image
 LENGTH_SHARE = 0.1  # length whose uncertainty is stated, as a share of the working distance
 
 

@@ -57,7 +57,7 @@ from shaker.arrays import IntArray
 
 STATES = {
     "determined": "determined",
-    "indistinct": "not distinguishable from zero",
+    "indistinct": "not significantly different from zero",
     "open": "not determined by these views",
 }
 MEANINGS = {
@@ -68,9 +68,9 @@ MEANINGS = {
     "k1": "radial distortion, r²",
     "k2": "radial distortion, r⁴",
     "k3": "radial distortion, r⁶",
-    "k4": "radial distortion, r² below the fraction bar",
-    "k5": "radial distortion, r⁴ below the fraction bar",
-    "k6": "radial distortion, r⁶ below the fraction bar",
+    "k4": "radial distortion, r² of the denominator",
+    "k5": "radial distortion, r⁴ of the denominator",
+    "k6": "radial distortion, r⁶ of the denominator",
     "skew": "skew of the pixel axes",
     "p1": "tangential distortion, down",
     "p2": "tangential distortion, across",
@@ -85,18 +85,18 @@ KINDS = {
 }
 STRONGEST = 8  # correlations listed
 DISPLAY = {"m": (1e3, "mm"), "1": (1.0, "")}
-"""Factor and name of the units that are printed otherwise."""
+"""Factor and name of units that are displayed in another unit."""
 
 
 def verdict(calibration: Calibration) -> str:
     """Return the first warning and the undetermined parameters in one or two sentences."""
     warnings = [notice for notice in calibration.notices if notice.severity == "warning"]
     missing = [item.name for item in calibration.parameters if item.state == "open"]
-    text = "Nothing in number, place and angle of the views or in the residuals speaks against this calibration."
+    text = "Number, position and angle of the views and the residuals give no warning."
     if warnings:
         where = f" ({warnings[0].where})" if warnings[0].where else ""
         count = "One warning" if len(warnings) == 1 else f"{len(warnings)} warnings, the first"
-        text = f"{count}{where}: {warnings[0].text}."
+        text = f"{count}{where}: {warnings[0].text}"
     if missing:
         text += f" Not determined by these views: {', '.join(missing)}."
     return text
@@ -114,7 +114,7 @@ def subject(calibration: Calibration) -> list[tuple[str, str]]:
     return [
         ("Target", f"{KINDS[target.kind]}{size}"),
         ("Spacing", stated),
-        ("Pictures", f"{sizes[0]} px" if sizes[0] == sizes[1] else f"left {sizes[0]} px, right {sizes[1]} px"),
+        ("Images", f"{sizes[0]} px" if sizes[0] == sizes[1] else f"left {sizes[0]} px, right {sizes[1]} px"),
     ]
 
 
@@ -128,7 +128,11 @@ def camera_headlines(calibration: Calibration) -> list[Headline]:
     distances = 1e3 * np.linalg.norm(target_middles_m(calibration), axis=1)
     middle = float(np.median(distances))
     pixel = 1e3 * middle / float(rig.left.matrix[0, 0])
-    spacing, scale, common = "missing", "not stated", "the uncertainty of the spacing is missing in all lengths"
+    spacing, scale, common = (
+        "missing",
+        "not stated",
+        "the uncertainty of all lengths does not include that of the spacing",
+    )
     if calibration.scale_u > 0:
         spacing, scale = "included", f"U (k = 2) = {small(200.0 * calibration.scale_u)} %"
         common = "common to all points and all frames"
@@ -136,7 +140,7 @@ def camera_headlines(calibration: Calibration) -> list[Headline]:
         Headline(
             "Residuals of the pair, rms length",
             f"{calibration.rms_px:.3f} px",
-            f"left {left:.3f} px, right {right:.3f} px; noise added to the points' own: {noise} px per coordinate",
+            f"left {left:.3f} px, right {right:.3f} px; additional noise: {noise} px per coordinate",
         ),
         _views_headline(calibration),
         Headline(
@@ -183,7 +187,7 @@ def parameters_table(calibration: Calibration) -> Table | None:
         page_column("u (k = 1)", lambda item: printed(item)[1]),
         page_column("U (k = 2)", lambda item: printed(item)[2]),
         page_column("unit", lambda item: printed(item)[3], "l"),
-        page_column("state", lambda item: STATES[item.state] if item.u > 0 else "held", "l"),
+        page_column("state", lambda item: STATES[item.state] if item.u > 0 else "fixed", "l"),
     ]
     return table("Parameters of the pair", columns, calibration.parameters)
 
@@ -222,9 +226,9 @@ def judgement_table(calibration: Calibration) -> Table | None:
         ),
         page_column("baseline / mm", lambda row: length(row[1])),
         page_column("angle / °", lambda row: turn(row[1])),
-        page_column("views left out, rms length / px", lambda row: row[2]),
+        page_column("predicted views, rms length / px", lambda row: row[2]),
     ]
-    return table("What halves of the views and other models make of the same pictures", columns, rows)
+    return table("Results of halves of the views and of other models for the same images", columns, rows)
 
 
 def views_share(calibration: Calibration) -> str:
@@ -260,14 +264,14 @@ def residuals_table(calibration: Calibration) -> Table | None:
     columns: list[TableColumn[tuple[str, ResidualParts]]] = [
         page_column("camera", lambda row: row[0], "l"),
         page_column("all", lambda row: f"{row[1].whole_px:.3f}"),
-        page_column("same place in the picture", lambda row: f"{row[1].position_px:.3f}"),
+        page_column("same position in the image", lambda row: f"{row[1].position_px:.3f}"),
         page_column("same point of the target", lambda row: f"{row[1].point_px:.3f}"),
-        page_column("neighbours in one picture", lambda row: f"{row[1].smooth_px:.3f}"),
+        page_column("neighbours in one image", lambda row: f"{row[1].smooth_px:.3f}"),
         page_column("each point alone", lambda row: f"{row[1].alone_px:.3f}"),
         page_column("same point of the target / µm", lambda row: f"{1e6 * row[1].point_m:.1f}"),
     ]
     parts = [(side, residual_parts(calibration, side)) for side in SIDES]
-    return table("What the residuals have in common, rms length / px", columns, parts)
+    return table("Common parts of the residuals, rms length / px", columns, parts)
 
 
 def lengths_table(calibration: Calibration) -> Table | None:
@@ -279,7 +283,9 @@ def lengths_table(calibration: Calibration) -> Table | None:
         page_column(f"U (k = 2) of {1e3 * length:.0f} mm / µm", lambda row: small(1e6 * 2.0 * row[1] * length)),
     ]
     directions = zip(("x, to the right", "y, down", "z, away from the camera"), length_u(calibration), strict=True)
-    return table("Lengths at the middle of the target's positions: what the calibration leaves", columns, directions)
+    return table(
+        "Uncertainty of lengths at the centre of the target's positions by the calibration", columns, directions
+    )
 
 
 def views_table(calibration: Calibration) -> Table | None:
@@ -299,7 +305,7 @@ def views_table(calibration: Calibration) -> Table | None:
 
     columns: list[TableColumn[int]] = [
         page_column("view", lambda index: str(index + 1)),
-        page_column("picture, left and right", lambda index: both(index, lambda p: p.name), "l"),
+        page_column("image, left and right", lambda index: both(index, lambda p: p.name), "l"),
         page_column("points", lambda index: both(index, lambda p: f"{int(p.used.sum())} of {every or len(p.used)}")),
         page_column(
             "rms length / px", lambda index: both(index, lambda p: f"{p.rms_px:.3f}" if p.used.any() else DASH)
@@ -318,11 +324,11 @@ def views_table(calibration: Calibration) -> Table | None:
 def dropped_table(calibration: Calibration) -> Table | None:
     """Return the rejected images and points with the reason."""
     columns: list[TableColumn[Rejection]] = [
-        page_column("picture", lambda item: item.name, "l"),
+        page_column("image", lambda item: item.name, "l"),
         page_column("points", lambda item: str(item.points) if item.points else "all"),
         page_column("reason", lambda item: item.reason, "l"),
     ]
-    return table("Left out of the fit", columns, sorted(calibration.rejections, key=lambda item: item.points > 0))
+    return table("Rejected from the fit", columns, sorted(calibration.rejections, key=lambda item: item.points > 0))
 
 
 def _views_headline(calibration: Calibration) -> Headline:
@@ -332,7 +338,7 @@ def _views_headline(calibration: Calibration) -> Headline:
     pairs = sum(view.left is not None and view.right is not None for view in calibration.views)
     whole = sum(item.points == 0 for item in calibration.rejections)
     value = f"{pairs} pairs" if pairs == len(calibration.views) else f"{pairs} pairs in {len(calibration.views)} views"
-    remark = f"{used} points in the fit, {every - used} left out; pictures dropped: {whole}"
+    remark = f"{used} points in the fit, {every - used} rejected; images rejected: {whole}"
     return Headline("Views", value, remark)
 
 

@@ -44,8 +44,8 @@ ASPECT_RATIO = DeclaredNotice(
 FOCAL_DRIFT = DeclaredNotice(
     "SC-255",
     "warning",
-    "The {side} focal length changed by {change_percent:+.3f} % (U = {expanded_percent:.3f} %, k = 2) from the first view "
-    "to the last.",
+    "The {side} focal length changed by {change_percent:+.3f} % (U = {expanded_percent:.3f} %, k = 2) from the first "
+    "view to the last.",
     effect="The result is that of the middle of the session. U includes the range.",
     remedy="Let the cameras warm up, and fix the lenses.",
     link="cameras.md#how-it-is-calculated",
