@@ -14,6 +14,7 @@ from fusion.base import K2, round_to_uncertainty
 from fusion.errors import InputError
 from fusion.phasors.channel_phasors import MOST_BINS, fill_gaps, line_record, lines_of_record
 from fusion.phasors.timing import tie_daqs
+from fusion.planning.planning_notices import NO_SIGNAL, NOT_FINITE
 from fusion.recording.daq_records import check_uniform, errors_in_set_up, read_set_ups
 from fusion.recording.load import Manifest
 from fusion.report.terminal import print_text, stdout_console
@@ -30,8 +31,8 @@ from shakercal._common.notices import Notice
 COLUMNS = ("channel", "frequency_hz", "u_frequency_hz", "amplitude", "u_amplitude", "unit", "floor_db", "what", "use")
 WHY, WHY_WIDTH = "what and why", 18
 LISTED = "lines"
-"""Where notices are about that only say what the table shows."""
-_SAME_U, _SAME_HZ = 6.0, 1e-6  # how far a line moves when it is fitted beside others
+"""Location of notices whose content the table shows."""
+_SAME_U, _SAME_HZ = 6.0, 1e-6  # largest shift of a line when it is fitted together with others
 _HANN_NOISE = 3.0  # noise power in a bin of the figure's spectrum over the variance of a fitted quadrature
 
 
@@ -93,7 +94,7 @@ def lines_of_file(
     for name, channel in channels.items():
         groups.setdefault((channel.sample_rate_hz, len(channel.samples)), {})[name] = channel
     if not groups:
-        raise InputError(path, "", found="none", expected="a channel of samples over time")
+        raise InputError(NO_SIGNAL, path, found="none", expected="a channel of samples over time")
     return [_file_group(path, group, band_hz, drawn=drawn) for group in groups.values()]
 
 
@@ -108,11 +109,12 @@ def lines_of_recording(manifest: Manifest, *, drawn: bool = False) -> ChannelLin
         manifest, base = first.manifest, tie_daqs(first.manifest, first.records)
     chosen = line_record(base)
     if chosen is None:
-        raise InputError(manifest.path, "daq", found="triggers only", expected="a channel that shows the excitation")
+        expected = "a channel that shows the excitation"
+        raise InputError(NO_SIGNAL, manifest.path, "daq", found="triggers only", expected=expected)
     lines = lines_of_record(manifest, chosen)
     names = tuple(channel.name for channel in chosen.channels)
     rates = {name: 1.0 / fit.period_s for (_, name), fit in base.triggers.items()}
-    pairs: dict[str, list[str]] = {}  # those of one trigger together
+    pairs: dict[str, list[str]] = {}  # pairs of one trigger
     for pair in (*manifest.images, *manifest.points):
         if pair.trigger in rates:
             pairs.setdefault(pair.trigger, []).append(pair.stereo)
@@ -163,7 +165,7 @@ def _file_group(
         check_uniform(path, name, channel)
         missing = int(np.count_nonzero(~np.isfinite(channel.samples)))
         if missing:
-            raise InputError(path, name, found=f"{missing} that are not", expected="finite samples")
+            raise InputError(NOT_FINITE, path, name, found=f"{missing} that are not", expected="finite samples")
     try:
         survey = survey_lines(values, rate_hz)
     except ValueError as error:
@@ -232,7 +234,7 @@ def print_lines(lists: Sequence[ChannelLines]) -> None:
         size = f"{item.samples} samples at {item.rate_hz:.9g} Hz, {duration:.4g} s"
         print_text(f"{item.source.name}: {names}; {size}{seen}")
         if not item.entries:
-            print_text("  no line stands out of the noise")
+            print_text("  no line above the noise")
             continue
         rows = [_cells(item, entry) for entry in item.entries]
         least = sum(max(len(head), *(len(row[head]) for row in rows)) + 2 for head in [*rows[0]][:-1]) + WHY_WIDTH
@@ -248,10 +250,10 @@ def print_lines(lists: Sequence[ChannelLines]) -> None:
             table.add_row(*row.values())
         console.print(table)
     for notice in dict.fromkeys(notice for item in lists for notice in item.notices if notice.where != LISTED):
-        print_text(f"{notice.severity}: {notice.text}")
+        print_text(f"{notice.severity} {notice.code}: {notice.text}")
     print_text(
-        "U (k = 2); amplitude: in the channel in which the line stands out most; dB: its power there over that of the "
-        "noise in a bin of the Hann spectrum"
+        "U (k = 2); amplitude: in the channel with the highest line; dB: its power over that of the noise in a bin of "
+        "the Hann spectrum"
     )
 
 

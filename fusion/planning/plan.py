@@ -10,6 +10,13 @@ import numpy as np
 
 from fusion.base import DASH, prefix
 from fusion.errors import InputError
+from fusion.planning.planning_notices import (
+    NOISE_UNSTATED,
+    RATE_LIMITS,
+    RATE_STEP,
+    TOO_FEW_FRAMES,
+    TOO_MANY_LINES,
+)
 from fusion.report.table import R, TableColumn, csv_text, page_column
 from fusion.report.terminal import print_text, stdout_console
 from shaker.arrays import FloatArray
@@ -32,9 +39,9 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 PER_NOISE = "noise per frame"
-MOST_LINES, MOST_LINES_OF_ALL = 200, 2000  # fitted at one point, and at all of them
-MOST_ENTRIES = 2_000_000  # lines times frames of a point
-SHOWN = 3  # frequencies that are written out; of more there is a count
+MOST_LINES, MOST_LINES_OF_ALL = 200, 2000  # lines fitted at one point, and at all points: a plan takes some seconds
+MOST_ENTRIES = 2_000_000  # lines times frames of a point: some 100 MB
+SHOWN = 3  # frequencies that are written; of more the number is
 
 
 @dataclass(frozen=True)
@@ -165,7 +172,8 @@ def make_plan(request: Request) -> Plan:
         rates = candidate_rates(points, sampling, request.limits_hz, request.rate_step_hz)
     except ValueError as error:
         expected = f"a step with a multiple between {request.limits_hz[0]:g} and {request.limits_hz[1]:g} Hz"
-        raise InputError("--rate-step", "", found=f"{request.rate_step_hz:g} Hz", expected=expected) from error
+        found = f"{request.rate_step_hz:g} Hz"
+        raise InputError(RATE_STEP, "--rate-step", found=found, expected=expected) from error
     if request.rate_hz is not None:
         return Plan(request, tuple(_explained(lines, request.rate_hz, rates, sampling) for lines in points), ())
     scans = [scan_rates(lines, rates, sampling) for lines in points]
@@ -185,13 +193,14 @@ def _check_size(request: Request) -> None:
     frames, harmonics, excitations = request.sampling.frames, request.sampling.harmonics, len(request.frequency_hz)
     lines = harmonics * (excitations if request.together else 1)
     if lines > MOST_LINES:
-        raise InputError("--harmonics", "", found=f"{lines}", expected=f"at most {MOST_LINES} lines of a point")
+        expected = f"at most {MOST_LINES} lines of a point"
+        raise InputError(TOO_MANY_LINES, "--harmonics", found=lines, expected=expected)
     if frames * lines > MOST_ENTRIES:
         expected = f"at most {MOST_ENTRIES // lines} for {lines} lines of a point"
-        raise InputError("--frames", "", found=str(frames), expected=expected)
+        raise InputError(TOO_MANY_LINES, "--frames", found=frames, expected=expected)
     if excitations * harmonics > MOST_LINES_OF_ALL:
         expected = f"at most {MOST_LINES_OF_ALL // harmonics} with {harmonics} harmonics each"
-        raise InputError("--frequencies", "", found=str(excitations), expected=expected)
+        raise InputError(TOO_MANY_LINES, "--frequencies", found=excitations, expected=expected)
 
 
 def _explained(lines: PlannedLines, rate_hz: float, rates: FloatArray, sampling: Sampling) -> PlanPoint:
@@ -213,19 +222,21 @@ def _check(request: Request, points: Sequence[PlannedLines]) -> None:
     highest = max(request.limits_hz) if request.rate_hz is None else request.rate_hz
     if request.rate_hz is None and not 0.0 < request.limits_hz[0] <= request.limits_hz[1]:
         low, high = request.limits_hz
-        raise InputError("--min-rate", "", found=f"{low:g} Hz", expected=f"no more than --max-rate ({high:g} Hz)")
+        expected = f"no more than --max-rate ({high:g} Hz)"
+        raise InputError(RATE_LIMITS, "--min-rate", found=f"{low:g} Hz", expected=expected)
     needed = 2 * max(len(lines.frequency_hz) for lines in points) + 2
     frames = request.sampling.frames
     if frames < needed:
-        raise InputError("--frames", "", found=str(frames), expected=f"at least {needed} for as many lines")
+        expected = f"at least {needed} for as many lines"
+        raise InputError(TOO_FEW_FRAMES, "--frames", found=frames, expected=expected)
     exposure = request.sampling.exposure_s
     if exposure * highest > 1.0:
         expected = f"no more than the time between frames ({1.0 / highest:.3g} s)"
-        raise InputError("--exposure", "", found=f"{exposure:g} s", expected=expected)
+        raise InputError(RATE_LIMITS, "--exposure", found=f"{exposure:g} s", expected=expected)
     sized = request.size.amplitude_m is not None or request.size.acceleration_mps2 is not None
     if sized and request.size.noise_m is None:
         option = "--amplitude" if request.size.amplitude_m is not None else "--acceleration"
-        raise InputError(option, "", found="none", expected="--noise beside it")
+        raise InputError(NOISE_UNSTATED, option, found="no --noise", expected="--noise in addition")
 
 
 # The plan as tables, in a file and on the terminal.
@@ -314,7 +325,7 @@ def _line_columns(size: MotionSize) -> list[TableColumn[_Line]]:
             "of rate",
             lambda line: f"{line.alias_hz / line.plan.rate_hz:.3f}",
         ),
-        TableColumn("distance_bins", lambda line: f"{line.bins:.6g}", "apart", lambda line: f"{line.bins:.2f}"),
+        TableColumn("distance_bins", lambda line: f"{line.bins:.6g}", "distance", lambda line: f"{line.bins:.2f}"),
         page_column("nearest", nearest),
         TableColumn("exposure_gain", lambda line: f"{line.gain:.6g}", "loss / %", _loss),
         TableColumn(
@@ -341,7 +352,7 @@ def _rate_columns(size: MotionSize) -> list[TableColumn[_Line]]:
         page_column("rate / Hz", lambda line: f"{line.plan.rate_hz:.3f}"),
         page_column("seen at / Hz", lambda line: _range(aliases(line))),
         page_column("of rate", lambda line: _range(aliases(line) / line.plan.rate_hz)),
-        page_column("apart", lambda line: f"{line.plan.distance_bins:.2f}"),
+        page_column("distance", lambda line: f"{line.plan.distance_bins:.2f}"),
         page_column("cond.", lambda line: f"{line.plan.condition:.2f}"),
         page_column(f"u{unit}", lambda line: _three_digits(noise * line.u_amplitude)),
         page_column(f"worst u{unit}", lambda line: _three_digits(noise * float(np.max(line.plan.u_amplitude)))),
@@ -414,12 +425,12 @@ def print_plan(plan: Plan) -> None:
     unit = " in units of the noise of one frame" if request.size.noise_m is None else ""
     print_text(
         f"u: standard uncertainty (k = 1) of an amplitude{unit}, of the fundamental and of the worst line; "
-        "over the amplitude it is that of the phase in rad",
+        "relative to the amplitude it is that of the phase in rad",
     )
     if not request.size.is_whole:
         print_text("(--noise with --amplitude or --acceleration gives numbers)")
-    distance_text = "apart: smallest distance of two lines as the camera sees them, in bins of rate/frames"
-    print_text(f"{distance_text} ({CLEAR_BINS:g} needed); loss: of amplitude, by exposure (a run corrects it)")
+    distance_text = "distance: smallest one of two aliased lines, in bins of rate/frames"
+    print_text(f"{distance_text} ({CLEAR_BINS:g} required); loss: of amplitude, by exposure (a run corrects it)")
 
 
 def _boxed(title: str, columns: Sequence[TableColumn[R]], sections: Sequence[Sequence[R]], width: int) -> Table:
@@ -464,10 +475,10 @@ def _print_choices(console: Console, plan: Plan) -> None:
     ]
     if sections:
         console.print(_boxed("Camera rates, best first", columns, sections, console.width))
-    fewer = "fewer harmonics, or know the frequencies better (--tolerance)"
+    fewer = "fewer harmonics, or more exact frequencies (--tolerance)"
     for name, point in zip(excited, points, strict=True):
         if not point.choices:
-            print_text(f"{name} Hz: no such rate keeps all lines apart; take more frames or {fewer}")
+            print_text(f"{name} Hz: no such rate separates all lines; use more frames or {fewer}")
     first = [point.choices[0] for point in points if point.choices]
     if len(points) > 1 and first:
         print_text(served(first, "each at its first rate"))
@@ -494,10 +505,10 @@ def _print_explained(console: Console, size: MotionSize, point: PlanPoint) -> No
     """Print the effect of the given rate on one point, line by line."""
     (plan,) = point.choices
     for frequency, alias in zip(plan.lines.frequency_hz, plan.alias_hz, strict=True):
-        if frequency in plan.lines.fundamentals_hz:  # so many turns between two frames and a bit: so slow a beat
+        if frequency in plan.lines.fundamentals_hz:  # whole periods between two frames and a rest: a slow beat
             turns = round(frequency / plan.rate_hz)
             sign = "+" if frequency >= turns * plan.rate_hz else "-"
-            seen = "as it is" if turns == 0 else f"as a beat of {alias:.3f} Hz"
+            seen = "directly" if turns == 0 else f"as a beat of {alias:.3f} Hz"
             print_text(
                 f"{frequency:.9g} Hz = {turns} × {plan.rate_hz:.9g} Hz {sign} {alias:.3f} Hz: seen {seen}, "
                 f"{alias * plan.duration_s:.2f} periods in {plan.duration_s:.2f} s",
@@ -516,12 +527,12 @@ def _print_explained(console: Console, size: MotionSize, point: PlanPoint) -> No
                 "change of rate brings its mirror image onto it",
             )
     if plan.distance_bins < CLEAR_BINS:
-        print_text(f"lines are only {plan.distance_bins:.2f} bins apart: {CLEAR_BINS:g} are needed to tell them apart")
+        print_text(f"lines are only {plan.distance_bins:.2f} bins apart: {CLEAR_BINS:g} are required to separate them")
     for other in plan.aliased_harmonics:
         name = f"harmonic {other.multiple} of {other.fundamental_hz:.9g} Hz, not fitted"
         print_text(f"{name}, is aliased to {other.alias_hz:.3f} Hz, within a bin of a line that is fitted")
     if point.nearby is not None:
         rate = point.nearby.rate_hz
         share = float(np.max(point.nearby.u_amplitude)) / float(np.max(plan.u_amplitude))
-        gain = f", worst u {share:.2g} times the present one" if share > 0.0 else ""
+        gain = f", worst u {share:.2g} times the given rate's" if share > 0.0 else ""
         print_text(f"Nearest good rate: {rate:.3f} Hz ({rate - plan.rate_hz:+.3f} Hz){gain}")

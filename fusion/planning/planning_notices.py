@@ -26,12 +26,11 @@ TOO_FEW_FRAMES = DeclaredNotice(
     remedy="Use more `--frames` or fewer `--harmonics`.",
     link="planning.md#reading-the-table",
 )
-RATE_LIMITS = DeclaredNotice("SC-803", "error", "expected {expected}, found {found}", link="planning.md")
-LONG_EXPOSURE = DeclaredNotice(
-    "SC-804",
+RATE_LIMITS = DeclaredNotice(
+    "SC-803",
     "error",
     "expected {expected}, found {found}",
-    effect="An exposure cannot last longer than the time between frames.",
+    effect="No camera rate satisfies both options.",
     link="planning.md",
 )
 NOISE_UNSTATED = DeclaredNotice(
@@ -106,6 +105,6 @@ BOKEH_MISSING = DeclaredNotice(
     "SC-816",
     "error",
     "The package bokeh, which draws the curves of the page, is not installed.",
-    remedy="Install shakercal with its extra `view`.",
+    remedy="Install it by `pip install bokeh`.",
     link="view.md",
 )

@@ -14,6 +14,13 @@ from fusion.planning.draft.channel_guess import HEAD
 from fusion.planning.draft.inventory import Inventory, is_recording_folder, survey_folder
 from fusion.planning.draft.recording_draft import SurveyedRecording, driven_axis, recording_text
 from fusion.planning.draft.rig_draft import rig_text
+from fusion.planning.planning_notices import (
+    FILE_EXISTS,
+    MANIFEST_EXISTS,
+    NOTHING_RECORDED,
+    UNSUITABLE_FOLDER,
+    UNSUITABLE_TEMPLATE,
+)
 from fusion.recording.load import RECORDING_NAME
 from fusion.recording.toml import UNFILLED, read_toml, to_toml
 from fusion.report.atomic_files import write_atomically
@@ -82,7 +89,8 @@ def draft(folder: str | Path, like: str | Path | None = None) -> Draft:
     found = [survey_folder(recording) for recording in _recordings(folder)]
     found = [inventory for inventory in found if not inventory.empty]
     if not found:
-        raise InputError(folder, "", "none", "recorders' files or pictures in this folder or in folders directly below")
+        expected = "recorders' files or images in this folder or directly below"
+        raise InputError(NOTHING_RECORDED, folder, found="none", expected=expected)
     surveyed = [SurveyedRecording.of(inventory) for inventory in found]
     files = {}
     if like is not None:
@@ -106,7 +114,7 @@ def example(folder: Path) -> Draft:
     texts = resources.files("fusion.planning.draft") / "example"
     paths = {RIG_NAME: folder / RIG_NAME, RECORDING_NAME: folder / EXAMPLE_RECORDING / RECORDING_NAME}
     files = {path: (texts / name).read_text(encoding="utf-8") for name, path in paths.items()}
-    return Draft(files, ("an example with every block; the files that it names are not there",))
+    return Draft(files, ("an example with every block; the named files do not exist",))
 
 
 def run_init(folder: Path, like: Path | None = None, *, with_example: bool = False) -> Draft:
@@ -114,7 +122,7 @@ def run_init(folder: Path, like: Path | None = None, *, with_example: bool = Fal
     made = example(folder) if with_example else draft(folder, like)
     for path in made.files:
         if path.exists():
-            raise InputError(path, "", "a file of this name", "a place for a new one (init never overwrites)")
+            raise InputError(FILE_EXISTS, path, found="one", expected="no file of this name")
     for path, text in made.files.items():
         write_atomically(path, text)
     return made
@@ -123,11 +131,11 @@ def run_init(folder: Path, like: Path | None = None, *, with_example: bool = Fal
 def _recordings(folder: Path) -> list[Path]:
     """Return the recordings without a manifest that a folder is or contains."""
     if not folder.is_dir():
-        found = "a file" if folder.is_file() else "nothing at this path"
-        raise InputError(folder, "", found, "the folder in which the recorders' files lie")
+        found = "a file" if folder.is_file() else "no such path"
+        raise InputError(UNSUITABLE_FOLDER, folder, found=found, expected="the folder of the recorders' files")
     try:
         if (folder / RECORDING_NAME).exists():
-            raise InputError(folder, "", "one there", f"a folder without {RECORDING_NAME}")
+            raise InputError(MANIFEST_EXISTS, folder, found="one", expected=f"a folder without {RECORDING_NAME}")
         if is_recording_folder(folder):
             return [folder]
         below = sorted(
@@ -135,10 +143,12 @@ def _recordings(folder: Path) -> list[Path]:
         )
         recordings = [entry for entry in below if is_recording_folder(entry)]
     except OSError as error:
-        raise InputError(folder, "", error.strerror or str(error), "a folder that can be read") from error
+        found = error.strerror or str(error)
+        raise InputError(UNSUITABLE_FOLDER, folder, found=found, expected="a folder that can be read") from error
     without_manifest = [entry for entry in recordings if not (entry / RECORDING_NAME).exists()]
     if recordings and not without_manifest:
-        raise InputError(folder, "", f"one in each of {len(recordings)}", f"a folder below without {RECORDING_NAME}")
+        found, expected = f"one in each of {len(recordings)}", f"a recording without {RECORDING_NAME}"
+        raise InputError(MANIFEST_EXISTS, folder, found=found, expected=expected)
     return without_manifest
 
 
@@ -158,7 +168,7 @@ def _summary(surveyed: SurveyedRecording) -> str:
     return f"{inventory.folder.name}: {'; '.join(texts)}"
 
 
-# A recording like another one: its rig and channels, the lines and files of its own.
+# Draft from another recording: its rig and channels, with the lines and files of this one.
 
 
 def _copied_recording(surveyed: SurveyedRecording, like: Path) -> str:
@@ -166,15 +176,16 @@ def _copied_recording(surveyed: SurveyedRecording, like: Path) -> str:
     path = like if like.is_file() else like / RECORDING_NAME
     text = read_toml(path)
     if "take" in text:
-        raise InputError(path, "take", "takes", "a recording without takes to take over")
+        raise InputError(UNSUITABLE_TEMPLATE, path, "take", found="takes", expected="a recording without takes")
     rig, excitation = text.get("rig"), text.get("excitation")
     if not isinstance(rig, str) or not isinstance(excitation, dict):
-        raise InputError(path, "", "neither", "a recording with its rig and an excitation")
+        expected = "a recording with its rig and an excitation"
+        raise InputError(UNSUITABLE_TEMPLATE, path, found="neither", expected=expected)
     inventory, lines = surveyed.inventory, list(surveyed.lines_hz)
     folder = inventory.folder
 
     def moved(name: Any) -> Any:
-        """Return the path of a file beside the other recording as seen from here, where it has none of that name."""
+        """Return the relative path of a file of the other recording, unless this one has a file of that name."""
         if not isinstance(name, str) or (folder / name).exists():
             return name
         return Path(os.path.relpath(path.parent / name, folder)).as_posix()

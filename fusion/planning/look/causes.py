@@ -17,20 +17,22 @@ from fusion.instruments.stereo import StereoReading
 from fusion.instruments.transducer import main_direction, measuring_point
 from fusion.phasors.set_up import MeasuredSetUp
 from fusion.planning.look.finding import Finding
+from fusion.planning.look.look_notices import CONTRADICTORY_READINGS, EXPLAINED_CONTRADICTION
 from photogram.geometry import skew, vector_from_rotation
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from shaker.sine.phasor import derivative_factor
+from shakercal._common.notices import Notice
 
 EXPLAINS = 0.01
-"""Share of chi-square that may be left where a mistake explains a contradiction."""
+"""Largest remaining share of chi-square if a mistake explains a contradiction."""
 AGREEMENT = 0.03
-"""Relative distance within which a reading is what another direction or quantity would give."""
+"""Largest relative distance of a reading from the prediction of another direction or quantity."""
 STATED = 0.9
-"""Cosine to the stated direction from which on an axis is no other one."""
+"""Cosine to the stated direction from which an axis is the stated one."""
 TRIED = 4
-"""Poses and edges, those that look best at first sight, with which a pair is compared anew."""
+"""Number of best poses and edges, by a linear comparison, for a complete comparison."""
 LATEST = 3
-"""Edges of the trigger by which frames may be late."""
+"""Largest shift of frames in trigger edges."""
 
 
 def find_contradictions(
@@ -44,18 +46,20 @@ def find_contradictions(
         on_body = [one for one in observations if one.body == acceleration.body]
         gross = any(test.left_out for test in blamed) or any(one.gross for one in acceleration.explanations)
         causes = list(dict.fromkeys(_causes(acceleration, blamed, on_body, set_ups))) if gross else []
-        text = " or ".join(map(_reading, blamed[:3])) + (f" or {len(blamed) - 3} more" if blamed[3:] else "")
-        text += "".join(f"; as if {cause}" for cause in causes)
+        readings = " or ".join(map(_reading, blamed[:3])) + (f" or {len(blamed) - 3} more" if blamed[3:] else "")
         where = f"instruments of the {acceleration.body}"
-        yield Finding("FIX MANIFEST" if causes or acceleration.disputed is not None else "CHECK", where, text)
+        notice = Notice(CONTRADICTORY_READINGS, where, readings=readings)
+        if causes:
+            notice = Notice(EXPLAINED_CONTRADICTION, where, readings=readings, causes=", or ".join(causes))
+        yield Finding("FIX MANIFEST" if causes or acceleration.disputed is not None else "CHECK", notice)
 
 
 def _reading(test: Consistency) -> str:
     """Return by how much readings differ from what the others predict."""
     if not np.isfinite(test.ratio):
         return f"{test.instrument} contradicts the others by {test.normalised_deviation:.3g} standard uncertainties"
-    rotation = f", turned by {np.angle(test.ratio):.3g} rad" if abs(np.angle(test.ratio)) > AGREEMENT else ""
-    return f"{test.instrument} reads {abs(test.ratio):.4g} times what the others predict{rotation}"
+    rotation = f", with a phase of {np.angle(test.ratio):.3g} rad" if abs(np.angle(test.ratio)) > AGREEMENT else ""
+    return f"{test.instrument} reads {abs(test.ratio):.4g} times the prediction of the others{rotation}"
 
 
 def _causes(

@@ -6,22 +6,26 @@ import re
 from dataclasses import dataclass
 from typing import Literal
 
-from fusion.errors import InputError
+from fusion.errors import ComputeError, InputError
+from fusion.planning.look.look_notices import FILE_PROBLEM
+from shakercal._common.notices import Notice
 
 Verdict = Literal["KEEP", "CHECK", "FIX MANIFEST", "REPEAT"]
 VERDICTS: tuple[Verdict, ...] = ("KEEP", "CHECK", "FIX MANIFEST", "REPEAT")
-"""The mildest first: a manifest can be mended when the load is gone, a recording cannot be repeated then."""
+"""The mildest first: a manifest can be corrected after the load is removed, a recording cannot be repeated."""
 Level = Literal["good", "look", "wrong"]
 LEVELS: tuple[Level, ...] = ("good", "look", "wrong")
 LEVEL_OF: dict[Verdict, Level] = {"KEEP": "good", "CHECK": "look", "FIX MANIFEST": "wrong", "REPEAT": "wrong"}
 
 
-MENDED = (".toml", ".json")
-"""Suffixes of files that state something and can be corrected: manifests and calibrations."""
+CORRECTABLE = (".toml", ".json")
+"""Suffixes of files with statements that can be corrected: manifests and calibrations."""
 
+STATED_KEYS = re.compile(r"(?:; (?:give|state|correct) \w+|\(bit depth \d+\)|: frequency_hz: expected a range)")
+"""A reader's `ValueError`, which has no code, that asks for a key: its name, the bit depth, the range of a response."""
 
-ASKED = re.compile(r"(?:; (?:give|state|correct) \w+|\(bit depth \d+\)|: frequency_hz: expected a range)")
-"""Words of a refusal by which a statement is what lacks: a key, the bit depth of images, the range of a response."""
+MANIFEST_CODES = frozenset[str]()
+"""Errors without a file that the manifest has to correct."""
 
 
 @dataclass(frozen=True)
@@ -29,37 +33,70 @@ class Finding:
     """A notice about a recording, with the `verdict` that follows from it."""
 
     verdict: Verdict
-    where: str
-    text: str
+    notice: Notice
+
+    @property
+    def code(self) -> str:
+        """Code of the notice."""
+        return self.notice.code
+
+    @property
+    def where(self) -> str:
+        """Channel, camera or key that it concerns."""
+        return self.notice.where
+
+    @property
+    def text(self) -> str:
+        """The fact, in one sentence."""
+        return self.notice.text
 
     @property
     def level(self) -> Level:
         """Colour of the verdict: good, look (yellow) or wrong (red)."""
         return LEVEL_OF[self.verdict]
 
+    def at(self, where: str) -> Finding:
+        """Return the same finding about another channel, camera or key."""
+        return Finding(self.verdict, self.notice.at(where))
 
-def refusal_finding(error: Exception, where: str = "") -> Finding:
-    """Return the finding of an error by `run` or a reader.
+
+def refusal_findings(error: Exception, where: str = "") -> list[Finding]:
+    """Return the findings of an error by `run` or a reader: one for each mistake in the input.
 
     If data contradict a statement of a manifest, the manifest has to be corrected. If a file cannot be read, or the
     data give no result, the recording has to be repeated.
     """
-    verdict: Verdict = "REPEAT"
-    if ASKED.search(str(error)):
-        verdict = "FIX MANIFEST"
-    elif isinstance(error, InputError):
-        read = re.search(r"(^|\.)(images|points|daq)\.", error.key) and "expected" not in error.values
-        verdict = "REPEAT" if read or error.file.suffix not in MENDED else "FIX MANIFEST"
-    elif ".toml" in str(error):
-        verdict = "FIX MANIFEST"
-    return Finding(verdict, where, shorten(str(error)))
+    if isinstance(error, InputError):
+        return [Finding(_input_verdict(one), _error_notice(one, where)) for one in error.each]
+    text = shorten(str(error))
+    needs_key = STATED_KEYS.search(text) is not None or ".toml" in text
+    if isinstance(error, ComputeError):
+        needs_key = needs_key or error.code in MANIFEST_CODES
+        place = ": ".join(filter(None, (where, error.where)))
+        return [Finding("FIX MANIFEST" if needs_key else "REPEAT", Notice(error.declared, place, **error.values))]
+    notice = Notice(FILE_PROBLEM, where, reason=text)
+    return [Finding("FIX MANIFEST" if needs_key else "REPEAT", notice)]
+
+
+def _input_verdict(error: InputError) -> Verdict:
+    """Return the verdict of a mistake: a reader's refusal of recorded data, or a statement to correct."""
+    if STATED_KEYS.search(str(error)) or error.code in MANIFEST_CODES:
+        return "FIX MANIFEST"
+    recorded = re.search(r"(^|\.)(images|points|daq)\.", error.key) and "expected" not in error.values
+    return "REPEAT" if recorded or error.file.suffix not in CORRECTABLE else "FIX MANIFEST"
+
+
+def _error_notice(error: InputError, where: str) -> Notice:
+    """Return a mistake as a notice about its file and key."""
+    return Notice(error.declared, ": ".join(filter(None, (where, error.file.name, error.key))), **error.values)
 
 
 def problem_finding(text: str) -> Finding:
     """Return the finding of a problem that `check` reports."""
-    block, told = re.fullmatch(r"(?:(?:take\S+ )?(daq|images|points) ([^:]+): )?(.*)", text, re.DOTALL).groups()[1:]  # type: ignore[union-attr]
-    mistaken = block is None or ("expected" in told and "truncated" not in told)
-    return Finding("FIX MANIFEST" if mistaken else "REPEAT", block or "", shorten(told))
+    pattern = r"(?:(?:take\S+ )?(daq|images|points) ([^:]+): )?(.*)"
+    block, reason = re.fullmatch(pattern, text, re.DOTALL).groups()[1:]  # type: ignore[union-attr]
+    mistaken = block is None or ("expected" in reason and "truncated" not in reason)
+    return Finding("FIX MANIFEST" if mistaken else "REPEAT", Notice(FILE_PROBLEM, block or "", reason=shorten(reason)))
 
 
 def shorten(text: str) -> str:

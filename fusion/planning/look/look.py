@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +24,18 @@ from fusion.planning.look.finding import (
     Level,
     Verdict,
     problem_finding,
-    refusal_finding,
+    refusal_findings,
     worst_verdict,
 )
 from fusion.planning.look.image_checks import PairPrecision, examine_camera, examine_pair
+from fusion.planning.look.look_notices import (
+    AIM_MISSED,
+    CAMERAS_DIFFER_IN_FRAMES,
+    FIRST_EDGE_UNSTATED,
+    INCOMPLETE_RECORDING,
+    MISSING_EDGES,
+    REMARK,
+)
 from fusion.planning.look.signal_checks import (
     LineStrength,
     examine_beat,
@@ -45,13 +53,14 @@ from fusion.report.atomic_files import write_atomically
 from fusion.report.terminal import print_text, stdout_console
 from photogram.camera import StereoRig
 from shaker.timebase.trigger import TriggerFit
+from shakercal._common.notices import Notice
 
 COLOURS = {"good": "GREEN", "look": "YELLOW", "wrong": "RED"}
 VERDICT_TEXTS: dict[Verdict, str] = {
-    "KEEP": "nothing speaks against this recording",
-    "CHECK": "look at what is below before the load comes down",
+    "KEEP": "this recording has no problem",
+    "CHECK": "read the findings before the load is removed",
     "FIX MANIFEST": "a statement of recording.toml or rig.toml contradicts the data",
-    "REPEAT": "record again: this cannot give a good result",
+    "REPEAT": "record again: these data cannot give a good result",
 }
 K2 = 2.0
 WATCHED_S = 2.0
@@ -126,7 +135,7 @@ def look(recording: str | Path, aim: float | None = None, *, allow_outside: bool
     --------
     >>> from fusion import look
     >>> [finding.text for finding in look("sample_images/demo/Fz-0080", aim=1e-4).findings]  # doctest: +ELLIPSIS
-    ['U (k = 2) of Fz per Fz at 80 Hz will be about 0.07... %, more than the 0.01 % aimed at']
+    ['U (k = 2) of Fz per Fz at 80 Hz will be about 0.07... %, more than the target of 0.01 %.']
     """
     manifest, already = load_manifest(recording, allow_outside=allow_outside), FileCache()
     problems, set_ups = _open_recording(manifest, already)
@@ -136,7 +145,7 @@ def look(recording: str | Path, aim: float | None = None, *, allow_outside: bool
     for where, block in manifest.set_ups:
         found, strengths, pairs = _look_at(block, where, already, records)
         prefix = where.rstrip(".") + " " if len(manifest.set_ups) > 1 else ""
-        findings += [replace(item, where=prefix + item.where) for item in found]
+        findings += [item.at(prefix + item.where) for item in found]
         expected += _expected(block, strengths, pairs)
     if set_ups and worst_verdict(findings) != "REPEAT":
         problems += trial_findings(manifest, set_ups)
@@ -144,8 +153,9 @@ def look(recording: str | Path, aim: float | None = None, *, allow_outside: bool
     findings += (finding for finding in problems if finding.text.rpartition(": ")[2] not in reported)
     for item in expected:
         if aim is not None and aim < item.U:
-            text = f"will be about {100 * item.U:.2g} %, more than the {100 * aim:.2g} % aimed at"
-            findings.append(Finding("CHECK", "", f"U (k = 2) of {item.channel} at {item.frequency_hz:g} Hz {text}"))
+            percent = {"expected_percent": 100 * item.U, "aim_percent": 100 * aim}
+            notice = Notice(AIM_MISSED, "", channel=item.channel, frequency_hz=item.frequency_hz, **percent)
+            findings.append(Finding("CHECK", notice))
     findings.sort(key=lambda finding: -VERDICTS.index(finding.verdict))
     return Look(manifest.name, manifest.path, tuple(findings), tuple(expected))
 
@@ -161,15 +171,16 @@ def _open_recording(manifest: Manifest, already: FileCache) -> tuple[list[Findin
     if kind.commands[0] != "run":
         problems, notices = read_for_command(manifest, already)
         findings = [problem_finding(text) for text in problems]
-        if kind.remarks is None:  # else doubts are among the remarks
+        if kind.remarks is None:  # otherwise these notices are among the remarks
             notices = [*manifest.certificate_notices, *plausibility_notices(manifest), *notices]
         else:
-            findings += [Finding("CHECK", "", text) for text in report.remarks if text not in kind.command_remark]
+            remarks = [text for text in report.remarks if text not in kind.command_remark]
+            findings += [Finding("CHECK", Notice(REMARK, "", remark=text)) for text in remarks]
         return [*findings, *notice_findings(notices)], ()
     try:
         return [], prepare_set_ups(manifest, already)
     except (InputError, ComputeError) as error:
-        return [refusal_finding(error)], ()
+        return refusal_findings(error), ()
 
 
 def _look_at(
@@ -188,7 +199,7 @@ def _look_at(
         image_jobs = [threads.submit(_look_at_images, block, images, already) for images in block.images]
         for daq in block.daq:
             raw = already.channels.get((where, daq.name), {})
-            if not raw:  # what is wrong with the file is among the problems of `inspect`
+            if not raw:  # `inspect_recording` reports problems of the file
                 continue
             slowest_hz = block.excitation.slowest_hz
             record = records.get((where, daq.name)) or DaqRecord(daq, raw, 0.0, slowest_hz=slowest_hz)
@@ -202,7 +213,7 @@ def _look_at(
                     if isinstance(fit, TriggerFit):
                         triggers.setdefault(entry.name, fit)
         lines = block.excitation.frequencies or ()
-        if any(finding.verdict == "FIX MANIFEST" for finding in found):  # other lines than these were driven
+        if any(finding.verdict == "FIX MANIFEST" for finding in found):  # other lines were driven
             lines = tuple({strength.frequency_hz for strength in strengths})
         for images, seen in zip(block.images, image_jobs, strict=True):
             channel_findings, pair, frames = seen.result()
@@ -227,14 +238,14 @@ def _look_at_images(
         rig = read_rig(pair, sequences)
         named = zip(images.cameras, sequences, strict=True)
         looks = [examine_camera(f"{where} {side}", sequence) for (side, _), sequence in named]
-    except KeyError:  # what is wrong with the files is among the problems of `inspect`
+    except KeyError:  # `inspect_recording` reports problems of the files
         return [], None, 0
     except (OSError, ValueError, InputError) as error:
-        return [refusal_finding(error, where)], None, 0
+        return refusal_findings(error, where), None, 0
     found = [finding for camera_findings, _ in looks for finding in camera_findings]
     counts, seen_by = [len(sequence) for sequence in sequences], [seen for _, seen in looks if seen is not None]
     if counts[0] != counts[-1]:
-        found.append(Finding("REPEAT", where, f"{counts[0]} frames left and {counts[1]} right"))
+        found.append(Finding("REPEAT", Notice(CAMERAS_DIFFER_IN_FRAMES, where, left=counts[0], right=counts[1])))
     if not isinstance(rig, StereoRig) or len(seen_by) < len(looks):
         return found, None, counts[0]
     left, right = seen_by
@@ -246,10 +257,9 @@ def _edges(lines: Sequence[float], images: Images, trigger: TriggerFit, frames: 
     """Yield contradictions between frames and edges, and aliases of the driven lines."""
     where = images.stereo
     if trigger.edges < frames + (images.first_edge or 0):
-        yield Finding("REPEAT", where, f"{frames} frames and only {trigger.edges} trigger edges")
+        yield Finding("REPEAT", Notice(MISSING_EDGES, where, frames=frames, edges=trigger.edges))
     elif trigger.edges > frames and images.first_edge is None:
-        text = f"{frames} frames and {trigger.edges} trigger edges: first_edge must say which are the frames'"
-        yield Finding("FIX MANIFEST", where, text)
+        yield Finding("FIX MANIFEST", Notice(FIRST_EDGE_UNSTATED, where, frames=frames, edges=trigger.edges))
     yield from examine_beat(where, lines, trigger, frames)
 
 
@@ -309,7 +319,7 @@ def _displacement_m(item: LineStrength, driven: np.ndarray) -> float:
     return item.amplitude / along / (2 * np.pi * item.frequency_hz) ** order
 
 
-# What a person at the shaker sees.
+# Output for the operator at the shaker.
 
 
 def print_look(found: Look) -> None:
@@ -327,13 +337,13 @@ def print_look(found: Look) -> None:
         Padding(banner, (1, 4), style=f"black on {colour.lower()}", expand=False) if console.is_terminal else banner
     )
     for finding in found.findings:
-        where = f"{finding.where}: " if finding.where else ""
+        place = " ".join(filter(None, (finding.code, f"{finding.where}:" if finding.where else "")))
         label = "note" if finding.verdict == "KEEP" else finding.verdict
-        print_text(f"  {label}: {where}{finding.text}")
+        print_text(f"  {label}: {place} {finding.text}")
     for item in found.expected:
         shares = ", ".join(f"{name} {100 * share:.2g} %" for name, share in item.shares)
         text = (
-            f"U (k = 2) to expect of {item.channel} at {item.frequency_hz:g} Hz: about {100 * item.U:.2g} % ({shares})"
+            f"expected U (k = 2) of {item.channel} at {item.frequency_hz:g} Hz: about {100 * item.U:.2g} % ({shares})"
         )
         print_text(f"  {text}")
 
@@ -383,7 +393,8 @@ def _one(recording: Path, aim: float | None, *, watch: bool, allow_outside: bool
     except InputError as error:
         if not watch:
             raise
-        return Look(recording.parent.name, recording, (Finding("REPEAT", "", f"not complete yet: {error}"),), ())
+        incomplete = Finding("REPEAT", Notice(INCOMPLETE_RECORDING, "", reason=str(error)))
+        return Look(recording.parent.name, recording, (incomplete,), ())
 
 
 def _state(recordings: list[Path]) -> object:

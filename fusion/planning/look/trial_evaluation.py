@@ -14,7 +14,8 @@ from fusion.phasors.set_up import MeasuredSetUp, PreparedSetUp, measure_set_ups
 from fusion.phasors.set_up_merging import join_set_ups
 from fusion.phasors.stereo_motion import PreparedImages
 from fusion.planning.look.causes import find_contradictions
-from fusion.planning.look.finding import Finding, refusal_finding
+from fusion.planning.look.finding import Finding, refusal_findings
+from fusion.planning.look.look_notices import INDISTINCT_SENSITIVITY, OTHER_DIRECTION_DRIVEN
 from fusion.recording.load import Manifest
 from fusion.sensitivity.analyse import NO_RESULT, Evaluation
 from fusion.sensitivity.ratio import driven_component
@@ -26,9 +27,16 @@ from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
 from shakercal._common.notices import Notice
 
 FOLLOWED, IN_A_ROW = 24, 8
-"""Frames of a pair that are followed, so many of them the first ones, from which the others are predicted."""
+"""Tracked frames of a pair, and the number of consecutive ones, from which the others are predicted."""
 DOUBTFUL_SHARE, WRONG_SHARE = 0.7, 0.3
-"""Share of the motion along what is driven, below which the direction is doubted or wrong."""
+"""Share of the motion along the stated direction, below which the direction is doubtful or wrong."""
+
+PLAUSIBILITY_CODES = frozenset[str]()
+"""Notes on implausible statements of a manifest, which a person has to check."""
+ASSUMPTION_CODES = frozenset[str]()
+"""Warnings about motion without an instrument: its assumed limit is included in U."""
+MISTAKEN_OUTPUT_CODES = frozenset[str]()
+"""Warnings about outputs that a mistake in the manifest explains: a scale, a sign, exchanged channels."""
 
 
 def trial_findings(manifest: Manifest, set_ups: Sequence[PreparedSetUp]) -> list[Finding]:
@@ -37,7 +45,7 @@ def trial_findings(manifest: Manifest, set_ups: Sequence[PreparedSetUp]) -> list
         measured = measure_set_ups([_with_few_frames(one) for one in set_ups], Settings(), no_progress)
         evaluation = evaluate_set_ups(manifest, measured, Settings())
     except (InputError, ComputeError) as error:
-        return [refusal_finding(error)]
+        return refusal_findings(error)
     return [*_of_evaluation(evaluation, measured)]
 
 
@@ -93,14 +101,17 @@ def notice_findings(notices: Iterable[Notice]) -> Iterator[Finding]:
     The assumption about motion without an instrument is included in U, and a note.
     """
     for notice in notices:
-        question, assumed = "?" in notice.text, notice.text.startswith("nothing measures ")
-        named = notice.where == "sensitivity" and ("as if " in notice.text or "exchanged" in notice.text)
-        if named or notice.where == NO_RESULT:
-            yield Finding("FIX MANIFEST", notice.where, notice.text)
-        elif (notice.severity == "warning" and not assumed) or (question and notice.where.endswith(".toml")):
-            yield Finding("CHECK", notice.where, notice.text)
-        elif notice.severity == "warning" or question:
-            yield Finding("KEEP", notice.where, notice.text)
+        doubted, assumed = notice.code in PLAUSIBILITY_CODES, notice.code in ASSUMPTION_CODES
+        mistaken = notice.code in MISTAKEN_OUTPUT_CODES
+        if not notice.code:  # until every notice is declared
+            doubted, assumed = "?" in notice.text, notice.text.startswith("nothing measures ")
+            mistaken = notice.where == "sensitivity" and ("as if " in notice.text or "exchanged" in notice.text)
+        if mistaken or notice.where == NO_RESULT:
+            yield Finding("FIX MANIFEST", notice)
+        elif (notice.severity == "warning" and not assumed) or (doubted and notice.where.endswith(".toml")):
+            yield Finding("CHECK", notice)
+        elif notice.severity == "warning" or doubted:
+            yield Finding("KEEP", notice)
 
 
 def _driven(evaluation: Evaluation) -> int | None:
@@ -121,11 +132,12 @@ def _direction(evaluation: Evaluation, fused: Sequence[Acceleration]) -> Iterato
         share = abs(complex(motion @ np.asarray(direction))) / size if size > 0.0 else 1.0
         if share < DOUBTFUL_SHARE:
             most = int(np.argmax(np.abs(motion)))
-            text = (
-                f"the {load.body} moves along {MOTION_COMPONENTS[most]} at {load.phasors.frequency_hz[line]:.6g} Hz, "
-                f"with {100.0 * share:.2g} % of its motion along excitation.direction = {list(direction)}"
+            axis, stated = MOTION_COMPONENTS[most], str(list(direction))
+            numbers = {"frequency_hz": float(load.phasors.frequency_hz[line]), "share_percent": 100.0 * share}
+            notice = Notice(
+                OTHER_DIRECTION_DRIVEN, "excitation.direction", body=load.body, axis=axis, direction=stated, **numbers
             )
-            yield Finding("FIX MANIFEST" if share < WRONG_SHARE else "CHECK", "excitation.direction", text)
+            yield Finding("FIX MANIFEST" if share < WRONG_SHARE else "CHECK", notice)
 
 
 def _indistinct(evaluation: Evaluation) -> Iterator[Finding]:
@@ -145,6 +157,7 @@ def _indistinct(evaluation: Evaluation) -> Iterator[Finding]:
         )
         main = result.polar[line][driven_elements[int(np.argmax(np.nan_to_num(sizes)))]]
         if main is not None and main.region.holds_zero:
-            hertz = f"{evaluation.lines.frequency_hz[line]:.6g} Hz"
-            text = f"the sensitivity to {LOAD_COMPONENTS[result.elements[driven_elements[0]][1]]} at {hertz}"
-            yield Finding("CHECK", "sensitivity", f"{text} cannot be distinguished from zero")
+            load = LOAD_COMPONENTS[result.elements[driven_elements[0]][1]]
+            frequency_hz = float(evaluation.lines.frequency_hz[line])
+            notice = Notice(INDISTINCT_SENSITIVITY, "sensitivity", component=load, frequency_hz=frequency_hz)
+            yield Finding("CHECK", notice)

@@ -16,6 +16,7 @@ from typing import Any, Literal
 
 from fusion.base import PROGRAM, __version__, versions
 from fusion.errors import InputError
+from fusion.planning.planning_notices import VALIDATION_OUTPUT
 from fusion.planning.validation.cases import CASES
 from fusion.report.atomic_files import write_files, write_together
 from fusion.report.folder import render_page
@@ -177,7 +178,7 @@ def _recorded(root: Path) -> Iterator[tuple[str, str]]:
             yield file.as_posix(), file.hash.value
 
 
-# What is left of it: lines of the terminal, validation.json, a page.
+# Results: lines of the terminal, validation.json, a page.
 
 
 COLUMNS: list[TableColumn[CaseResult]] = [
@@ -272,10 +273,12 @@ def check_output_folder(folder: Path, *, force: bool) -> None:
     `force` permits the replacement.
     """
     if folder.exists() and not folder.is_dir():
-        raise InputError(folder, "", found="a file of this name", expected="a folder")
+        raise InputError(VALIDATION_OUTPUT, folder, found="a file of this name", expected="a folder")
     for path in (folder / JSON_FILE, folder / PAGE_FILE):
         if path.exists() and not force:
-            raise InputError(path, "", found="a file of this name", expected="none yet (--force replaces it)")
+            raise InputError(
+                VALIDATION_OUTPUT, path, found="one", expected="no file of this name (--force replaces it)"
+            )
 
 
 def write_validation(folder: Path, found: Validation) -> list[Path]:

@@ -9,9 +9,9 @@ import numpy as np
 from shaker.arrays import FloatArray, IntArray
 
 FINEST = 64  # samples of the smallest block
-COARSER = 8  # blocks that one of the next level holds
-PARTS = 8  # blocks that a column has at least, so that its ends are those asked for within an eighth
-PLAIN = 2  # samples per column up to which they are told themselves
+COARSER = 8  # blocks in one of the next level
+PARTS = 8  # least number of blocks of a column: its ends are exact within an eighth
+PLAIN = 2  # samples per column up to which the samples are returned
 
 
 @dataclass(frozen=True)

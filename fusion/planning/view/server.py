@@ -14,17 +14,18 @@ from urllib.parse import parse_qs, unquote, urlsplit
 import numpy as np
 
 from fusion.errors import ComputeError, InputError
+from fusion.planning.planning_notices import BOKEH_MISSING, PORT_IN_USE
 
 LOOPBACK = "127.0.0.1"
 PAGE = Path(__file__).with_name("page")
 KINDS = {".html": "text/html", ".js": "text/javascript", ".css": "text/css"}
 LIBRARY = ("bokeh.min.js", "bokeh-api.min.js")
-# BokehJS puts its styles into the page as text; programs come from files only.
+# BokehJS inserts its styles as text; scripts are only loaded from files.
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; "
     "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
-LONGEST = 8192  # characters of an address
+LONGEST = 8192  # characters of an address; requests have some hundred
 ApiResponse = bytes | Mapping[str, Any]
 ApiHandlers = Mapping[str, Callable[[Mapping[str, str]], ApiResponse]]
 
@@ -34,7 +35,7 @@ def page_files() -> dict[str, Path]:
     files = {path.name: path for path in PAGE.iterdir() if path.suffix in KINDS}
     spec = find_spec("bokeh")
     if spec is None or not spec.submodule_search_locations:
-        raise ComputeError("the package bokeh, whose program draws the page's curves, is not installed")
+        raise ComputeError(BOKEH_MISSING)
     scripts = Path(spec.submodule_search_locations[0]) / "server/static/js"
     return files | {name: scripts / name for name in LIBRARY}
 
@@ -64,7 +65,7 @@ class Server(ThreadingHTTPServer):
             super().__init__((LOOPBACK, port), Handler)
         except OSError as error:
             found = error.strerror or str(error)
-            raise InputError("--port", "", found=f"{port} ({found})", expected="a port that is free") from error
+            raise InputError(PORT_IN_USE, "--port", found=f"{port} ({found})", expected="a free port") from error
         self.hosts = {f"{name}:{self.server_port}" for name in (LOOPBACK, "localhost")}
 
     @property
@@ -84,18 +85,18 @@ class Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         """Answer one request."""
         if self.headers.get("Host") not in self.server.hosts:
-            return self._say(403, "text/plain", b"expected this machine's own address")
+            return self._say(403, "text/plain", b"expected the address of this machine")
         where = urlsplit(self.path)
         _, _, token_and_name = where.path.partition("/")
         token, _, name = token_and_name.partition("/")
         if len(self.path) > LONGEST or not secrets.compare_digest(token.encode(), self.server.token.encode()):
-            return self._say(403, "text/plain", b"expected the address that shakercal view has printed")
+            return self._say(403, "text/plain", b"expected the address printed by shakercal view")
         kind, _, what = name.partition("/")
         if kind == "api" and what in self.server.answers:
             return self._answer(what, {key: values[-1] for key, values in parse_qs(where.query).items()})
         file = self.server.files.get(unquote(name) or "index.html")
         if file is None:
-            return self._say(404, "text/plain", b"nothing is here")
+            return self._say(404, "text/plain", b"no such page")
         return self._say(200, f"{KINDS[file.suffix]}; charset=utf-8", file.read_bytes())
 
     def _answer(self, what: str, query: Mapping[str, str]) -> None:

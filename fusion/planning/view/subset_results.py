@@ -28,13 +28,13 @@ from shaker.labels import AXES
 from shaker.lines.spectrum import amplitude_spectrum
 from shaker.timebase.trigger import TriggerFit
 
-NO_RESULTS = "Subsets, residuals and tracks need results: shakercal run makes them."
+NO_RESULTS = "Subsets, residuals and tracks require results of shakercal run."
 LINES_ONLY = (
-    "Subsets stand where the rigid motion puts them; of what is not rigid the results keep the part at the lines: "
-    "shakercal run --save-points keeps every subset in every frame."
+    "Subsets are at the positions of the rigid motion. The results contain the deformation at the lines only; "
+    "shakercal run --save-points stores every subset in every frame."
 )
-EVERY_FRAME = "Subsets and what is not rigid of them as measured in every frame (points-NAME.csv)."
-NO_RESIDUALS = "Of epipolar residuals results keep the mean of each subset over the frames, not every frame's."
+EVERY_FRAME = "Subsets and their deformation as measured in every frame (points-NAME.csv)."
+NO_RESIDUALS = "The epipolar residual of each subset is the mean over the frames."
 SIDES = ("left", "right")
 FARTHEST, NEAREST, STEPS = 1e3, 2.0, 400  # of an epipolar line, in distances of the cameras
 
@@ -205,12 +205,12 @@ class SubsetViews:
         arrays = [time, *moved.T, *rest.T]
         for found in spectra:
             arrays += [found.frequency_hz[1:], *found.amplitude[1:].T]
-        name = "what is not rigid" if results.table.is_file() else "what is not rigid, at the lines only"
+        name = "deformation" if results.table.is_file() else "deformation, at the lines only"
         panels = []
         for title, x, columns in (
             (f"subset {point}: displacement", "time / s", (0, 1)),
             (f"subset {point}: {name}", "time / s", (0, 4)),
-            (f"subset {point}: spectrum of the displacement, folded by the frame rate", "frequency / Hz", (7, 8)),
+            (f"subset {point}: spectrum of the displacement, aliased by the frame rate", "frequency / Hz", (7, 8)),
             (f"subset {point}: spectrum of {name}", "frequency / Hz", (11, 12)),
         ):
             curves = [[axis, columns[0], columns[1] + i] for i, axis in enumerate(AXES)]

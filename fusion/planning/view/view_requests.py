@@ -126,7 +126,7 @@ def phasors(viewed: ViewedRecording, line: int) -> ApiResponse:
                     "size": f"{element.magnitude:.6g} {found.unit[e]}, {np.degrees(element.phase_rad):.4g}°",
                 }
             )
-    text = "ellipses: 95 % regions" if panels else "Phasors need results: shakercal run makes them."
+    text = "ellipses: 95 % regions" if panels else "Phasors require results of shakercal run."
     shown = [{"name": name, "unit": unit, "values": values} for (name, unit), values in panels.items()]
     return {"panels": shown, "told": text}
 

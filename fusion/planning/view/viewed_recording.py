@@ -13,6 +13,7 @@ import numpy as np
 
 from fusion.errors import InputError
 from fusion.phasors.stereo_motion import read_rig
+from fusion.planning.planning_notices import RESULTS_WITHOUT_RECORDING
 from fusion.planning.view.extremes import Extremes
 from fusion.recording.daq_records import check_uniform, recorded_channels
 from fusion.recording.load import Manifest, find_recordings, load_manifest
@@ -26,8 +27,8 @@ from photogram.images.sequence import ImageSequence
 from shaker.io.channel import RawChannel
 
 DEFAULT_RESULTS = "results"
-DARKEST, BRIGHTEST = 0.001, 0.999  # quantiles of the first picture that are shown black and white
-ALONE = (".h5", ".hdf5", ".tdms")  # files of which one channel is read without the others
+DARKEST, BRIGHTEST = 0.001, 0.999  # quantiles of the first image that are displayed as black and white
+ALONE = (".h5", ".hdf5", ".tdms")  # files of which single channels can be read
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,8 @@ def find_sources(path: Path, recording: Path | None = None) -> list[ViewSource]:
         with_results = [ViewSource(one, _results_of(one, path)) for one in found]
         if any(one.results for one in with_results):
             return with_results
-    raise InputError(path, "", found="no recording beside these results", expected="--recording, the one they are of")
+    expected = "--recording, the recording of these results"
+    raise InputError(RESULTS_WITHOUT_RECORDING, path, found="none near them", expected=expected)
 
 
 def _results_of(recording: Path, results: Path) -> Path | None:
@@ -132,7 +134,8 @@ class ViewedRecording:
                 name = str(file.attrs.get("recording", ""))
             if name != self.manifest.name:
                 expected = f"those of “{self.manifest.name}” ({source.recording})"
-                raise InputError(source.results, "", found=f"results of “{name}”", expected=expected)
+                found = f"results of “{name}”"
+                raise InputError(RESULTS_WITHOUT_RECORDING, source.results, found=found, expected=expected)
         self.pairs = [
             ViewedPair(f"{where}{entry.stereo}", block, entry)
             for where, block in self.manifest.set_ups
