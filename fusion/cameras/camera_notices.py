@@ -97,6 +97,7 @@ PIXEL_TABLE = DeclaredNotice(
     "SC-292",
     "error",
     "expected {expected}, found {found}",
+    remedy="Correct the table of pixels.",
     link="cameras.md#face",
 )
 IMAGE_SIZE_MISMATCH = DeclaredNotice(
@@ -110,6 +111,8 @@ UNSUITABLE_RECORDING = DeclaredNotice(
     "SC-294",
     "error",
     "expected {expected}, found {found}",
+    effect="The recording cannot be used as evidence.",
+    remedy="Correct the key, or name another recording.",
     link="cameras.md#motion",
 )
 TOO_FEW_IMAGES = DeclaredNotice(
@@ -131,5 +134,6 @@ OUTPUT_SUFFIX = DeclaredNotice(
     "SC-297",
     "error",
     "expected {expected}, found {found}",
+    remedy="Choose a name with this suffix by `-o`.",
     link="cameras.md#from-pictures-of-a-target-to-a-stereo-pair",
 )

@@ -298,7 +298,7 @@ def views_table(calibration: Calibration) -> Table | None:
     every = points_of_board(calibration.target)
 
     def both(index: int, shown: Callable[[CalibratedImage], str]) -> Markup:
-        """A cell with the entry of the left picture above that of the right."""
+        """Return a cell with the entry of the left image above that of the right."""
         view = calibration.views[index]
         cells = (DASH if image is None else shown(image) for image in (view.left, view.right))
         return Markup("{}<br>{}").format(*cells)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Collection, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -42,8 +43,12 @@ from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
 from shakercal._common.notices import Notice
 
 RIG, NO_REFERENCE = "rig.toml", "no channel"
+CODE = re.compile(r"^SC-\d{3} ")
+"""Code at the beginning of an error."""
+ASSUMED_EXACT, NOT_FUSED = "assumed exact", "compared with the others, not fused"
+"""Use of a channel without a stated scale uncertainty."""
 REFERENCE_HZ = 160.0
-"""At which responses are read where no lines are stated (ISO 16063-21)."""
+"""Frequency at which responses are read without stated lines (ISO 16063-21)."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +86,9 @@ class CheckReport:
         folder, above = f"{self.path.parent}{os.sep}", str(self.path.parent.parent)
 
         def new(texts: tuple[str, ...]) -> tuple[str, ...]:
-            shared = {text for text in texts if text.startswith((RIG, above)) and not text.startswith(folder)}
+            places = {text: CODE.sub("", text) for text in texts}
+            shared = {text for text in texts if places[text].startswith((RIG, above))}
+            shared -= {text for text in shared if places[text].startswith(folder)}
             remaining = tuple(text for text in texts if text not in shared or text not in shown)
             shown.update(shared)
             return remaining
@@ -165,7 +172,7 @@ def inspect_recording(manifest: Manifest, already: FileCache) -> CheckReport:
     blank = _blank(takes, already)
     seen = {item.instrument for item in observed} - {TOGETHER} - {f"stereo {name}" for name, _ in blank}
     (remarks if seen else problems).extend(text for _, text in blank)
-    # Every channel once by its name.
+    # Every channel once, by its name.
     placed = [entry for take in takes for daq in take.daq for entry in daq.channel]
     entries = list({entry.name: entry for entry in placed}.values())
     contents += _heads(placed)
@@ -195,7 +202,7 @@ def read_for_command(manifest: Manifest, already: FileCache) -> tuple[list[str],
         return [], _read_as(command, manifest, already)
     except InputError as error:
         return [str(error)], []
-    except ComputeError:  # the files are as they should be
+    except ComputeError:  # the files are correct
         return [], []
 
 
@@ -300,7 +307,7 @@ def _contents(manifest: Manifest, takes: Sequence[Manifest], already: FileCache)
         contents += [prefix + line for line, _ in texts]
         problems += [prefix + problem for _, wrong in texts for problem in wrong]
     if len(takes) > 1 and reference == NO_REFERENCE:
-        problems.append("takes: no channel with reference = true that is the same in every take")
+        problems.append("takes: no common channel with reference = true in every take")
     mounted = [f"{part.name} {part.true_mass:g} kg on the {part.body}" for part in manifest.part]
     if manifest.rig.load is not None:
         contents.append(f"load mass: {manifest.rig.load.true_mass:g} kg" + "".join(f", {part}" for part in mounted))
@@ -314,7 +321,7 @@ def _measured_modes(manifest: Manifest, takes: Sequence[Manifest]) -> tuple[list
     measuring = {name for part in (load.elastic if load is not None else ()) for name in part.measured_by}
     for name in dict.fromkeys(images.stereo for take in takes for images in take.images):
         if name in measuring:
-            from fusion.sensitivity.mode_shapes import mode_shapes  # what the other recordings do without
+            from fusion.sensitivity.mode_shapes import mode_shapes  # not needed by other recordings
 
             shapes = mode_shapes(load, name)
             if shapes is not None:
@@ -349,7 +356,7 @@ def _heads(entries: Sequence[ChannelEntry]) -> list[str]:
     texts = []
     for name, stated in heads.items():
         count = sum(entry.head is not None and entry.head.name == name for entry in entries)
-        mirror = "beams or axes stand as stated"
+        mirror = "beams or axes as stated"
         if stated.mirror is not None:
             mirror = f"mirror at ({', '.join(f'{x:g}' for x in stated.mirror)}) m"
         elif stated.standoff is not None:
@@ -371,14 +378,14 @@ def _read_daq(block: Manifest, daq: Daq, where: str, already: FileCache) -> tupl
     except (OSError, ValueError, KeyError, InputError) as error:
         return text, [f"daq {daq.name}: {' '.join(str(error).split())}"]
     first = next(iter(channels.values()))
-    periodic = block.excitation.slowest_hz is not None  # of whose samples some may be missing
+    periodic = block.excitation.slowest_hz is not None  # a periodic signal may have missing samples
     holes = [name for name, one in channels.items() if not periodic and not np.isfinite(one.samples).all()]
     text += f"; {first.samples.size} samples at {first.sample_rate_hz:g} Hz"
     text += "" if first.gap is None else f", not uniform: {first.gap}"
     folds = folding(block.excitation.frequencies or (), first.sample_rate_hz, first.samples.size)
-    text += f" ({describe_folds(folds)} unless an anti-aliasing filter keeps it off)" if folds else ""
+    text += f" ({describe_folds(folds)} unless an anti-aliasing filter removes it)" if folds else ""
     text += "" if points is None else f", a scan of {len(points)} points, each a take"
-    return text, [f"daq {daq.name}: channel {name} holds values that are no finite numbers" for name in holes]
+    return text, [f"daq {daq.name}: channel {name} has values that are not finite" for name in holes]
 
 
 def _read_images(images: Images, pair: Stereo, already: FileCache, highest_hz: float) -> tuple[str, list[str]]:
@@ -401,7 +408,7 @@ def _read_images(images: Images, pair: Stereo, already: FileCache, highest_hz: f
     text += f", exposure {1e6 * left.exposure_s:.4g} µs by the file" if left.exposure_s is not None else ""
     if any(pair.row_time):
         read_s = pair.readout_s(left.size_px[1])
-        text += f", rows exposed one after the other over {1e3 * read_s:.4g} ms"
+        text += f", rows exposed successively over {1e3 * read_s:.4g} ms"
         text += f" ({360.0 * highest_hz * read_s:.3g}° at {highest_hz:g} Hz)" if highest_hz else ""
     wrong = calibration_problems(pair, sequences)
     if len(left) != len(sequences[-1]):
@@ -419,10 +426,10 @@ def _blank(takes: Sequence[Manifest], already: FileCache) -> list[tuple[str, str
     for images in (images for take in takes for images in take.images):
         for side, paths in images.cameras:
             sequence = already.images.get((paths, images.bit_depth))
-            with suppress(OSError, ValueError):  # of which the command that reads it says more
+            with suppress(OSError, ValueError):  # the command that reads it reports the error
                 why = missing_pattern_reason(sequence.read(0), sequence.full_scale) if sequence is not None else ""
                 if why:
-                    texts.append((images.stereo, f"images {images.stereo}: {side}: no pattern is seen: {why}"))
+                    texts.append((images.stereo, f"images {images.stereo}: {side}: no pattern is visible: {why}"))
     return texts
 
 
@@ -488,7 +495,7 @@ def _unstated(manifest: Manifest, entries: Sequence[ChannelEntry], pairs: Collec
     readable = list[tuple[ChannelEntry, ChainResponse | None]]()
     for entry in (entry for entry in entries if entry.quantity in TRANSDUCERS):
         file = entry.response, entry.response_result, entry.response_columns
-        with suppress(InputError):  # a problem of its own
+        with suppress(InputError):  # reported as a problem
             if entry.response is not None and file not in read:
                 read[file] = read_response(entry.response, lines, entry.response_result, entry.response_columns)
             readable.append((entry, read.get(file)))
@@ -501,7 +508,7 @@ def _unstated(manifest: Manifest, entries: Sequence[ChannelEntry], pairs: Collec
     remarks = []
     for name, (entry, response) in zip(instruments, readable, strict=True):
         alone = name[0] not in pairs and not any(body == name[0] for body, _, _ in stated)
-        effect = "taken as exact" if name in stated or alone else "compared with the others, not fused"
+        effect = ASSUMED_EXACT if name in stated or alone else NOT_FUSED
         if not scale_is_stated(entry, response):
             remarks.append(f"channel {entry.name} states no uncertainty of its scale: {effect}")
     return remarks
@@ -514,5 +521,5 @@ def _clock_remarks(blocks: Sequence[Daq]) -> list[str]:
     for name, own_triggers in triggers.items():
         others = set[str]().union(*(theirs for other, theirs in triggers.items() if other != name))
         if len(triggers) > 1 and not own_triggers & others:
-            remarks.append(f"daq {name} shares no trigger channel with another block: its clock cannot be tied")
+            remarks.append(f"daq {name} shares no trigger channel with another block: its clock cannot be synchronised")
     return remarks

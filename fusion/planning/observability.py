@@ -20,7 +20,7 @@ from shaker.labels import MOTION_COMPONENTS
 BODIES, TOGETHER = ("load", "base"), "all together"
 EXACT, FEWEST_SUBSETS = 1e-4, 6
 ROW_TOLERANCE = 1e-9
-"""Relative singular value below which instruments do not tell two motions apart."""
+"""Relative singular value below which instruments cannot distinguish two motions."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Observability:
         )
 
     def __str__(self) -> str:
-        return f"{self.body}: {self.instrument}: {' '.join(self.components) or 'no component by itself'}"
+        return f"{self.body}: {self.instrument}: {' '.join(self.components) or 'no single component'}"
 
 
 def observable_components(rows: FloatArray) -> BoolArray:
@@ -103,18 +103,18 @@ def describe_single_cameras(
             continue
         u, whole = 1e6 * np.sqrt(np.diagonal(seen[0])), seen[1]
         texts.append(
-            f"stereo {name} is one camera; of a frame it tells, by noise alone (standard uncertainty, its own axes, "
-            f"middle of the face), {u[:2].max():.2g} µm across its axis and {u[2]:.2g} µm along it, "
-            f"{u[5]:.2g} µrad about it and {u[3:5].max():.2g} µrad of tilts"
+            f"stereo {name} is a single camera: u of one frame by image noise (camera axes, centre of the face) is "
+            f"{u[:2].max():.2g} µm across its axis, {u[2]:.2g} µm along it, {u[5]:.2g} µrad about it and "
+            f"{u[3:5].max():.2g} µrad in tilts"
         )
-        text = f"{pair.body}, at the sensor origin: {_sizes(whole, whole)} by stereo {name} alone"
+        text = f"{pair.body}, at the sensor origin: {_sizes(whole, whole)} by stereo {name} only"
         instruments = {item.instrument: item.rows for item in observed if item.body == pair.body}
         others = {key: rows for key, rows in instruments.items() if key not in (TOGETHER, f"stereo {name}")}
         if others:
             rows = np.concatenate(list(others.values()))
             gain = whole @ rows.T @ np.linalg.pinv(rows @ whole @ rows.T, hermitian=True)
             text += (
-                f"; {_sizes(np.asarray(whole - gain @ rows @ whole), whole)} beside {', '.join(others)}, taken as exact"
+                f"; {_sizes(np.asarray(whole - gain @ rows @ whole), whole)} with {', '.join(others)}, assumed exact"
             )
         texts.append(text)
     return texts
@@ -157,7 +157,7 @@ def _sizes(covariance: FloatArray, before: FloatArray) -> str:
     undetermined = u > EXACT * 1e6 * np.sqrt(np.diagonal(before))
     units = ("µm",) * 3 + ("µrad",) * 3
     sizes = [f"{MOTION_COMPONENTS[i]} {u[i]:.2g} {units[i]}" for i in np.flatnonzero(undetermined)]
-    return ", ".join(sizes) or "nothing left open"
+    return ", ".join(sizes) or "all determined"
 
 
 def calibration_problems(pair: Stereo, sequences: Sequence[ImageSequence]) -> list[str]:

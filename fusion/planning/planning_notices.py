@@ -56,7 +56,13 @@ NOT_FINITE = DeclaredNotice(
     remedy="Select other channels by `--channel`.",
     link="signals.md",
 )
-NOTHING_RECORDED = DeclaredNotice("SC-808", "error", "expected {expected}, found {found}", link="drafting.md")
+NO_RECORDED_FILES = DeclaredNotice(
+    "SC-808",
+    "error",
+    "expected {expected}, found {found}",
+    remedy="Name the folder of a recording, or of a campaign.",
+    link="drafting.md",
+)
 MANIFEST_EXISTS = DeclaredNotice(
     "SC-809",
     "error",
@@ -72,7 +78,13 @@ FILE_EXISTS = DeclaredNotice(
     remedy="Rename or remove the file.",
     link="drafting.md",
 )
-UNSUITABLE_FOLDER = DeclaredNotice("SC-811", "error", "expected {expected}, found {found}", link="drafting.md")
+UNSUITABLE_FOLDER = DeclaredNotice(
+    "SC-811",
+    "error",
+    "expected {expected}, found {found}",
+    remedy="Name an existing folder that can be read.",
+    link="drafting.md",
+)
 UNSUITABLE_TEMPLATE = DeclaredNotice(
     "SC-812",
     "error",

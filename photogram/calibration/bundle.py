@@ -101,7 +101,7 @@ def model_view_pixels(
 
 
 def _crossed(rows: FloatArray, vector: FloatArray) -> FloatArray:
-    """Return rows (N, 2, 3) times the matrices [v]× of vectors (N, 3): r·[v]× = r × v."""
+    """Return rows (N, 2, 3) times matrices [v]×: r·[v]× = r × v."""
     return np.cross(rows, vector[:, None])
 
 

@@ -17,7 +17,7 @@ from fusion.planning.draft.rig_draft import rig_text
 from fusion.planning.planning_notices import (
     FILE_EXISTS,
     MANIFEST_EXISTS,
-    NOTHING_RECORDED,
+    NO_RECORDED_FILES,
     UNSUITABLE_FOLDER,
     UNSUITABLE_TEMPLATE,
 )
@@ -90,7 +90,7 @@ def draft(folder: str | Path, like: str | Path | None = None) -> Draft:
     found = [inventory for inventory in found if not inventory.empty]
     if not found:
         expected = "recorders' files or images in this folder or directly below"
-        raise InputError(NOTHING_RECORDED, folder, found="none", expected=expected)
+        raise InputError(NO_RECORDED_FILES, folder, found="none", expected=expected)
     surveyed = [SurveyedRecording.of(inventory) for inventory in found]
     files = {}
     if like is not None:
@@ -185,7 +185,7 @@ def _copied_recording(surveyed: SurveyedRecording, like: Path) -> str:
     folder = inventory.folder
 
     def moved(name: Any) -> Any:
-        """Return the relative path of a file of the other recording, unless this one has a file of that name."""
+        """Return the relative path of the other recording's file, unless it exists."""
         if not isinstance(name, str) or (folder / name).exists():
             return name
         return Path(os.path.relpath(path.parent / name, folder)).as_posix()

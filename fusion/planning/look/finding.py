@@ -21,6 +21,9 @@ LEVEL_OF: dict[Verdict, Level] = {"KEEP": "good", "CHECK": "look", "FIX MANIFEST
 CORRECTABLE = (".toml", ".json")
 """Suffixes of files with statements that can be corrected: manifests and calibrations."""
 
+CODED = re.compile(r"(SC-\d{3} |)(.*)")
+"""A text with the code of an error at its beginning."""
+
 STATED_KEYS = re.compile(r"(?:; (?:give|state|correct) \w+|\(bit depth \d+\)|: frequency_hz: expected a range)")
 """A reader's `ValueError`, which has no code, that asks for a key: its name, the bit depth, the range of a response."""
 
@@ -61,7 +64,9 @@ class Finding:
 
 
 def refusal_findings(error: Exception, where: str = "") -> list[Finding]:
-    """Return the findings of an error by `run` or a reader: one for each mistake in the input.
+    """Return the findings of an error by `run` or a reader.
+
+    Each mistake in the input is a finding.
 
     If data contradict a statement of a manifest, the manifest has to be corrected. If a file cannot be read, or the
     data give no result, the recording has to be repeated.
@@ -79,7 +84,7 @@ def refusal_findings(error: Exception, where: str = "") -> list[Finding]:
 
 
 def _input_verdict(error: InputError) -> Verdict:
-    """Return the verdict of a mistake: a reader's refusal of recorded data, or a statement to correct."""
+    """Return REPEAT for refused data, FIX MANIFEST for a statement to correct."""
     if STATED_KEYS.search(str(error)) or error.code in MANIFEST_CODES:
         return "FIX MANIFEST"
     recorded = re.search(r"(^|\.)(images|points|daq)\.", error.key) and "expected" not in error.values
@@ -101,9 +106,9 @@ def problem_finding(text: str) -> Finding:
 
 def shorten(text: str) -> str:
     """Return a reader's text in one line, with the file's name only."""
-    text = " ".join(text.split())
+    code, text = CODED.fullmatch(" ".join(text.split())).groups()  # type: ignore[union-attr]
     path, colon, rest = text.partition(": ")
-    return f"{path.rpartition('/')[2]}: {rest}" if colon and "/" in path else text
+    return f"{code}{path.rpartition('/')[2]}: {rest}" if colon and "/" in path else f"{code}{text}"
 
 
 def worst_verdict(findings: tuple[Finding, ...] | list[Finding]) -> Verdict:

@@ -113,13 +113,13 @@ class SubsetViews:
     def __init__(self, recording: ViewedRecording) -> None:
         self.opened = recording
         results = recording.source.results
-        self.kept = [
+        self.results = [
             None if results is None else SubsetResults.read(results, pair.entry.stereo) for pair in recording.pairs
         ]
 
     def description(self, number: int) -> Mapping[str, Any]:
         """Return times of the frames, phases (F) of each line, and missing data."""
-        results, pair = self.kept[number], self.opened.pairs[number]
+        results, pair = self.results[number], self.opened.pairs[number]
         entry = pair.entry
         more = {"region": entry.region, "mask": entry.mask}
         if results is not None:
@@ -146,7 +146,7 @@ class SubsetViews:
 
     def frame(self, number: int, frame: int) -> Mapping[str, Any]:
         """Return the pixels of the subsets (N, 2), and their deformation in px."""
-        results = self.kept[number]
+        results = self.results[number]
         if results is None or not 0 <= frame < len(results.time_s):
             return {"told": ""}
         if not np.isfinite(results.pose[frame]).all():
@@ -189,7 +189,7 @@ class SubsetViews:
 
     def track(self, number: int, point: int) -> bytes:
         """Return curves of a subset: its motion, its deformation, and the spectrum of both."""
-        results = self.kept[number]
+        results = self.results[number]
         if results is None:
             raise ValueError(NO_RESULTS)
         if not 0 <= point < len(results.reference_m):

@@ -21,6 +21,8 @@ UNUSED_COEFFICIENTS = DeclaredNotice(
     "SC-266",
     "warning",
     "{camera}: {coefficients} are ignored because {model} has no such coefficients.",
+    effect="The program that wrote the file ignores them, too.",
+    remedy="Check `LENS_DISTORTION_MODEL`.",
     link="cameras.md#calibrations-of-other-programs",
 )
 MALFORMED_XML = DeclaredNotice(
@@ -97,6 +99,8 @@ SKEW_IGNORED = DeclaredNotice(
     "SC-277",
     "warning",
     "OpenCV's functions ignore the skew of {skew_px:.3g} px.",
+    effect="Its projections differ from those of this camera.",
+    remedy="Calibrate without skew for use in OpenCV.",
     link="cameras.md#and-out-again",
 )
 COVARIANCE_NOT_EXPORTED = DeclaredNotice(
