@@ -139,6 +139,6 @@ def _parameters(rig: StereoRig) -> tuple[CalibrationParameter, ...]:
     for name, size, u, unit in zip(RIG_PARAMETERS[:24], value, np.sqrt(variance), UNITS, strict=True):
         state: ParameterState = "indistinct" if unit == "1" and abs(size) < 2 * u else "determined"
         parameters.append(
-            CalibrationParameter(name, float(size), float(u), unit, "open" if unit == "1" and u > 1 else state)
+            CalibrationParameter(name, float(size), float(u), unit, "undetermined" if unit == "1" and u > 1 else state)
         )
     return tuple(parameters)

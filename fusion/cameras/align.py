@@ -208,10 +208,10 @@ def _record(
         found = "none" if file.calibration is None else "another calibration"
         expected = f"the one of {file.stereo} in {manifest.rig_path}"
         raise InputError(UNSUITABLE_RECORDING, path, "calibration", found=found, expected=expected)
-    open_pair = replace(prepare_images(manifest, base, images), depth_m=None)  # depends on the pose to be determined
-    measured = measure_images(open_pair, settings, progress)
+    prepared = replace(prepare_images(manifest, base, images), depth_m=None)  # depends on the pose to be determined
+    measured = measure_images(prepared, settings, progress)
     lines = find_channel_lines(manifest, base) or motion_lines(manifest, base, [measured])[0]
-    measured = refine_rolling_shutter(measured, (open_pair,), lines)
+    measured = refine_rolling_shutter(measured, (prepared,), lines)
     fixed = measured.sight.pair.model_copy(update={"pose_by_calibration": None})  # effects in the camera's frame
     return _Recorded(manifest, base, replace(measured, sight=replace(measured.sight, pair=fixed)))
 

@@ -139,7 +139,7 @@ class TargetViewBlock(ManifestBlock):
     pose_uncertainty: PoseUncertainty = ZERO6
 
     @model_validator(mode="after")
-    def _pictures(self) -> Self:
+    def _check_images(self) -> Self:
         if not self.left and not self.right:
             raise refusal("the images of at least one camera", "none", key="left")
         if self.left and self.right and len(self.left) != len(self.right):

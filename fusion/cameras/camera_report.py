@@ -58,7 +58,7 @@ from shaker.arrays import IntArray
 STATES = {
     "determined": "determined",
     "indistinct": "not significantly different from zero",
-    "open": "not determined by these views",
+    "undetermined": "not determined by these views",
 }
 MEANINGS = {
     "fx": "focal length across",
@@ -91,7 +91,7 @@ DISPLAY = {"m": (1e3, "mm"), "1": (1.0, "")}
 def verdict(calibration: Calibration) -> str:
     """Return the first warning and the undetermined parameters in one or two sentences."""
     warnings = [notice for notice in calibration.notices if notice.severity == "warning"]
-    missing = [item.name for item in calibration.parameters if item.state == "open"]
+    missing = [item.name for item in calibration.parameters if item.state == "undetermined"]
     text = "Number, position and angle of the views and the residuals give no warning."
     if warnings:
         where = f" ({warnings[0].where})" if warnings[0].where else ""

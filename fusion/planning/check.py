@@ -86,9 +86,9 @@ class CheckReport:
         folder, above = f"{self.path.parent}{os.sep}", str(self.path.parent.parent)
 
         def new(texts: tuple[str, ...]) -> tuple[str, ...]:
-            places = {text: CODE.sub("", text) for text in texts}
-            shared = {text for text in texts if places[text].startswith((RIG, above))}
-            shared -= {text for text in shared if places[text].startswith(folder)}
+            without_code = {text: CODE.sub("", text) for text in texts}
+            shared = {text for text in texts if without_code[text].startswith((RIG, above))}
+            shared -= {text for text in shared if without_code[text].startswith(folder)}
             remaining = tuple(text for text in texts if text not in shared or text not in shown)
             shown.update(shared)
             return remaining

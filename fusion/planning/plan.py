@@ -400,7 +400,7 @@ def _shown_noise(size: MotionSize) -> tuple[float, str]:
     return size.noise_m / factor, f" / {letter}m"
 
 
-# What `shakercal plan` prints: the rates of every frequency, the fewest that serve all, or what one rate does.
+# Output of `shakercal plan`: the rates of every frequency, the smallest common set, or the effect of one rate.
 
 
 def print_plan(plan: Plan) -> None:

@@ -16,14 +16,14 @@ from shaker.lines.rate_planner import condition_over_rate, scan_rates
 from shaker.lines.spectrum import FIRST_BIN
 from shaker.sine.aliasing import MAX_CONDITION
 
-COLUMNS = 420  # of a panel; each shows the largest condition of the rates in it
+COLUMNS = 420  # columns of a panel; each shows the largest condition of its rates
 RATES_PER_COLUMN = 6
-TOP = 100.0  # where the axis ends
+TOP = 100.0  # end of the axis
 PREFERRED_COLOUR = "#7cc9a6"
-POINTS = 1600  # of a spectrum
+POINTS = 1600  # points of a spectrum
 DETAILS = re.compile(r" of |[,(]|(?<=combination) ")
-"""Where the details of what a line is begin."""
-LABELLED = 12  # lines of a panel that are named, the highest
+"""Beginning of the details in the description of a line."""
+LABELLED = 12  # highest lines of a panel that are named
 
 
 def draw_plan(plan: Plan, kind: str) -> bytes:

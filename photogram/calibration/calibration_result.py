@@ -28,7 +28,7 @@ from photogram.geometry import RigidTransform
 from photogram.targets.target_view import Target
 from shakercal._common.notices import Notice
 
-ParameterState = Literal["determined", "indistinct", "open"]
+ParameterState = Literal["determined", "indistinct", "undetermined"]
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class CalibrationParameter:
     """One parameter of the rig: value, standard uncertainty (k = 1) and unit.
 
     The unit is "px", "1", "rad" or "m". `state` is "determined"; "indistinct", a distortion that is not significantly
-    different from zero; or "open", as uncertain as the prior: its value is that of the prior.
+    different from zero; or "undetermined", as uncertain as the prior: its value is that of the prior.
     """
 
     name: str
@@ -202,7 +202,7 @@ def check_view_angles(poses: Sequence[RigidTransform]) -> None:
 
 # Determined parameters, coverage, and notices of a session.
 
-_OPEN = 0.5  # share of the prior's standard deviation above which a parameter is undetermined
+_UNDETERMINED = 0.5  # share of the prior's standard deviation above which a parameter is undetermined
 _DISTINCT = 2.0  # standard uncertainties beyond which a distortion differs from zero
 _MANY_VIEWS = 8
 _LITTLE_TURN_RAD = np.radians(5.0)
@@ -229,8 +229,8 @@ def rig_parameters(rig: StereoRig, prior_sigma: FloatArray) -> tuple[Calibration
         lens = not name.startswith(("rotation", "translation"))
         unit = _UNITS[kind] if lens else ("rad" if name.startswith("rotation") else "m")
         state: ParameterState = "determined"
-        if u > 0 and u > _OPEN * prior_sigma[number]:
-            state = "open"
+        if u > 0 and u > _UNDETERMINED * prior_sigma[number]:
+            state = "undetermined"
         elif lens and kind in "kp" and abs(value) < _DISTINCT * u:
             state = "indistinct"
         parameters.append(CalibrationParameter(name, float(value), u, unit, state))
@@ -280,7 +280,7 @@ def _parameter_notices(calibration: Calibration) -> Iterator[Notice]:
         if item.name.endswith((".fx", ".fy")) and item.u > _FOCAL_U * item.value:
             yield Notice(UNCERTAIN_FOCAL_LENGTH, item.name, parameter=item.name, u_percent=100 * item.u / item.value)
     yield from (*_aspects(calibration.rig), *_drifts(calibration), *_differences(calibration))
-    for state, declared in (("open", PARAMETERS_UNDETERMINED), ("indistinct", PARAMETERS_INDISTINCT)):
+    for state, declared in (("undetermined", PARAMETERS_UNDETERMINED), ("indistinct", PARAMETERS_INDISTINCT)):
         names = [item.name for item in calibration.parameters if item.state == state]
         if names:
             yield Notice(declared, "distortion", parameters=", ".join(names))

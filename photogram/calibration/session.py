@@ -185,13 +185,13 @@ def _predicts_better(fit: _Fit, other: _Fit) -> bool:
     """
     theirs = dict(zip((view.name for view in other.session.views), other.predictions, strict=True))
     squares: dict[int, list[FloatArray]] = {}
-    for view, image, (residual_here, used) in zip(fit.session.views, fit.session.images, fit.predictions, strict=True):
+    for view, image, (residual_first, used) in zip(fit.session.views, fit.session.images, fit.predictions, strict=True):
         if view.name in theirs:
             both = used & theirs[view.name][1]
-            pair = [(residual[both] ** 2).sum(axis=1) for residual in (residual_here, theirs[view.name][0])]
+            pair = [(residual[both] ** 2).sum(axis=1) for residual in (residual_first, theirs[view.name][0])]
             squares.setdefault(image.view, []).append(np.array(pair))
     sums = [np.concatenate(parts, axis=1).sum(axis=1) for parts in squares.values()]
-    ratio = np.log([squares_here / their for squares_here, their in sums if squares_here > 0 and their > 0])
+    ratio = np.log([squares_first / their for squares_first, their in sums if squares_first > 0 and their > 0])
     return len(ratio) > 1 and bool(ratio.mean() < -ratio.std(ddof=1) / np.sqrt(len(ratio)))
 
 

@@ -86,7 +86,7 @@ def _interval(edges: FloatArray, value: float, guess: int) -> int:
 
 @njit(error_model="numpy")
 def _shares(edges: FloatArray, value: float, sigma: float, first: int, last: int, shares: FloatArray) -> None:
-    """Fill shares[first : last + 1] with the tiles' weights; tile k ends at edge k."""
+    """Fill shares[first : last + 1] with tile weights; tile k ends at edge k."""
     lower = 0.0
     for k in range(first, last + 1):
         upper = _step(edges[k] - value, sigma) if k < last else 1.0
@@ -365,7 +365,7 @@ def _magnification(camera: Camera, camera_from_target: RigidTransform, board: Bo
 
 
 def _tiles(board: Board) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return edges (X,) and (Y,), in spacings, and grey levels (Y + 1, X + 1)."""
+    """Return edges (X,), (Y,) in spacings, and grey levels (Y + 1, X + 1)."""
     columns, rows = board.target.size or (0, 0)
     if board.target.kind == "chessboard":
         columns, rows = columns + 1, rows + 1

@@ -259,7 +259,7 @@ def test_every_parameter_has_its_row(calibration: Calibration) -> None:
 
 def test_states_in_plain_words(calibration: Calibration) -> None:
     changed = list(calibration.parameters)
-    changed[8] = replace(changed[8], state="open", u=2.0)
+    changed[8] = replace(changed[8], state="undetermined", u=2.0)
     changed[7] = replace(changed[7], state="indistinct")
     changed[6] = replace(changed[6], u=0.0)
     other = replace(calibration, parameters=tuple(changed), notices=())
@@ -267,7 +267,7 @@ def test_states_in_plain_words(calibration: Calibration) -> None:
         "determined",
         "fixed",
         STATES["indistinct"],
-        STATES["open"],
+        STATES["undetermined"],
     ]
     assert verdict(other).endswith(" left.k3.")
     warning = Notice(FEW_VIEWS, "views", count=5, kind="pairs", least=8)

@@ -19,13 +19,13 @@ SAME_RATE = 1e-3  # relative difference of the rates of one trigger
 LONG_NAME = 40  # characters
 HEAD = f"""\
 # Drafted by {PROGRAM} {__version__} from the files of this folder.
-# "?" marks what only you know: `shakercal check` lists these values first, and `shakercal run` refuses them.
-# "guessed" says why a value is what it is. Lines that begin with "# " are optional keys, with a usual value.
+# "?" marks values to fill in: `shakercal check` lists them first, and `shakercal run` refuses them.
+# "guessed" gives the reason of a guessed value. Lines that begin with "# " are optional keys, with a usual value.
 """
-"""How a drafted file begins."""
+"""Beginning of a drafted file."""
 
 
-# Lines of a manifest: stated, asked for, optional.
+# Lines of a manifest: stated, to fill in, optional.
 
 
 def key_line(key: str, value: Any, why: str = "") -> str:
@@ -47,7 +47,7 @@ def optional_line(key: str, value: Any, why: str) -> str:
     return f"# {key_line(key, value, why)}"
 
 
-# What a channel reads, by its name, its unit and its signal.
+# Quantity of a channel by its name, unit and signal.
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ NAMES = (
     ("force", r"force\w*|kraft\w*|load_?cell\w*"),
     ("voltage", r"volt\w*|drive|generator|excitation"),
 )
-"""Quantities by a word of a channel's name, the first that fits."""
+"""Quantities by words of a channel's name; the first match counts."""
 TRIGGER_WORDS = r"\w*trig\w*|sync\w*|strobe\w*|cam\w*"
 BASE_WORDS, LOAD_WORDS = r"base|table|tisch|bottom|lower|shaker|armature", r"load|mass|top|upper|masse|last"
 
@@ -106,7 +106,7 @@ def guess_channel(channel: FoundChannel) -> ChannelGuess:
     if unit is not None and unit.dimension == NONE and "/" in channel.unit:
         by_unit = "output"
     if by_unit == "angular_velocity" and not re.search("rad|d|\u00b0", channel.unit.lower()):
-        by_unit = None  # revolutions of something that turns on
+        by_unit = None  # revolutions of a rotating machine
     if by_name == "output" and by_unit in (None, "force"):
         scaled = 1.0 if unit is not None and unit.factor == 1.0 and (by_unit or unit == volt) else None
         return ChannelGuess(channel, "output", "guessed: its name", scaled, f"the file says {channel.unit}")
@@ -170,7 +170,7 @@ def body_line(name: str) -> str:
     """Return the line of the observed body: the load, unless its name indicates the base."""
     if has_word(BASE_WORDS, name):
         return key_line("body", "base", "guessed: its name")
-    reason = "its name" if has_word(LOAD_WORDS, name) else "its name says nothing of the base"
+    reason = "its name" if has_word(LOAD_WORDS, name) else "its name does not indicate the base"
     return key_line("body", "load", f"guessed: {reason}")
 
 

@@ -46,7 +46,7 @@ class Draft:
     >>> with TemporaryDirectory() as folder:
     ...     _ = copytree("sample_images/demo", f"{folder}/demo", ignore=ignore_patterns("*.toml"))
     ...     drafted = draft(f"{folder}/demo")
-    >>> isinstance(drafted, Draft), [path.name for path in drafted.files], drafted.asked
+    >>> isinstance(drafted, Draft), [path.name for path in drafted.files], drafted.unfilled
     (True, ['rig.toml', 'recording.toml'], 28)
     """
 
@@ -71,7 +71,7 @@ def draft(folder: str | Path, like: str | Path | None = None) -> Draft:
 
     Returns
     -------
-    The drafted files; nothing is written.
+    The drafted files, which are not written.
 
     Raises
     ------

@@ -31,14 +31,14 @@ if TYPE_CHECKING:
     from shaker.io.channel import RawChannel
 
 MOST_FILES = 100_000
-FEWEST_ALONE = 8  # frames of a camera without a partner that make it more than some photographs
-LOOKED_AT = 4  # pictures of a camera that tell its bit depth
+FEWEST_ALONE = 8  # least number of frames of a single camera; fewer are photographs
+LOOKED_AT = 4  # images of a camera from which its bit depth is estimated
 GREY_BITS = (8, 10, 12, 14, 16)
-NEAR_A_LEVEL, TWO_LEVELS = 0.15, 0.9  # of the step; share of the samples that lie so near to one of the two
+NEAR_A_LEVEL, TWO_LEVELS = 0.15, 0.9  # distance from a level over the step; share of samples within it
 TABLE_KEYS = {"frequency_hz"}
 HDF5 = (".h5", ".hdf5")
 LABELS = re.compile(r"names?\b|labels?\b|channels?\b|columns?\b|signals?\b", re.IGNORECASE)
-"""Attributes that may list what columns of a table are called."""
+"""Attributes that may list the names of a table's columns."""
 MOST_LABELS = 10_000
 SIDES = (("left", "right"), ("l", "r"), ("a", "b"), ("0", "1"), ("1", "2"))
 
@@ -293,7 +293,7 @@ def _pulses(raw: RawChannel) -> TriggerPulses | None:
     samples = raw.samples
     if len(samples) < 8 or raw.stamp_s is not None or not np.isfinite(samples).all() or np.ptp(samples) == 0.0:
         return None
-    # Levels by the middle of either half: pulses may be short.
+    # Levels are the medians above and below the middle: pulses may be short.
     middle = (float(samples.min()) + float(samples.max())) / 2
     levels = float(np.median(samples[samples < middle])), float(np.median(samples[samples >= middle]))
     step = levels[1] - levels[0]
@@ -402,7 +402,7 @@ def _paired(cameras: Sequence[FoundCamera]) -> tuple[tuple[FoundCameras, ...], t
                 )
     for camera in rest:
         if camera.problem or camera.frames < FEWEST_ALONE:
-            odd.append(replace(camera, problem=camera.problem or f"{camera.summary}, and no camera beside it"))
+            odd.append(replace(camera, problem=camera.problem or f"{camera.summary}, without a second camera"))
         else:
             left = _word(camera.pattern, SIDES[0][0]) or (0, 0)
             sights.append(FoundCameras(_common_name(camera.pattern, left, "camera"), camera, None))

@@ -31,11 +31,11 @@ from shaker.arrays import FloatArray
 from shaker.labels import LOAD_COMPONENTS
 from shaker.lines.detection import survey_lines
 
-LOOKED_AT = 1 << 17  # samples in which the excitation is looked for
-FEWEST = 64  # samples in which lines are looked for
-FAINT = 1e-3  # amplitude of a line over the largest channel of its unit: less is hum or cross-talk
-STRONG, MOST_DRIVEN = 0.1, 30  # relative to the strongest line; lines of a multisine
-FARTHEST_M = 5.0  # of a point of a body
+LOOKED_AT = 1 << 17  # samples in which the excitation is searched for
+FEWEST = 64  # least number of samples for a search of lines
+FAINT = 1e-3  # least amplitude of a line over the largest channel of its unit: less is hum or cross-talk
+STRONG, MOST_DRIVEN = 0.1, 30  # least amplitude over the strongest line; largest number of lines of a multisine
+FARTHEST_M = 5.0  # of a point of a body: larger coordinates are in mm
 COORDINATES = {"x", "y", "z", "x0", "y0", "z0", "frame", "status"}
 
 
@@ -65,7 +65,7 @@ def recording_text(surveyed: SurveyedRecording, rig: str, pair_names: Sequence[s
     folder = inventory.folder.resolve()
     lines = [HEAD, "format = 1", key_line("name", folder.name), key_line("rig", rig)]
     lines += ["# date = 2026-01-31  # of the recording", optional_line("operator", "", "who recorded it")]
-    lines += [optional_line("mounting", "1", "recordings with another text were mounted anew")]
+    lines += [optional_line("mounting", "1", "recordings with another text have another mounting")]
     lines += _excitation(folder.name, list(surveyed.lines_hz), surveyed.where)
     for recorder in found:
         lines += _daq_block(recorder, inventory.responses)
@@ -77,7 +77,7 @@ def recording_text(surveyed: SurveyedRecording, rig: str, pair_names: Sequence[s
     return "\n".join(lines) + "\n"
 
 
-# What drives the rig.
+# Excitation.
 
 
 def driven_lines(found: Sequence[RecorderFile]) -> tuple[list[float], str]:
@@ -89,7 +89,7 @@ def driven_lines(found: Sequence[RecorderFile]) -> tuple[list[float], str]:
         usable = [
             i for i in recorder.channels if i.quantity != "trigger" and not has_word(TRIGGER_WORDS, i.found.title)
         ]
-        usable = [i for i in usable if i.quantity != UNFILLED] or usable  # what is known to measure something
+        usable = [i for i in usable if i.quantity != UNFILLED] or usable  # channels with a known quantity
         chosen = [i.found for i in usable if i.found.samples >= FEWEST]
         chosen = [c for c in chosen if (c.rate_hz, c.samples) == (chosen[0].rate_hz, chosen[0].samples)]
         chosen = [c for c in chosen if np.isfinite(recorder.daq.raw[c.name].samples[:LOOKED_AT]).all()]
@@ -100,7 +100,7 @@ def driven_lines(found: Sequence[RecorderFile]) -> tuple[list[float], str]:
         survey = survey_lines(np.stack(values, axis=1), chosen[0].rate_hz)
         amplitude = np.nan_to_num(survey.amplitude)
         amplitude = np.where(amplitude >= FAINT * np.array(_largest_of_unit(chosen, values)), amplitude, 0.0)
-        # A line counts by the channel that it stands out of most, each channel relative to its own strongest line.
+        # The strength of a line is its largest amplitude, each channel relative to its strongest line.
         strength = (amplitude / np.maximum(amplitude.max(axis=0, initial=0.0), 1e-300)).max(axis=1, initial=0.0)
         lines = [
             _nominal(frequency, u)
@@ -142,10 +142,10 @@ def _excitation(name: str, lines: list[float], where: str) -> Iterator[str]:
     few = 0 < len(lines) <= MOST_DRIVEN
     yield "\n[excitation]"
     if few:
-        reason = "one line and its harmonics stand out" if len(lines) == 1 else f"{len(lines)} lines stand out"
+        reason = "one line and its harmonics" if len(lines) == 1 else f"{len(lines)} lines above the noise"
         yield key_line("kind", "sine" if len(lines) == 1 else "multisine", f"guessed: {reason} {where}")
     else:
-        reason = f"{len(lines)} lines stand out {where}" if lines else "no line stands out"
+        reason = f"{len(lines)} lines above the noise {where}" if lines else "no line above the noise"
         yield question_line("kind", f"one of sine, multisine, chirp, noise, impact, step, rotation; {reason}")
     axis = driven_axis(name)
     if axis is None:
@@ -154,7 +154,7 @@ def _excitation(name: str, lines: list[float], where: str) -> Iterator[str]:
         yield key_line("direction", axis, "guessed: the name of the folder")
     if few:
         yield key_line("frequencies", lines, "Hz, nominal")
-        yield optional_line("harmonics", "auto", '"auto", those that stand out, or a list of multiples')
+        yield optional_line("harmonics", "auto", '"auto", those above the noise, or a list of multiples')
 
 
 # The blocks of a recording.
@@ -175,7 +175,7 @@ def _daq_block(recorder: RecorderFile, responses: Sequence[Path]) -> Iterator[st
         if own_responses and item.quantity != "trigger":
             yield key_line("response", own_responses[0].name, "guessed: named after this file")
         kind = "motion" if item.quantity in TRANSDUCERS else item.quantity
-        if kind not in seen:  # once is enough to show them
+        if kind not in seen:  # only once per kind
             seen.add(kind)
             yield from _options(item, responding=bool(own_responses))
 
@@ -230,7 +230,7 @@ def _options(item: ChannelGuess, *, responding: bool) -> Iterator[str]:
         yield optional_line("head", "laser", "a head of rig.toml whose errors it shares")
     else:
         yield optional_line("scale_uncertainty", 1e-4, "relative standard uncertainty (k = 1) of the scale")
-    yield optional_line("common", "instrument", "channels that name it alike are one instrument and share its errors")
+    yield optional_line("common", "instrument", "channels with the same name are one instrument and share its errors")
     yield optional_line("individual_uncertainty", 1e-4, "relative, not shared")
     yield optional_line("delay_uncertainty", 1e-6, "s")
     if not responding:
@@ -254,9 +254,9 @@ def _frames(inventory: Inventory, found: Sequence[RecorderFile], pair_names: Seq
         yield key_line("files", item.path.name)
         yield key_line("columns", [c if c in COORDINATES or c.startswith("id") else "_" for c in item.columns])
         if item.reach > FARTHEST_M:
-            yield key_line("scale", 1e-3, f"guessed: places up to {item.reach:.4g} are in mm")
+            yield key_line("scale", 1e-3, f"guessed: positions up to {item.reach:.4g} are in mm")
         else:
-            yield question_line("scale", f"metres per unit of the file, in which places reach up to {item.reach:.4g}")
+            yield question_line("scale", f"metres per unit of the file, with positions up to {item.reach:.4g}")
         yield from _tied(0, edges)
 
 

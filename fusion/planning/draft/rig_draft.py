@@ -29,8 +29,8 @@ from shaker.labels import LOAD_COMPONENTS
 SENSOR_KEYS = (
     ("serial", "", ""),
     ("capacity", [500.0, 500.0, 1000.0, 25.0, 25.0, 25.0], "rated loads, N and N m"),
-    ("static_sensitivity", [[0.0] * 6], "a row per channel, unit per N and N m: makes the result the sensor's element"),
-    ("cross_talk", 0.01, "rated, relative, where no static matrix is known"),
+    ("static_sensitivity", [[0.0] * 6], "a row per channel, unit per N and N m: corrects for cross-talk"),
+    ("cross_talk", 0.01, "rated, relative, without a static matrix"),
     ("internal_mass_uncertainty", 5e-4, "kg"),
     ("internal_centre_of_mass", [0.0, 0.0, 0.0], "m"),
     ("internal_centre_of_mass_uncertainty", 1e-3, "m"),
@@ -49,12 +49,12 @@ PART_KEYS = (
     ("inertia_uncertainty", 1e-6, "kg m^2"),
 )
 AROUND_KEYS = (
-    ("gravity", [0.0, 0.0, -9.81], "m/s^2 in sensor axes, points down: corrects tilt"),
+    ("gravity", [0.0, 0.0, -9.81], "m/s^2 in sensor axes, downward: corrects tilt"),
     ("temperature", 23.0, "°C"),
     ("air_density", 1.19, "kg/m^3"),
 )
 HEAD_KEYS = (
-    ("mirror", [0.0, 0.0, 0.6], "m, from where the beams leave; or standoff, its distance"),
+    ("mirror", [0.0, 0.0, 0.6], "m, origin of the beams; or standoff, its distance"),
     ("rotation_uncertainty", 2e-3, "rad"),
     ("point_uncertainty", 5e-4, "m"),
 )
@@ -70,7 +70,7 @@ def rig_text(root: Path, inventories: Sequence[Inventory], found: Sequence[Recor
     lines = [HEAD, "format = 1", key_line("name", root.resolve().name)]
     if outputs:
         lines += _sensor(outputs)
-        lines += ["\n[load]  # everything mounted above the sensor, without the sensor's own part"]
+        lines += ["\n[load]  # everything mounted above the sensor, without the sensor's moving part"]
         lines += [
             question_line("mass", "the true mass in kg"),
             question_line("mass_uncertainty", "its standard uncertainty (k = 1) in kg"),
@@ -85,7 +85,7 @@ def rig_text(root: Path, inventories: Sequence[Inventory], found: Sequence[Recor
     lines += ["\n# [environment]", *(optional_line(*entry) for entry in AROUND_KEYS)]
     files = find_calibrations([root, root / "calibration", *(inventory.folder for inventory in inventories)])
     if sum(item.quantity in TRANSDUCERS for recorder in found for item in recorder.channels) > 1:
-        lines += ["\n# [head.laser]  # what the beams of a laser, or the axes of an accelerometer, have in common"]
+        lines += ["\n# [head.laser]  # common errors of the beams of a laser, or the axes of an accelerometer"]
         lines += [optional_line(*entry) for entry in HEAD_KEYS]
     width_s = next((pulses.width_s for recorder in found for _, pulses in recorder.triggers), 0.0)
     every: list[FoundCameras | FoundPoints] = []
@@ -101,9 +101,9 @@ def _sensor(outputs: Sequence[ChannelGuess]) -> Iterator[str]:
     named = [next((name for name in LOAD_COMPONENTS if has_word(name.lower(), o.found.title)), "") for o in outputs]
     units = {o.found.unit.strip().lower() for o in outputs}
     yield "\n[sensor]"
-    yield key_line("name", "sensor under test", "as its certificate shall name it")
+    yield key_line("name", "sensor under test", "its name in a certificate")
     if all(named):
-        yield key_line("channels", named, "its outputs, as they were found")
+        yield key_line("channels", named, "its outputs in the files")
     else:
         yield question_line(
             "channels", f'the names of its outputs, such as ["Fx", "Fy", "Fz"]; {len(outputs)} were found'
@@ -117,7 +117,9 @@ def _sensor(outputs: Sequence[ChannelGuess]) -> Iterator[str]:
     yield question_line(
         "sense", '"on_load" or "on_sensor": on which the wrench acts for which its outputs are positive'
     )
-    yield question_line("internal_mass", "the sensor's own mass that moves above its elastic element, in kg")
+    yield question_line(
+        "internal_mass", "the mass of the sensor that moves with the load, above its elastic element, in kg"
+    )
     yield from (optional_line(*entry) for entry in SENSOR_KEYS)
 
 
@@ -135,7 +137,7 @@ def _sight(
         named = [path for path in (sized if alone else same_kind) if item.name.lower() in path.stem.lower()]
         matching = named or (same_kind if len(same_kind) == 1 else [])
         if matching:
-            why = f"guessed: its name, and pictures of {item.left.size_px[0]} x {item.left.size_px[1]} px"
+            why = f"guessed: its name, and images of {item.left.size_px[0]} x {item.left.size_px[1]} px"
             yield key_line("calibration", Path(os.path.relpath(matching[0], root)).as_posix(), why)
             scaled = states_scale(matching[0])
         elif alone:
@@ -152,7 +154,7 @@ def _sight(
     yield from (optional_line(*entry) for entry in POSE_KEYS)
     why = "relative standard uncertainty (k = 1) of all lengths"
     yield (
-        optional_line("scale_uncertainty", 1e-4, f"{why}, beside the calibration's")
+        optional_line("scale_uncertainty", 1e-4, f"{why}, in addition to the calibration's")
         if scaled or alone
         else question_line("scale_uncertainty", why)
     )
@@ -169,7 +171,7 @@ def _sight(
         )
     yield optional_line("delay_uncertainty", 1e-6, "s")
     if alone:
-        yield f"\n[stereo.{quote_key(item.name)}.surface]  # the plane face that the camera sees, at rest: it is alone"
+        yield f"\n[stereo.{quote_key(item.name)}.surface]  # the plane face in view of the single camera, at rest"
         yield question_line("point", "a point of it in the sensor frame, in m, by the drawing")
         yield question_line("normal", "across it, such as [0, 0, 1]")
         yield question_line(

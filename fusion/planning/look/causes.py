@@ -55,7 +55,7 @@ def find_contradictions(
 
 
 def _reading(test: Consistency) -> str:
-    """Return by how much readings differ from what the others predict."""
+    """Return the ratio of readings to the prediction of the others, in words."""
     if not np.isfinite(test.ratio):
         return f"{test.instrument} contradicts the others by {test.normalised_deviation:.3g} standard uncertainties"
     rotation = f", with a phase of {np.angle(test.ratio):.3g} rad" if abs(np.angle(test.ratio)) > AGREEMENT else ""

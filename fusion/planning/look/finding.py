@@ -77,8 +77,8 @@ def refusal_findings(error: Exception, where: str = "") -> list[Finding]:
     needs_key = STATED_KEYS.search(text) is not None or ".toml" in text
     if isinstance(error, ComputeError):
         needs_key = needs_key or error.code in MANIFEST_CODES
-        place = ": ".join(filter(None, (where, error.where)))
-        return [Finding("FIX MANIFEST" if needs_key else "REPEAT", Notice(error.declared, place, **error.values))]
+        location = ": ".join(filter(None, (where, error.where)))
+        return [Finding("FIX MANIFEST" if needs_key else "REPEAT", Notice(error.declared, location, **error.values))]
     notice = Notice(FILE_PROBLEM, where, reason=text)
     return [Finding("FIX MANIFEST" if needs_key else "REPEAT", notice)]
 

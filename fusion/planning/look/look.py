@@ -337,9 +337,9 @@ def print_look(found: Look) -> None:
         Padding(banner, (1, 4), style=f"black on {colour.lower()}", expand=False) if console.is_terminal else banner
     )
     for finding in found.findings:
-        place = " ".join(filter(None, (finding.code, f"{finding.where}:" if finding.where else "")))
+        location = " ".join(filter(None, (finding.code, f"{finding.where}:" if finding.where else "")))
         label = "note" if finding.verdict == "KEEP" else finding.verdict
-        print_text(f"  {label}: {place} {finding.text}")
+        print_text(f"  {label}: {location} {finding.text}")
     for item in found.expected:
         shares = ", ".join(f"{name} {100 * share:.2g} %" for name, share in item.shares)
         text = (

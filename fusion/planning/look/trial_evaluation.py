@@ -98,7 +98,7 @@ def _of_evaluation(evaluation: Evaluation, set_ups: Sequence[MeasuredSetUp]) -> 
 def notice_findings(notices: Iterable[Notice]) -> Iterator[Finding]:
     """Yield the findings of notices.
 
-    The assumption about motion without an instrument is included in U, and a note.
+    The assumed limit of motion without an instrument is included in U: its warning is only a note here.
     """
     for notice in notices:
         doubted, assumed = notice.code in PLAUSIBILITY_CODES, notice.code in ASSUMPTION_CODES

@@ -140,7 +140,7 @@ def _validated(name: str, reference: Mapping[str, Any]) -> CaseResult:
     return CaseResult(name, reference["what"], reference["source"], tuple(compared), failure, took)
 
 
-# What was validated.
+# The validated installation.
 
 
 def _installation() -> Installation:

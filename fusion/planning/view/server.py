@@ -60,7 +60,7 @@ class Server(ThreadingHTTPServer):
     daemon_threads = True
 
     def __init__(self, handlers: ApiHandlers, port: int = 0) -> None:
-        self.answers, self.token, self.files = handlers, secrets.token_urlsafe(24), page_files()
+        self.handlers, self.token, self.files = handlers, secrets.token_urlsafe(24), page_files()
         try:
             super().__init__((LOOPBACK, port), Handler)
         except OSError as error:
@@ -85,25 +85,25 @@ class Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         """Answer one request."""
         if self.headers.get("Host") not in self.server.hosts:
-            return self._say(403, "text/plain", b"expected the address of this machine")
+            return self._send(403, "text/plain", b"expected the address of this machine")
         where = urlsplit(self.path)
         _, _, token_and_name = where.path.partition("/")
         token, _, name = token_and_name.partition("/")
         if len(self.path) > LONGEST or not secrets.compare_digest(token.encode(), self.server.token.encode()):
-            return self._say(403, "text/plain", b"expected the address printed by shakercal view")
+            return self._send(403, "text/plain", b"expected the address printed by shakercal view")
         kind, _, what = name.partition("/")
-        if kind == "api" and what in self.server.answers:
+        if kind == "api" and what in self.server.handlers:
             return self._answer(what, {key: values[-1] for key, values in parse_qs(where.query).items()})
         file = self.server.files.get(unquote(name) or "index.html")
         if file is None:
-            return self._say(404, "text/plain", b"no such page")
-        return self._say(200, f"{KINDS[file.suffix]}; charset=utf-8", file.read_bytes())
+            return self._send(404, "text/plain", b"no such page")
+        return self._send(200, f"{KINDS[file.suffix]}; charset=utf-8", file.read_bytes())
 
     def _answer(self, what: str, query: Mapping[str, str]) -> None:
         """Answer with numbers or JSON; an error is reported in a sentence."""
         status, kind = 200, "application/json"
         try:
-            found = self.server.answers[what](query)
+            found = self.server.handlers[what](query)
             if isinstance(found, bytes):
                 kind, text = "application/octet-stream", found
             else:
@@ -113,9 +113,9 @@ class Handler(BaseHTTPRequestHandler):
                 f"expected {error} in the address" if isinstance(error, KeyError) else " ".join(str(error).split())
             )
             status, text = 400, json.dumps({"error": text_of_error}).encode()
-        return self._say(status, kind, text)
+        return self._send(status, kind, text)
 
-    def _say(self, status: int, kind: str, body: bytes) -> None:
+    def _send(self, status: int, kind: str, body: bytes) -> None:
         self.send_response(status)
         heads = {
             "Content-Type": kind,

@@ -111,7 +111,7 @@ class SubsetViews:
     """The stereo pairs of an opened recording with their stored results."""
 
     def __init__(self, recording: ViewedRecording) -> None:
-        self.opened = recording
+        self.recording = recording
         results = recording.source.results
         self.results = [
             None if results is None else SubsetResults.read(results, pair.entry.stereo) for pair in recording.pairs
@@ -119,7 +119,7 @@ class SubsetViews:
 
     def description(self, number: int) -> Mapping[str, Any]:
         """Return times of the frames, phases (F) of each line, and missing data."""
-        results, pair = self.results[number], self.opened.pairs[number]
+        results, pair = self.results[number], self.recording.pairs[number]
         entry = pair.entry
         more = {"region": entry.region, "mask": entry.mask}
         if results is not None:
@@ -127,16 +127,16 @@ class SubsetViews:
             found = {"missing": f"{kind} {NO_RESIDUALS}"} | _beat(results.time_s, results.line_hz)
         else:
             times = self._times(pair)
-            nominal = np.asarray(self.opened.manifest.excitation.frequencies or ())
+            nominal = np.asarray(self.recording.manifest.excitation.frequencies or ())
             found = {"missing": NO_RESULTS} | ({} if times is None else _beat(times, nominal))
         return found | {key: value for key, value in more.items() if value}
 
     def _times(self, pair: ViewedPair) -> FloatArray | None:
         """Return the times of frames by their trigger alone; None if it is not periodic."""
-        for number, channel in enumerate(self.opened.channels):
+        for number, channel in enumerate(self.recording.channels):
             if channel.entry.name == pair.entry.trigger and channel.daq in pair.manifest.daq:
                 try:
-                    raw = {channel.entry.name: self.opened.raw(number)}
+                    raw = {channel.entry.name: self.recording.raw(number)}
                     fit = fit_trigger_channel(DaqRecord(channel.daq, raw, 0.0), channel.entry)
                 except (OSError, ValueError, InputError):
                     return None
@@ -161,7 +161,7 @@ class SubsetViews:
 
         Points are in the sensor frame.
         """
-        pair = self.opened.pairs[number]
+        pair = self.recording.pairs[number]
         left = sensor_from_camera(pair.manifest.rig.stereo[pair.entry.stereo]).inverse().apply(points_m)
         return [camera.project(from_left.apply(left)) for camera, from_left in pair.rig.camera_poses]
 
@@ -170,7 +170,7 @@ class SubsetViews:
 
         The line is limited to the image. For a single camera it is the pixel itself.
         """
-        pair = self.opened.pairs[number]
+        pair = self.recording.pairs[number]
         rig = pair.rig
         if not isinstance(rig, StereoRig):
             return {SIDES[side]: [list(position)]}

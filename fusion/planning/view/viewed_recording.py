@@ -205,9 +205,9 @@ class ViewSession:
         self.sources = sources
         self.allow_outside = allow_outside
         self.lock = RLock()
-        self._open = lru_cache(maxsize=2)(self._opened)
+        self._cached = lru_cache(maxsize=2)(self._load)
 
-    def _opened(self, number: int) -> ViewedRecording:
+    def _load(self, number: int) -> ViewedRecording:
         return ViewedRecording(self.sources[number], allow_outside=self.allow_outside)
 
     def recording(self, query: Mapping[str, str]) -> ViewedRecording:
@@ -216,4 +216,4 @@ class ViewSession:
         if not 0 <= number < len(self.sources):
             raise ValueError(f"recording: expected 0 to {len(self.sources) - 1}, found {number}")
         with self.lock:
-            return self._open(number)
+            return self._cached(number)

@@ -54,21 +54,21 @@ def read_mat(path: Path) -> StatedCalibration:
 
 
 class _ExternalDataError(Exception):
-    """Of a file whose data stand in others."""
+    """A file refers to data in other files."""
 
 
 def _has_external_data(path: Path) -> bool:
-    """Tell whether a file of version 7.3, which is HDF5, takes anything from other files."""
+    """Return whether an HDF5 file (version 7.3) refers to data in other files."""
     import h5py
 
-    def has_external_data(_: str, node: Any) -> bool | None:
+    def is_external(_: str, node: Any) -> bool | None:
         return (isinstance(node, h5py.Dataset) and bool(node.is_virtual or node.external)) or None
 
     def linked(_: bytes, link: Any) -> bool | None:
         return link.type not in (h5py.h5l.TYPE_HARD, h5py.h5l.TYPE_SOFT) or None
 
     with h5py.File(path, "r") as file:
-        return bool(file.id.links.visit(linked, info=True) or file.visititems(has_external_data))
+        return bool(file.id.links.visit(linked, info=True) or file.visititems(is_external))
 
 
 def _variables(path: Path) -> dict[str, Any]:
@@ -103,7 +103,7 @@ def _variables(path: Path) -> dict[str, Any]:
 
 
 def _plain(value: Any, depth: int = 0) -> Any:
-    """Return MATLAB's objects and structs as dictionaries, with fields of `any` as their own."""
+    """Return MATLAB's objects and structs as dictionaries, with the fields of `any`."""
     if depth > 12:
         return None
     if hasattr(value, "properties"):
