@@ -71,7 +71,7 @@ from shakercal._common.notices import Notice
 
 EFFECT_FRAMES = 12  # frames and subsets for the effect of the calibration on an axis, which is smooth
 EFFECT_SUBSETS = 200
-FEWEST_SUBSETS = 6
+FEWEST_SUBSETS = 6  # least number of subsets for the pose of a body with redundancy
 UNSTEADY = 4.0  # reduced chi-square of the frames against a fixed axis for a warning
 EVIDENCE = (
     ("point", "point", "points"),

@@ -80,7 +80,7 @@ def _size(value: Any) -> tuple[int, int]:
 
 
 PIXEL_COLUMNS = ("left_x", "left_y", "right_x", "right_y")
-FEWEST_FACE_POINTS = 3
+FEWEST_FACE_POINTS = 3  # points that determine a plane
 LARGEST_TABLE = 50_000_000  # bytes
 Pixel = Annotated[tuple[float, float], BeforeValidator(vector(2))]
 Blocks = BeforeValidator(array_of_tables)

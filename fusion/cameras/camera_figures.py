@@ -43,8 +43,8 @@ from shaker.arrays import FloatArray
 
 AROUND_IN, BAR_IN = 0.75, 0.45
 """Margin above and below panels of an image area, and height of a colour bar."""
-WIDTH_IN = 7.6
-FLATTEST_IN, TALLEST_IN = 1.2, 4.5
+WIDTH_IN = 7.6  # text width of the page
+FLATTEST_IN, TALLEST_IN = 1.2, 4.5  # limits of the height of an image area
 ARROW_QUANTILE = 0.98  # quantile of the arrows' lengths that sets their scale
 ELLIPSE_QUANTILE = 2.448
 """Half axes, in standard uncertainties, of the 95 % ellipse of two coordinates: √χ²(0.95; 2)."""
@@ -54,7 +54,7 @@ MEAN_QUANTILE = 1.731
 LONGEST_SHARE = 0.04  # length of the longest arrow over the image width
 SIDE_COLOUR = {"left": BLUE, "right": ORANGE}
 MOST_NAMES = 8  # rejected images that are named in the figure
-BINS = 40
+BINS = 40  # of the histogram of residuals
 CIRCLES_DEG = 15.0  # between the circles of the tilts
 LEAST_TURN_DEG, LEAST_DISTANCE_SHARE = 40.0, 0.2
 """Least spans of the axes of rotation and, relative to the median, of distance: similar views look similar."""

@@ -57,11 +57,11 @@ class CheckReport:
 
     Attributes
     ----------
-    name, path : of the recording.
-    contents : one text per group of files.
-    observed : motion components that each instrument determines.
-    remarks : limits of the results, and warnings.
-    problems : errors that its command would refuse.
+    name, path : Of the recording.
+    contents : One text per group of files.
+    observed : Motion components that each instrument determines.
+    remarks : Limits of the results, and warnings.
+    problems : Errors that its command would refuse.
 
     Examples
     --------
@@ -122,7 +122,7 @@ def check(manifest: Manifest) -> CheckReport:
     Parameters
     ----------
     manifest
-        the recording.
+        The recording.
 
     Returns
     -------

@@ -18,7 +18,7 @@ from shaker.arrays import BoolArray, FloatArray
 from shaker.labels import MOTION_COMPONENTS
 
 BODIES, TOGETHER = ("load", "base"), "all together"
-EXACT, FEWEST_SUBSETS = 1e-4, 6
+EXACT, FEWEST_SUBSETS = 1e-4, 6  # u relative to that before that counts as exact; least number of subsets
 ROW_TOLERANCE = 1e-9
 """Relative singular value below which instruments cannot distinguish two motions."""
 

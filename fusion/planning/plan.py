@@ -79,14 +79,14 @@ class Request:
 
     Attributes
     ----------
-    frequency_hz : excitation frequencies, Hz.
-    sampling : frames, exposure, harmonics and noise of the record.
-    together : whether they are excited at the same time; default False.
-    rate_hz : camera rate to explain, Hz; default None.
-    limits_hz : smallest and largest camera rate, Hz.
-    rate_step_hz : step of possible rates, Hz; default 0.001.
-    settle_s : waiting time before each record, s; default 0.
-    size : noise and amplitude, for absolute uncertainties.
+    frequency_hz : Excitation frequencies, Hz.
+    sampling : Frames, exposure, harmonics and noise of the record.
+    together : Whether they are excited at the same time; default False.
+    rate_hz : Camera rate to explain, Hz; default None.
+    limits_hz : Smallest and largest camera rate, Hz.
+    rate_step_hz : Step of possible rates, Hz; default 0.001.
+    settle_s : Waiting time before each record, s; default 0.
+    size : Noise and amplitude, for absolute uncertainties.
 
     Examples
     --------
@@ -145,7 +145,7 @@ def make_plan(request: Request) -> Plan:
     Parameters
     ----------
     request
-        frequencies, sampling and limits.
+        Frequencies, sampling and limits.
 
     Returns
     -------
@@ -153,7 +153,7 @@ def make_plan(request: Request) -> Plan:
 
     Raises
     ------
-    InputError : no rate can serve the request; names the option.
+    InputError : No rate can serve the request; names the option.
 
     Examples
     --------

@@ -17,7 +17,7 @@ from shaker.lines.spectrum import FIRST_BIN
 from shaker.sine.aliasing import MAX_CONDITION
 
 COLUMNS = 420  # columns of a panel; each shows the largest condition of its rates
-RATES_PER_COLUMN = 6
+RATES_PER_COLUMN = 6  # resolution within a column
 TOP = 100.0  # end of the axis
 PREFERRED_COLOUR = "#7cc9a6"
 POINTS = 1600  # points of a spectrum

@@ -28,7 +28,7 @@ from photogram.geometry import (
 )
 from photogram.targets.target_view import Target, TargetView
 
-_POINT_STEP_M = 1e-6
+_POINT_STEP_M = 1e-6  # step of the numeric derivative by a point, far below a pixel
 FEWEST_PIXELS = 4
 """Least number of points for a unique pose from one camera."""
 CALIBRATION = "calibration"
@@ -45,7 +45,7 @@ class EvidenceResiduals(Arrays, shapes="piece B; residual B b; jacobian B b 6; c
     jacobian : (B, b, 6), change for a small displacement of the pose, multiplied from the left: shift of the sensor
         origin (m) and rotation about it (rad).
     covariance : (B, b, b); the groups are independent of each other.
-    common : by the name of a common error, changes (P, B, b) for one standard uncertainty of each of its P unknowns.
+    common : By the name of a common error, changes (P, B, b) for one standard uncertainty of each of its P unknowns.
     piece : (B,), the name under which each group is tested.
     determines : (6,), components that this evidence may determine. Its information about other components counts only
         together with evidence that determines them.
@@ -107,11 +107,11 @@ class KnownPoints(
 
     Attributes
     ----------
-    names : of the N points.
+    names : Of the N points.
     camera_m, camera_covariance_m2 : (N, 3) and (N, 3, 3), observed in the left camera's frame.
     sensor_m, sensor_covariance_m2 : (N, 3) and (N, 3, 3), known in the sensor frame.
     calibration : (P, N, 3), effects of the calibration on the observed points.
-    frame : the frame of `sensor_m`; default the sensor frame without uncertainty.
+    frame : The frame of `sensor_m`; default the sensor frame without uncertainty.
 
     Notes
     -----

@@ -12,8 +12,8 @@ from photogram.geometry import rotation_from_vector, rotation_vector_rate, skew
 from photogram.motion import RigidMotion
 
 _RANK = 1e-10  # singular values below this share of the largest count as zero
-_STEPS = 30
-_CONVERGED = 1e-12
+_STEPS = 30  # limit of the Gauss–Newton steps; some five are usual
+_CONVERGED = 1e-12  # relative step that ends the iteration, near rounding
 _LEAST_TURN = 5.0  # least rotation of a body in standard uncertainties
 
 

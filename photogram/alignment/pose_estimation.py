@@ -123,8 +123,8 @@ def _upright(direction: FloatArray) -> FloatArray:
 
 # Weighted least squares over all evidence: pose, covariance, and tests of each piece.
 
-TEST_LEVEL = 0.99
-_STEPS = 50
+TEST_LEVEL = 0.99  # of the χ² test: one consistent alignment in a hundred is enlarged
+_STEPS = 50  # limit of the Gauss–Newton steps; some ten are usual
 _CONVERGED = 1e-10  # step (m, rad) that ends the iteration
 
 
@@ -152,16 +152,16 @@ class Alignment(Arrays, shapes="covariance 6 6; conditional_covariance 6 6; by_c
 
     Attributes
     ----------
-    sensor_from_camera : the pose.
+    sensor_from_camera : The pose.
     covariance : (6, 6), of the small displacement (shift, rotation about the sensor origin; m and rad, sensor axes)
         that leads from this pose to the true one, multiplied from the left. It includes the calibration and the
         enlargement.
     conditional_covariance : (6, 6), the same with an exact calibration.
     by_calibration : (6, P), displacement for one standard uncertainty of each of the calibration's P errors.
-    chi2, dof : of the fit.
-    enlargement : factor of the standard uncertainties, above 1 if χ² exceeds its 99 % quantile.
-    tests : each piece of evidence against the others.
-    notices : of the fit.
+    chi2, dof : Of the fit.
+    enlargement : Factor of the standard uncertainties, above 1 if χ² exceeds its 99 % quantile.
+    tests : Each piece of evidence against the others.
+    notices : Of the fit.
     """
 
     sensor_from_camera: RigidTransform
@@ -186,9 +186,9 @@ def align(evidence: Sequence[PoseEvidence], start: RigidTransform | None = None)
     Parameters
     ----------
     evidence
-        pieces of evidence; at least those that determine all six components.
+        Pieces of evidence; at least those that determine all six components.
     start
-        first pose; default None, a pose from the evidence.
+        First pose; default None, a pose from the evidence.
 
     Returns
     -------
@@ -196,8 +196,8 @@ def align(evidence: Sequence[PoseEvidence], start: RigidTransform | None = None)
 
     Raises
     ------
-    UndeterminedPose : the evidence does not determine a component, which is named.
-    ValueError : no first pose is available, or the iteration does not converge.
+    UndeterminedPose : The evidence does not determine a component, which is named.
+    ValueError : No first pose is available, or the iteration does not converge.
 
     Notes
     -----

@@ -62,12 +62,12 @@ class AdjustedBundle:
 
     Attributes
     ----------
-    bundle : the adjusted values.
+    bundle : The adjusted values.
     covariance : (32, 32), of the rig.
     shape_variance : (S,), of the target geometry's values.
     drift_variance : (D,), of the focal drift.
     pose_covariance : (V, 6, 6), of each target pose.
-    normal : normal equations at the minimum.
+    normal : Normal equations at the minimum.
     """
 
     bundle: Bundle
@@ -183,11 +183,11 @@ class BundleNormalEquations:
     Attributes
     ----------
     parameter_index : (Q,), the rig's parameters, which are first among K.
-    drifts : number of drift parameters, which are last among K.
+    drifts : Number of drift parameters, which are last among K.
     common, pose, point : (V, K, K), (V, 6, 6) and (V, P, 3, 3); P = 0 if the target's points are not free.
-    common_pose, point_common, point_pose : couplings (V, K, 6), (V, P, K, 3) and (V, P, 6, 3).
-    common_side, pose_side, point_side : right-hand sides.
-    prior, prior_side, point_prior, point_prior_side : prior information (K, K), (K,) and (P, 3).
+    common_pose, point_common, point_pose : Couplings (V, K, 6), (V, P, K, 3) and (V, P, 6, 3).
+    common_side, pose_side, point_side : Right-hand sides.
+    prior, prior_side, point_prior, point_prior_side : Prior information (K, K), (K,) and (P, 3).
     """
 
     parameter_index: IntArray

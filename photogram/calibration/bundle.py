@@ -210,7 +210,7 @@ class TargetGeometry(Arrays, shapes="index P 2; value_m S; flat_m P 3; modes P 3
         values.
     group : (S,), group of each value with one prior: within the plane, across it, and modes (`_STRETCH` times that
         within the plane).
-    free : whether every point has an offset.
+    free : Whether every point has an offset.
     """
 
     index: IntArray

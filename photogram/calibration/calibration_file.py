@@ -39,7 +39,7 @@ def read_calibration(path: str | Path) -> StereoRig:
 
     Raises
     ------
-    ValueError : names file and key of unknown, missing or repeated keys, wrong shapes, a rotation that is none, or an
+    ValueError : Names file and key of unknown, missing or repeated keys, wrong shapes, a rotation that is none, or an
         implausible camera (`check_plausible`).
 
     Examples
@@ -93,11 +93,11 @@ def write_calibration(path: str | Path, rig: StereoRig, reprojection_rms_px: flo
     Parameters
     ----------
     path
-        file to write.
+        File to write.
     rig
-        stereo pair, with or without covariance.
+        Stereo pair, with or without covariance.
     reprojection_rms_px
-        rms length of the residuals in px; default None.
+        Rms length of the residuals in px; default None.
 
     Examples
     --------

@@ -113,11 +113,11 @@ class CrossValidation:
 
     Attributes
     ----------
-    shape, lens : model used.
-    predicted_px : as in `AlternativeModel`.
+    shape, lens : Model used.
+    predicted_px : As in `AlternativeModel`.
     u_fit : (32,), standard uncertainties by the residuals alone.
-    halves : rigs of every second view and of the others; None for few views.
-    alternatives : models that were tried and not used.
+    halves : Rigs of every second view and of the others; None for few views.
+    alternatives : Models that were tried and not used.
     drift : (2, 2), relative change of the focal lengths, left and right, from the first view to the last, and its
         standard uncertainty; None if none was found.
     """
@@ -142,9 +142,9 @@ class Calibration(Arrays, shapes="shape_index P 2; shape_m P 3"):
     sigma_factor : √(reduced χ²) of `dof` degrees of freedom, a factor of the covariance.
     shape_index, shape_m : (P, 2) lattice indices and (P, 3) estimated positions of the target's points.
     shape_u_m : (P, 3), their standard uncertainties; None without offsets of the points.
-    scale_u : relative standard uncertainty of the target's spacing, included in the rig's covariance.
+    scale_u : Relative standard uncertainty of the target's spacing, included in the rig's covariance.
     coverage : (left, right), share of each image's area in cells with points.
-    cross_validation : consistency of the views.
+    cross_validation : Consistency of the views.
     """
 
     rig: StereoRig
@@ -172,7 +172,7 @@ class Calibration(Arrays, shapes="shape_index P 2; shape_m P 3"):
 
 
 COVERAGE_CELLS = (8, 6)  # columns and rows of the cells for the coverage
-_NO_TURN_RAD = np.radians(2.0)
+_NO_TURN_RAD = np.radians(2.0)  # rms tilt below which focal lengths are undetermined
 
 
 def coverage_share(images: Sequence[CalibratedImage], size_px: IntArray) -> float:
@@ -204,9 +204,9 @@ def check_view_angles(poses: Sequence[RigidTransform]) -> None:
 
 _UNDETERMINED = 0.5  # share of the prior's standard deviation above which a parameter is undetermined
 _DISTINCT = 2.0  # standard uncertainties beyond which a distortion differs from zero
-_MANY_VIEWS = 8
-_LITTLE_TURN_RAD = np.radians(5.0)
-_ENOUGH_COVER = 0.6
+_MANY_VIEWS = 8  # views from which leave-one-out tests are useful
+_LITTLE_TURN_RAD = np.radians(5.0)  # rms tilt about one axis for a warning
+_ENOUGH_COVER = 0.6  # share of covered cells below which a warning is given
 _FOCAL_U = 0.005  # relative standard uncertainty of a focal length for a warning
 _FOCAL_LIMIT = 0.05  # and for a refusal of the calibration
 _ADDED_PX = 0.15  # noise in addition to that of the images, per coordinate, for a warning

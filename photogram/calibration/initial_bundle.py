@@ -114,7 +114,7 @@ def renumber_points(view: TargetView, turn: IntArray, shift: FloatArray) -> Targ
 
 # Pose of a target from views of a calibrated pair.
 
-_STEPS = 30
+_STEPS = 30  # limit of the Gauss–Newton steps; some five are usual
 _CONVERGED = 1e-9  # expected decrease of the sum of squares that ends the iteration
 _WORST_PX = 3.0  # largest rms of points in one pose of the target
 
@@ -220,8 +220,8 @@ def refine_pose(bundle: Bundle, images: list[ImageObservations]) -> tuple[RigidT
 
 # Start of the bundle adjustment: each camera by OpenCV, the relative pose by agreement of the views.
 
-FEWEST_VIEWS = 3
-FEWEST_POINTS = 6
+FEWEST_VIEWS = 3  # least number of views for focal length and principal point
+FEWEST_POINTS = 6  # least number of points for a useful view
 _TOLERATED_PX = 1.0  # rms that is always consistent
 
 # Prior of a lens: offset of the principal point in image widths; terms of distortion at the image corner, relative to

@@ -27,7 +27,7 @@ class LeaveOneOut:
     drift_steps : (V, D), change of the focal drift.
     expected : (32, 32), covariance of the sum of these changes by point noise alone: Σ (Hᵥ)⁻¹ − H⁻¹ of the normal
         equations without and with the view.
-    prediction_residuals : residuals (N, 2) of each image, in the order of the fit, predicted by the other views with
+    prediction_residuals : Residuals (N, 2) of each image, in the order of the fit, predicted by the other views with
         only the target's pose fitted.
     """
 

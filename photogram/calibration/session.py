@@ -35,15 +35,15 @@ from photogram.calibration.leave_one_out import (
 from photogram.camera import LEFT, RIGHT, TRANSLATION, StereoRig
 from photogram.targets.target_view import Target, TargetView
 
-_ROUNDS = 12
+_ROUNDS = 12  # limit of the rounds; some four are usual
 _START_NOISE_PX = 0.2  # noise added to that of every point in the first round
 _REJECTED = 25.0  # squared distance of an outlier, in standard deviations
 _MEDIAN_CHI2 = 2 * np.log(2.0)  # median of χ² with two degrees of freedom
 _REJECTED_SHARE = 0.3  # share of rejected points beyond which the whole image is rejected
 _SCATTER = 5.0  # times the upper quartile of the images' scatter, beyond which an image is rejected
 _WORTH = 1.0  # added variance over that of the points above which other models are tried
-_VIEWS_FOR_MORE = 5
-_VIEWS_TO_HALVE = 8
+_VIEWS_FOR_MORE = 5  # least number of views for a comparison of models
+_VIEWS_TO_HALVE = 8  # least number of views for two halves
 _CHANCE = 0.01  # level of the test for a drift
 _SETTLED = 0.01  # relative change of the added noise that ends the rounds
 _SETTLED_SPREAD = 0.1  # and of the spread of free points, which converges slowly if it is small
@@ -61,14 +61,14 @@ def calibrate_pair(
     Parameters
     ----------
     pairs
-        views (left, right) of each target pose; None for an image without a target. Without any right view, the
+        Views (left, right) of each target pose; None for an image without a target. Without any right view, the
         result is a single camera, the left one; the values of the right one are meaningless.
     target
-        the target, with its spacing in m.
+        The target, with its spacing in m.
     shape
         "flat", "bowed", "free" or, by default, "auto".
     scale_u
-        relative standard uncertainty of the target's spacing; default 0.
+        Relative standard uncertainty of the target's spacing; default 0.
     lens
         "polynomial" (OpenCV's five coefficients), "rational" (three more) or, by default, "auto".
 
@@ -78,7 +78,7 @@ def calibrate_pair(
 
     Raises
     ------
-    ValueError : the views do not determine a calibration.
+    ValueError : The views do not determine a calibration.
 
     Notes
     -----

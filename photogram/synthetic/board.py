@@ -206,16 +206,16 @@ class Board:
 
     Attributes
     ----------
-    target : kind, spacing and size.
-    radius : of dots; default 0.3.
-    rings : positions (x, y) of the ring markers at (x, 0) and (0, y), in addition to the one at (0, 0); None for dots
+    target : Kind, spacing and size.
+    radius : Of dots; default 0.3.
+    rings : Positions (x, y) of the ring markers at (x, 0) and (0, y), in addition to the one at (0, 0); None for dots
         without.
-    hole : radius of the white hole in a ring; default 0.15.
-    lattice : first column, last column, first row, last row of the dots around ring markers.
+    hole : Radius of the white hole in a ring; default 0.15.
+    lattice : First column, last column, first row, last row of the dots around ring markers.
     legacy : ChArUco pattern of OpenCV before 4.6; default False.
-    marker_share : side of a marker; default 0.75.
-    margin : of the sheet beyond the outermost squares or dots' centres; default 1.
-    bright, dark, background : grey levels, fractions of full scale, of the sheet, the print, and around it.
+    marker_share : Side of a marker; default 0.75.
+    margin : Of the sheet beyond the outermost squares or dots' centres; default 1.
+    bright, dark, background : Grey levels, fractions of full scale, of the sheet, the print, and around it.
 
     Examples
     --------
@@ -285,17 +285,17 @@ def render_board(
     Parameters
     ----------
     camera
-        camera with distortion.
+        Camera with distortion.
     camera_from_target
-        pose of the board.
+        Pose of the board.
     board
-        the board.
+        The board.
     blur_px
         σ of the lens's Gaussian blur in px; default 0.7.
     falloff
-        relative loss of light at the image corners; default 0.12.
+        Relative loss of light at the image corners; default 0.12.
     slant
-        relative increase of light from left to right; default 0.
+        Relative increase of light from left to right; default 0.
 
     Returns
     -------
@@ -303,7 +303,7 @@ def render_board(
 
     Raises
     ------
-    ValueError : the blur is too small for the sampling.
+    ValueError : The blur is too small for the sampling.
 
     Notes
     -----
@@ -526,11 +526,11 @@ class SessionFaults:
 
     Attributes
     ----------
-    warp_m : largest height of a bent board, a random polynomial of third order.
-    focus : relative change of both focal lengths from the first view to the last.
+    warp_m : Largest height of a bent board, a random polynomial of third order.
+    focus : Relative change of both focal lengths from the first view to the last.
     smooth_px : rms error per coordinate shared by neighbours in one image (light, soft print, air), over `_SMOOTH` of
         the board's diagonal, different in every image.
-    locking_px : amplitude of an error that depends on the point's position within its pixel, as in sharpened images.
+    locking_px : Amplitude of an error that depends on the point's position within its pixel, as in sharpened images.
     focus_profile : "even"; "warming", exponential with three time constants; "jump", at once after a third of the
         views, as a touched lens.
     """
@@ -551,7 +551,7 @@ class SessionFaults:
         return np.asarray(self.focus * (time - time.mean()))
 
 
-_SMOOTH = 0.3
+_SMOOTH = 0.3  # correlation length of smooth errors over the board's diagonal
 
 
 def simulate_session(

@@ -59,15 +59,15 @@ def speckle_texture(
     Parameters
     ----------
     size_m
-        width along u and height along v, m.
+        Width along u and height along v, m.
     diameter_m
-        mean diameter of the dots, m.
+        Mean diameter of the dots, m.
     step_m
-        distance of grid points, m.
+        Distance of grid points, m.
     blur_m
         σ of the lens blur, m.
     rng
-        random generator.
+        Random generator.
 
     Returns
     -------
@@ -150,11 +150,11 @@ class Face(Arrays, shapes="origin_m 3; axis_u 3; axis_v 3; half_size_m 2"):
     ----------
     origin_m, axis_u, axis_v : (3,); the axes are orthogonal unit vectors.
     half_size_m : (2,), half width and half height of the rectangle; the first is the radius of a `round` face.
-    round : whether it is a disc.
-    texture : reflectance over (u, v).
+    round : Whether it is a disc.
+    texture : Reflectance over (u, v).
     edge_blur_m : σ of the lens blur at the rim, m.
-    bright, dark : grey levels (fractions of full scale) of reflectance 1 and 0.
-    background : grey level around the face.
+    bright, dark : Grey levels (fractions of full scale) of reflectance 1 and 0.
+    background : Grey level around the face.
 
     Examples
     --------
@@ -219,11 +219,11 @@ def view_of(camera: Camera, camera_from_world: RigidTransform, falloff: float = 
     Parameters
     ----------
     camera
-        camera with distortion.
+        Camera with distortion.
     camera_from_world
-        pose of the camera.
+        Pose of the camera.
     falloff
-        relative loss of light at the image corners; default 0.12.
+        Relative loss of light at the image corners; default 0.12.
 
     Returns
     -------
@@ -258,9 +258,9 @@ class ImageSensor:
 
     Attributes
     ----------
-    bit_depth : significant bits; default 12.
-    electrons_per_grey : electrons per grey level; default 8.
-    read_noise_grey : standard deviation of the read noise in grey levels; default 6.
+    bit_depth : Significant bits; default 12.
+    electrons_per_grey : Electrons per grey level; default 8.
+    read_noise_grey : Standard deviation of the read noise in grey levels; default 6.
 
     Examples
     --------
@@ -305,9 +305,9 @@ def render(view: View, face: Face, poses: FloatArray, weights: FloatArray, nodes
     Parameters
     ----------
     view
-        camera and rays.
+        Camera and rays.
     face
-        the face at rest.
+        The face at rest.
     poses
         (E, 6) of the body, or (H, E, 6) of each row of the image.
     weights

@@ -35,8 +35,8 @@ class Draft:
 
     Attributes
     ----------
-    files : text by path.
-    found : contents of each recording, in words.
+    files : Text by path.
+    found : Contents of each recording, in words.
 
     Examples
     --------
@@ -65,9 +65,9 @@ def draft(folder: str | Path, like: str | Path | None = None) -> Draft:
     Parameters
     ----------
     folder
-        a recording, or a folder of recordings. A rig.toml in it, or above a recording, is used unchanged.
+        A recording, or a folder of recordings. A rig.toml in it, or above a recording, is used unchanged.
     like
-        a recording whose rig and channels are copied; default None.
+        A recording whose rig and channels are copied; default None.
 
     Returns
     -------
@@ -75,7 +75,7 @@ def draft(folder: str | Path, like: str | Path | None = None) -> Draft:
 
     Raises
     ------
-    InputError : no recorded files, or every recording has a manifest.
+    InputError : No recorded files, or every recording has a manifest.
 
     Examples
     --------

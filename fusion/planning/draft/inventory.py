@@ -30,16 +30,16 @@ if TYPE_CHECKING:
     from photogram.images.sequence import ImageSequence
     from shaker.io.channel import RawChannel
 
-MOST_FILES = 100_000
+MOST_FILES = 100_000  # images that are examined in one folder
 FEWEST_ALONE = 8  # least number of frames of a single camera; fewer are photographs
 LOOKED_AT = 4  # images of a camera from which its bit depth is estimated
-GREY_BITS = (8, 10, 12, 14, 16)
+GREY_BITS = (8, 10, 12, 14, 16)  # usual bit depths of cameras
 NEAR_A_LEVEL, TWO_LEVELS = 0.15, 0.9  # distance from a level over the step; share of samples within it
 TABLE_KEYS = {"frequency_hz"}
 HDF5 = (".h5", ".hdf5")
 LABELS = re.compile(r"names?\b|labels?\b|channels?\b|columns?\b|signals?\b", re.IGNORECASE)
 """Attributes that may list the names of a table's columns."""
-MOST_LABELS = 10_000
+MOST_LABELS = 10_000  # texts in a list of column names
 SIDES = (("left", "right"), ("l", "r"), ("a", "b"), ("0", "1"), ("1", "2"))
 
 
@@ -147,13 +147,13 @@ class Inventory:
 
     Attributes
     ----------
-    folder : the folder.
-    daqs : files of recorders.
-    camera_systems : pairs and single cameras that observe a body.
-    cameras : other cameras.
-    points : tables of points.
-    responses : tables over frequency.
-    others : all other files.
+    folder : The folder.
+    daqs : Files of recorders.
+    camera_systems : Pairs and single cameras that observe a body.
+    cameras : Other cameras.
+    points : Tables of points.
+    responses : Tables over frequency.
+    others : All other files.
     """
 
     folder: Path

@@ -38,12 +38,16 @@ LEVELS = 200  # grey values of a dark image with a pattern: the stated bit depth
 DARK, BLACK = 0.1, 0.3  # brightest pixel over full scale; brightness over that of the first frame
 SATURATED, MUCH_SATURATED = 0.002, 0.02  # share of the body's pixels
 MIN_CONTRAST = 0.03  # standard deviation over full scale
-FINE_PX, COARSE_PX, MAX_SPECKLE_RATIO = 2.5, 7.5, 1.5
+FINE_PX, COARSE_PX, MAX_SPECKLE_RATIO = (
+    2.5,
+    7.5,
+    1.5,
+)  # limits of the speckle size (iDICs: 3 to 5 px); of its ratio between two cameras
 SMALL_AREA = 0.02  # share of the image
 LARGEST_PX = 400  # side of the images in which features are matched
 FEATURES = 2000  # of each image
-INLIER_PX, OFF_PX, FAR_OFF_PX = 3.0, 0.3, 1.0
-FEWEST_MATCHES, FEWEST_ON_LINES = 20, 0.2
+INLIER_PX, OFF_PX, FAR_OFF_PX = 3.0, 0.3, 1.0  # epipolar distance of a match; median for a warning; for an error
+FEWEST_MATCHES, FEWEST_ON_LINES = 20, 0.2  # matches for a check; least share of them on their epipolar lines
 DARK_CODES = (DARK_IMAGES.code, DARK_FRAMES.code)
 
 

@@ -63,8 +63,8 @@ VERDICT_TEXTS: dict[Verdict, str] = {
     "REPEAT": "record again: these data cannot give a good result",
 }
 K2 = 2.0
-WATCHED_S = 2.0
-THREADS = 2
+WATCHED_S = 2.0  # interval of the check for changed files
+THREADS = 2  # for images, in addition to the one for channels
 
 
 @dataclass(frozen=True)
@@ -83,9 +83,9 @@ class Look:
 
     Attributes
     ----------
-    name, path : of the recording.
-    findings : verdict, location and text of each finding.
-    expected : expected uncertainties, line by line.
+    name, path : Of the recording.
+    findings : Verdict, location and text of each finding.
+    expected : Expected uncertainties, line by line.
 
     Examples
     --------
@@ -117,11 +117,11 @@ def look(recording: str | Path, aim: float | None = None, *, allow_outside: bool
     Parameters
     ----------
     recording
-        recording.toml or its folder.
+        The recording: its recording.toml, or the folder of it.
     aim
-        target relative expanded uncertainty (k = 2); default None.
+        Target relative expanded uncertainty (k = 2); default None.
     allow_outside
-        whether files outside the recording's folder are allowed; default False.
+        Whether files outside the recording's folder are allowed; default False.
 
     Returns
     -------
@@ -129,7 +129,7 @@ def look(recording: str | Path, aim: float | None = None, *, allow_outside: bool
 
     Raises
     ------
-    InputError : the manifest has errors.
+    InputError : The manifest has errors.
 
     Examples
     --------

@@ -35,7 +35,7 @@ from shaker.timebase.trigger import TriggerFit
 from shakercal._common.notices import Notice
 
 LOOKED_AT = 1 << 16  # samples in which lines are searched for
-FEWEST = 64
+FEWEST = 64  # least number of samples for a search of lines
 DRIFTS, MAINS = 0.2, 0.05  # limits relative to the amplitude of the driven line
 DRIVEN_SHARE = 0.7  # cosine between driven direction and channel from which the line must be visible
 CLOSE_BINS, LOST_BINS = 1.0, 0.5  # distance of lines that disturb each other; that cannot be resolved

@@ -18,7 +18,7 @@ from fusion.planning.view.viewed_recording import ViewedRecording, ViewSession, 
 from fusion.recording.toml import read_toml
 from shaker.lines.spectrum import amplitude_spectrum
 
-MOST_COLUMNS, MOST_BINS = 4000, 4000
+MOST_COLUMNS, MOST_BINS = 4000, 4000  # more than the pixels of a screen
 Query = Mapping[str, str]
 
 

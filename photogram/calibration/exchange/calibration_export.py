@@ -126,9 +126,9 @@ def export_calibration(path: str | Path, rig: StereoRig) -> tuple[str, tuple[Not
     Parameters
     ----------
     path
-        file to write; `.yml`, `.yaml`: OpenCV, `.xml`: VIC-3D, `.json`: MATLAB.
+        File to write; `.yml`, `.yaml`: OpenCV, `.xml`: VIC-3D, `.json`: MATLAB.
     rig
-        stereo pair.
+        Stereo pair.
 
     Returns
     -------
@@ -136,7 +136,7 @@ def export_calibration(path: str | Path, rig: StereoRig) -> tuple[str, tuple[Not
 
     Raises
     ------
-    ValueError : unknown suffix, or the program's camera model cannot describe the pair.
+    ValueError : Unknown suffix, or the program's camera model cannot describe the pair.
 
     Examples
     --------

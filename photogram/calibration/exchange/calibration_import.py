@@ -87,17 +87,17 @@ def import_calibration(
     Parameters
     ----------
     path
-        file; its content, not its name, determines the format.
+        File; its content, not its name, determines the format.
     image_size
         (width, height) in px, for files without it; default None.
     length_unit
-        unit of lengths, for OpenCV's files, and instead of the usual unit of a format; default None.
+        Unit of lengths, for OpenCV's files, and instead of the usual unit of a format; default None.
     extrinsics
-        second file, of OpenCV's sample program or of ROS (right camera); default None.
+        Second file, of OpenCV's sample program or of ROS (right camera); default None.
     even_radial
         k1 k2 k3 of DICe's text are those of r², r⁴, r⁶; default False.
     distortion_model
-        model of four coefficients of OpenCV's files; default None.
+        Model of four coefficients of OpenCV's files; default None.
 
     Returns
     -------
@@ -105,7 +105,7 @@ def import_calibration(
 
     Raises
     ------
-    ValueError : names the file and the error in it, or an argument without effect on such a file.
+    ValueError : Names the file and the error in it, or an argument without effect on such a file.
 
     Examples
     --------

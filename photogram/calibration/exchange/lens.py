@@ -29,7 +29,7 @@ EVEN = (2, 4, 6)
 """Exponents of this program's radial polynomial 1 + k1·r² + k2·r⁴ + k3·r⁶."""
 _GRID = 21  # points along each side of the image for the comparison of two cameras
 _STEPS = 200  # fixed-point steps of the inverse
-_INVERTED_PX = 1e-6
+_INVERTED_PX = 1e-6  # residual of the inverse that ends the steps
 _ESSENTIAL = 1e-3  # largest relative deviation of an essential matrix from that of R and T
 
 

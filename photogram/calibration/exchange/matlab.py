@@ -16,7 +16,7 @@ from photogram.mat5 import check_mat5
 
 # MATLAB: stereoParameters as JSON, and Bouguet's calibration toolbox as text.
 
-_LARGEST_UNPACKED, _MOST_ARRAYS = 2**26, 3000
+_LARGEST_UNPACKED, _MOST_ARRAYS = 2**26, 3000  # bytes and arrays; a calibration with its images' points has some MB
 _ASSIGNMENT = re.compile(r"\b([A-Za-z]\w*)\s*=\s*(?:\[([^\[\]]*)\]|([-+]?[\d.][\w.+-]*))")
 
 

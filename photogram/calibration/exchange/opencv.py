@@ -36,7 +36,7 @@ _SIZES = ("imagesize", "imgsize", "size", "resolution")
 _WIDTHS, _HEIGHTS = ("imagewidth", "imgwidth", "width", "w"), ("imageheight", "imgheight", "height", "h")
 _UNITS = ("lengthunit", "worldunits")
 _BEYOND = ("s1", "s2", "s3", "s4", "tauX", "tauY")
-_LENGTHS = (4, 5, 8, 12, 14)
+_LENGTHS = (4, 5, 8, 12, 14)  # numbers of OpenCV's distortion coefficients
 _FEW = 4  # coefficients: k1 k2 p1 p2, or a fisheye lens's k1 k2 k3 k4
 _MODEL_KEY = re.compile(r"(distortion|camera|lens)(model|type)|fisheye|^model$")
 _FLAG_KEY = re.compile(r"distortiontype|fisheye")  # keys whose number is a model: 0 or 1 (OpenCV's sample, MC-Calib)
@@ -49,7 +49,7 @@ _MODELS: dict[str, DistortionModel | None] = {  # None: no statement about the d
 _OTHER_MODELS = re.compile(r"omni|^mei|^ds$|doublesphere|^eucm|scaramuzza|ocam|fov|division|thinprism|kannala|fisheye")
 _DEEPEST = 500  # levels; OpenCV's parser crashes beyond about 30 000
 _LONGEST = 2000  # elements of one list or object; a file may also contain image points
-_MOST_VALUES = 500_000
+_MOST_VALUES = 500_000  # of a whole file; a calibration has some hundred
 _LARGEST_YAML = 2**18  # characters; PyYAML reads about 50 000 per second
 
 Values = dict[str, tuple[str, Any]]
