@@ -81,7 +81,7 @@ class Stacked:
         return replace(self, rows=chosen if self.rows is None else self.rows[chosen])
 
 
-_ROWS = 1 << 14  # rows looked through at a time
+_ROWS = 1 << 14  # rows processed at a time
 
 
 def check_shape(name: str, array: NDArray[Any] | Stacked, shape: tuple[int | None, ...]) -> None:

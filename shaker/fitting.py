@@ -17,12 +17,10 @@ import numpy as np
 
 from shaker.arrays import FloatArray, IntArray
 
-_MAX_PREDICTED_STEPS = (
-    10  # steps as long as the one foretold, after which a search that is not where it is wanted is given up
-)
-_ROUNDING_SHARE = 1e-18  # share of the first loss below which no step is worth its while: rounding alone is left
-_MIN_RELATIVE_STEP = 1e-14  # relative change of every parameter below which nothing moves
-_MAX_BEND = 0.75  # length of the bend of a step in that of the step
+_MAX_PREDICTED_STEPS = 10  # predicted decreases within which a search must reach its tolerance; chosen
+_ROUNDING_SHARE = 1e-18  # share of the first loss below which a decrease is rounding
+_MIN_RELATIVE_STEP = 1e-14  # relative change of every parameter below which a step is rounding
+_MAX_BEND = 0.75  # largest length of a step's bend over that of the step (Transtrum and Sethna 2012)
 _RANK = 1e-12  # diagonal of a triangle, over its largest element, below which columns depend on one another
 
 
@@ -41,12 +39,15 @@ class TrialPoint(Protocol):
 
     @property
     def freedom(self) -> int:
-        """Number of data minus the number of all parameters, including the linear ones; at least 1."""
+        """Number of data minus that of all parameters, linear ones too; at least 1."""
         ...
 
     @property
     def normal(self) -> tuple[FloatArray, FloatArray]:
-        """JᵀJ (P, P) and -Jᵀr (P,) of the residual r; a row and column of zeros fixes a parameter."""
+        """Matrix JᵀJ (P, P) and vector -Jᵀr (P,) of the residual r.
+
+        A row and column of zeros fixes a parameter.
+        """
         ...
 
 
@@ -101,7 +102,7 @@ class ParameterPrior:
 
 @dataclass(frozen=True)
 class Minimum(Generic[P]):
-    """Result of a search: the last point, the losses of all steps, and whether the search converged."""
+    """Result of a search: last point, losses of all steps, and whether it converged."""
 
     point: P
     losses: tuple[float, ...]
@@ -282,7 +283,7 @@ class LinearBlock:
 
 @dataclass(frozen=True)
 class SeparablePoint:
-    """A point with blocks whose coefficients are projected out; parameters (P,) are shared by the blocks."""
+    """A point with projected-out coefficients; blocks share the parameters (P,)."""
 
     parameters: FloatArray
     blocks: Sequence[LinearBlock]
@@ -334,14 +335,14 @@ class SeparablePoint:
         return normal, downhill
 
 
-# Minima beside the least one.
+# Minima other than the lowest one.
 
-NORMAL_QUANTILE_95 = 1.96  # standard uncertainties of 95 %
-REJECT_CHI2 = 9.0  # χ² above the least from which a minimum is refuted: three standard deviations
+NORMAL_QUANTILE_95 = 1.96  # 97.5 % quantile of the normal distribution
+REJECT_CHI2 = 9.0  # excess of χ² from which a minimum is rejected: three standard deviations
 
 
 def excess_chi2_sigmas(excess: float) -> float:
-    """Return the distance, in standard uncertainties, of a second minimum whose χ² is larger by `excess`.
+    """Return the distance of a minimum with χ² larger by `excess`, in standard uncertainties.
 
     By the ratio of the likelihoods it is √excess. A minimum of equal χ² is placed at the end of a 95 % interval.
     """
@@ -349,7 +350,7 @@ def excess_chi2_sigmas(excess: float) -> float:
 
 
 def covariance_root(covariance: FloatArray) -> FloatArray:
-    """Return the deviations (N, E) of E independent causes of unit variance for a covariance (N, N).
+    """Return deviations (N, E) of E independent unit causes for a covariance (N, N).
 
     Directions without variance have no cause. The scale of the numbers is arbitrary.
     """

@@ -23,7 +23,7 @@ def component_units(order: int) -> tuple[str, ...]:
 
 
 def load_unit(component: str) -> str:
-    """Return the unit of a load component as files write it: `N.m` for moments, `N` otherwise."""
+    """Return the unit of a load component in files: `N.m` for moments, else `N`."""
     return "N.m" if component.startswith("M") else "N"
 
 
@@ -36,7 +36,7 @@ class MechanicalUnits(NamedTuple):
 
 
 def mechanical_units(component: str) -> MechanicalUnits:
-    """Return the units of spring, damper and mass along a force or about the axis of a moment."""
+    """Return the units of spring, damper and mass for a force or moment."""
     turning = component.startswith("M")
     return MechanicalUnits(*(("N.m/rad", "N.m.s/rad", "kg.m^2") if turning else ("N/m", "N.s/m", "kg")))
 

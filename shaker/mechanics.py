@@ -36,9 +36,10 @@ def required_stiffness(frequency_hz: float, mass: float) -> float:
 
 
 def shared_spring(frequency_hz: FloatArray, mass: FloatArray) -> tuple[float, float]:
-    """Return the stiffness k and internal mass m_i for resonances (N,) in Hz with stated loads (N,).
+    """Return stiffness k and internal mass m_i for resonances (N,) with stated loads (N,).
 
-    1/(2πf)² = (m + m_i)/k is a straight line over m: exact for two loads, a least-squares fit for more.
+    Frequencies are in Hz. 1/(2πf)² = (m + m_i)/k is a straight line over m: exact for two loads, a least-squares fit
+    for more.
     """
     check_shape("mass", np.asarray(mass), np.asarray(frequency_hz).shape)
     if len(np.unique(mass)) < 2:
@@ -49,11 +50,12 @@ def shared_spring(frequency_hz: FloatArray, mass: FloatArray) -> tuple[float, fl
 
 @dataclass(frozen=True)
 class Mechanics:
-    """Moving masses on a base in one recording: (M s² + B s + K) p = -s² f.
+    """Moving masses on a base in one recording.
 
-    p (n,) is the motion relative to the base per unit of base motion. M, B, K and f are sums with the weights [1, θ
-    (P), z (E)]: a constant part, parameters, and quantities of the load in units of their standard uncertainty.
-    Response c reads `offset` + `rows` · p. The reference reads `reference_offset` + `reference` · p.
+    The equation of motion is (M s² + B s + K) p = -s² f. p (n,) is the motion relative to the base per unit of base
+    motion. M, B, K and f are sums with the weights [1, θ (P), z (E)]: a constant part, parameters, and quantities of
+    the load in units of their standard uncertainty. Response c reads `offset` + `rows` · p. The reference reads
+    `reference_offset` + `reference` · p.
 
     Attributes
     ----------
@@ -101,7 +103,7 @@ class FrequencyTerms:
 
 @dataclass(frozen=True)
 class MechanicalResponse:
-    """Ratios `value` (K, C) of responses to the reference at s (K,), with derivatives on demand.
+    """Ratios `value` (K, C) of responses to the reference at s (K,), with derivatives.
 
     Attributes
     ----------
@@ -124,7 +126,10 @@ class MechanicalResponse:
 
     @cached_property
     def adjoint(self) -> ComplexArray:
-        """Change (K, C, n) of the ratios per unit force on p: y = D⁻¹ (rows - H · reference) / reference reading."""
+        """Change (K, C, n) of the ratios per unit force on p.
+
+        It is y = D⁻¹ (rows - H · reference) / reference reading.
+        """
         readings = (self.rows - self.value[:, :, None] * self.mechanics.reference) / self.reference_reading[
             :, None, None
         ]
@@ -132,10 +137,11 @@ class MechanicalResponse:
 
     @property
     def by_term(self) -> ComplexArray:
-        """Derivatives (K, C, P+E) with respect to the terms: dH = -y · (s² df + dD p).
+        """Derivatives (K, C, P+E) with respect to the terms.
 
-        D is symmetric, and dD and df are linear in the terms. All derivatives are therefore one product of s² yp, s yp,
-        yp and s² y with the entries of the terms' matrices. Entries that are zero in all terms are skipped.
+        dH = -y · (s² df + dD p). D is symmetric, and dD and df are linear in the terms. All derivatives are therefore
+        one product of s² yp, s yp, yp and s² y with the entries of the terms' matrices. Entries that are zero in all
+        terms are skipped.
         """
         matrices, forcing = self.mechanics.matrices[1:], self.mechanics.forcing[1:]
         parts, terms = [], []
@@ -181,10 +187,11 @@ def respond(
 
 
 def poles(mechanics: Mechanics, weights: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-    """Return the poles λ (n,) with Im λ ≥ 0, in ascending |λ|, and their derivatives (n, P+E).
+    """Return the poles λ (n,) in ascending |λ|, and their derivatives (n, P+E).
 
-    They solve (M λ² + B λ + K) u = 0 with symmetric matrices: dλ = -uᵀ(dM λ² + dB λ + dK)u / uᵀ(2λM + B)u (Lancaster,
-    Lambda-Matrices and Vibrating Systems, 1966). Of two real poles of one mode the slower one is returned.
+    Only poles with Im λ ≥ 0 are returned. They solve (M λ² + B λ + K) u = 0 with symmetric matrices: dλ = -uᵀ(dM λ² +
+    dB λ + dK)u / uᵀ(2λM + B)u (Lancaster, Lambda-Matrices and Vibrating Systems, 1966). Of two real poles of one mode
+    the slower one is returned.
     """
     (mass, damping, stiffness), _ = mechanics.at(weights)
     size = len(mass)
@@ -206,7 +213,7 @@ def poles(mechanics: Mechanics, weights: FloatArray) -> tuple[ComplexArray, Comp
 
 @dataclass(frozen=True)
 class MassChain:
-    """Masses in a row on a moving base, each joined by spring and damper to the one below.
+    """Masses in a row on a moving base, connected by springs and dampers.
 
     The equation of motion of stage i is mᵢ ẍᵢ = kᵢ(xᵢ₋₁ - xᵢ) + bᵢ(ẋᵢ₋₁ - ẋᵢ) - kᵢ₊₁(xᵢ - xᵢ₊₁) - bᵢ₊₁(ẋᵢ - ẋᵢ₊₁), with
     the base motion x₀.
@@ -241,10 +248,10 @@ class MassChain:
                 raise ValueError(f"{name}: expected none negative, found {getattr(self, name).tolist()}")
 
     def transfer(self, frequency_hz: FloatArray, of: str, over: str = BASE) -> MechanicalResponse:
-        """Return the motion of a stage over that of another stage or of the base, with a moving base.
+        """Return the motion of a stage over that of another stage or the base.
 
-        The result has `value` (K, 1), its derivatives `by_term` (K, 1, 3N) with respect to mass, stiffness and damping
-        of every stage, and `by_log_s` (K, 1).
+        The base moves. The result has `value` (K, 1), its derivatives `by_term` (K, 1, 3N) with respect to mass,
+        stiffness and damping of every stage, and `by_log_s` (K, 1).
         """
         for stage in (of, over):
             if stage not in (BASE, *self.stages):
@@ -260,13 +267,19 @@ class MassChain:
         return mass, damping, stiffness
 
     def receptance(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return the displacements (K, N, N) of stage i for 1 N on stage j, in m/N, with a fixed base."""
+        """Return displacements (K, N, N) of stage i per force on stage j.
+
+        They are in m/N, with a fixed base.
+        """
         mass, damping, stiffness = self.matrices
         s = laplace(frequency_hz)[:, None, None]
         return np.asarray(np.linalg.inv(s * s * mass + s * damping + stiffness))
 
     def modes(self) -> tuple[FloatArray, FloatArray]:
-        """Return f₀ = |λ|/2π in Hz and ζ = -Re λ/|λ| (N,) of the chain on a fixed base, ascending."""
+        """Return natural frequencies in Hz and damping ratios (N,) on a fixed base, ascending.
+
+        f₀ = |λ|/2π and ζ = -Re λ/|λ| of the poles λ.
+        """
         roots = poles(fixed_base_chain(len(self.stages)), self._weights)[0]
         size = np.abs(roots)
         return size / (2.0 * np.pi), -roots.real / size
@@ -284,9 +297,10 @@ def check_stages(stages: tuple[str, ...]) -> None:
 
 
 def chain_terms(count: int) -> tuple[FloatArray, FloatArray]:
-    """Return the terms M, B, K (1+3N, 3, N, N) and f (1+3N, N) of a chain.
+    """Return the terms M, B, K and f of a chain of `count` masses.
 
-    The first term is zero; the others are per unit of every mass, stiffness and damping.
+    M, B, K are (1+3N, 3, N, N), f is (1+3N, N). The first term is zero; the others are per unit of every mass,
+    stiffness and damping.
     """
     unit = np.eye(count)
     stretch = unit - np.eye(count, k=-1)

@@ -12,7 +12,7 @@ import numpy as np
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shape, check_shapes
 from shaker.frf.spline import cubic_spline
 from shaker.labels import MOTION_UNITS
-from shaker.lti.system import pair_conjugates
+from shaker.lti.roots import pair_conjugates
 from shaker.sine.phasor import derivative_factor
 
 FilterKind = Literal["butterworth", "bessel", "resonance"]
@@ -88,9 +88,10 @@ class ResponseTable:
 
 @dataclass(frozen=True)
 class PoleModel:
-    """H(jω) = k·Π(jω − z) / Π(jω − p)·exp(−jωτ), z and p in rad/s, τ = `delay_s`.
+    """Response of zeros, poles, gain and delay.
 
-    `gain` is k where `gain_hz` is None, else the value (with sign) of |H| at this frequency.
+    H(jω) = k·Π(jω − z) / Π(jω − p)·exp(−jωτ), z and p in rad/s, τ = `delay_s`. `gain` is k where `gain_hz` is None,
+    else the value (with sign) of |H| at this frequency.
     """
 
     zeros: ComplexArray = field(default_factory=lambda: np.empty(0, dtype=np.complex128))
@@ -168,11 +169,11 @@ def pole_response(
 def filter_poles(
     kind: FilterKind, order: int, corner_hz: float, band: PassBand = "lowpass", damping: float = np.sqrt(0.5)
 ) -> PoleModel:
-    """Return a standard analogue filter of gain 1 in its pass band and −3 dB at `corner_hz`.
+    """Return a standard analogue filter of pass-band gain 1.
 
-    `butterworth`, `bessel` (normalised to −3 dB, not to its delay): of an order of 1 to 12 (poles from scipy.signal).
-    `resonance`: one pair of poles at |p| = 2π·corner_hz with a `damping` ratio (order 2; −3 dB only at 0.707), the
-    response of an accelerometer below and at its mounted resonance.
+    Its response at `corner_hz` is −3 dB. `butterworth`, `bessel` (normalised to −3 dB, not to its delay): of an order
+    of 1 to 12 (poles from scipy.signal). `resonance`: one pair of poles at |p| = 2π·corner_hz with a `damping` ratio
+    (order 2; −3 dB only at 0.707), the response of an accelerometer below and at its mounted resonance.
     """
     if not 1 <= order <= 12:
         raise ValueError(f"order: expected 1 to 12, found {order}")
@@ -192,7 +193,7 @@ def filter_poles(
 
         design = signal.butter if kind == "butterworth" else partial(signal.bessel, norm="mag")
         zeros, poles, gain = design(order, corner, band, analog=True, output="zpk")
-    # Held in the pass band: at 0 Hz, or (k = 1) at the highest frequencies.
+    # The gain is that of the pass band: at 0 Hz, or (k = 1) at the highest frequencies.
     gain_statement = (1.0, 0.0) if band == "lowpass" else (float(gain), None)
     return PoleModel(np.asarray(zeros, dtype=np.complex128), np.asarray(poles, dtype=np.complex128), *gain_statement)
 
@@ -204,9 +205,10 @@ USUAL_FILTERS: tuple[tuple[FilterKind, int], ...] = tuple(
 
 
 def filters_of_delay(frequency_hz: FloatArray, delay_s: float) -> ComplexArray:
-    """Return responses (F, K) of usual low-pass filters with a delay at low frequencies, without it.
+    """Return responses (F, K) of usual low-pass filters of one delay.
 
-    Filters of poles p have a delay of Σ Re(-1/p) at 0 Hz, which determines their corner. 1 means a pure delay.
+    The delay at low frequencies is removed. Filters of poles p have a delay of Σ Re(-1/p) at 0 Hz, which determines
+    their corner. 1 means a pure delay.
 
     >>> from shaker.frf.chain import filters_of_delay
     >>> import numpy as np
@@ -229,9 +231,9 @@ def cascade_responses(responses: Sequence[ChainResponse]) -> ChainResponse:
 
 
 def common_covariance(value: ComplexArray, errors: ComplexArray) -> FloatArray:
-    """Return the covariance (K, 2C, 2C) of phasors (K, C) from E independent relative errors (E, K, C).
+    """Return the covariance (K, 2C, 2C) from E independent relative errors.
 
-    Σ_e d_e·d_eᵀ per line, d_e = [Re, Im] of `value`·error_e.
+    The errors (E, K, C) are those of phasors (K, C). Σ_e d_e·d_eᵀ per line, d_e = [Re, Im] of `value`·error_e.
     """
     deviation = value * errors
     stacked = np.concatenate([deviation.real, deviation.imag], axis=-1)
@@ -239,7 +241,10 @@ def common_covariance(value: ComplexArray, errors: ComplexArray) -> FloatArray:
 
 
 def motion_order(unit: str) -> tuple[int, int]:
-    """Return the family of `MOTION_UNITS` of a unit and its order of derivative; refuse other units."""
+    """Return family and derivative order of a unit of `MOTION_UNITS`.
+
+    Other units are refused.
+    """
     for family, units in enumerate(MOTION_UNITS):
         if unit in units:
             return family, units.index(unit)
@@ -248,7 +253,7 @@ def motion_order(unit: str) -> tuple[int, int]:
 
 
 def ratio_unit(above: str, below: str) -> str:
-    """Return the unit of a ratio with compound parts in brackets: `(m/s^2)/N`; 1 for equal units."""
+    """Return the unit of a ratio, such as `(m/s^2)/N`; 1 for equal units."""
     if above == below:
         return "1"
     parts = (part or "1" for part in (above, below))
@@ -277,7 +282,10 @@ def _unwrapped(unit: str) -> str:
 
 
 def _product(s: ComplexArray, model: PoleModel) -> ComplexArray:
-    """Return Π(s − z) / Π(s − p) at s (K,), factor by factor to avoid overflow."""
+    """Return Π(s − z) / Π(s − p) at s (K,).
+
+    It is computed factor by factor to avoid overflow.
+    """
     factors = np.ones((len(s), max(len(model.zeros), len(model.poles))), dtype=np.complex128)
     factors[:, : len(model.zeros)] = s[:, None] - model.zeros
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -338,14 +346,15 @@ def _interpolation_error(knots: FloatArray, values: ComplexArray, positions: Flo
 
 
 def _missed(knots: FloatArray, values: ComplexArray) -> float:
-    """Return the sum of squared errors with which either half of the knots predicts the other."""
+    """Return the squared errors with which half of the knots predicts the other."""
     return float(np.nansum(np.abs(_left_out(knots, values, 2)) ** 2))
 
 
 def _left_out(knots: FloatArray, values: ComplexArray, every: int) -> ComplexArray:
-    """Return the error (N,) at every knot of the spline through others, with it in their middle.
+    """Return the error (N,) at every knot of a spline through others.
 
-    The others are those at multiples of `every`. The first and the last knot are never left out, and NaN.
+    The knot is in the middle of two others. The others are those at multiples of `every`. The first and the last knot
+    are never left out, and NaN.
     """
     number, errors = np.arange(len(knots)), np.full(len(knots), np.nan, dtype=np.complex128)
     for first in range(every):
@@ -356,7 +365,7 @@ def _left_out(knots: FloatArray, values: ComplexArray, every: int) -> ComplexArr
 
 
 def _every(count: int, every: int, first: int) -> BoolArray:
-    """Return a mask (N,) of every `every`-th knot from one on, including the first and last of all."""
+    """Return a mask (N,) of every `every`-th knot, with both ends."""
     number = np.arange(count)
     return np.asarray((number % every == first) | np.isin(number, [0, count - 1]))
 

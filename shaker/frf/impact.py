@@ -30,14 +30,15 @@ _FOOT_SHARE = 0.01  # share of a pulse's peak at which it begins and ends
 _SECOND_PULSE = 0.05  # share of a pulse's peak from which a second pulse is a second hit
 _NOISE_SIGMAS = 6.0  # standard deviations of the force at rest that no foot goes below
 _RANGE_END_SHARE = 0.3  # share of the largest excursion from which an end of the range is not the level at rest
-_CLIPPED_RUN = 3  # equal samples in a row at the range's end that tell an overload
+_CLIPPED_RUN = 3  # equal samples in a row at the range's end that indicate an overload
 
 
 @dataclass(frozen=True)
 class Hit:
-    """A pulse: first and last sample above its foot, its peak, and the reason for rejection.
+    """A pulse: first, last and peak sample, and the reason for rejection.
 
-    `rejected` is empty for a valid hit. `repeat_after` is the delay of a second pulse in samples.
+    First and last sample are above its foot. `rejected` is empty for a valid hit. `repeat_after` is the delay of a
+    second pulse in samples.
     """
 
     first: int
@@ -48,10 +49,10 @@ class Hit:
 
 
 def find_hits(record: TransferRecord, length: int) -> list[Hit]:
-    """Return the hits of a record with a force as reference, judged for windows of `length` samples.
+    """Return the hits of a record whose reference is a force.
 
-    A hit is rejected where the record ends before its window does, where a second pulse follows in the window (which is
-    no separate hit), and where any channel is overloaded in it.
+    They are judged for windows of `length` samples. A hit is rejected where the record ends before its window does,
+    where a second pulse follows in the window (which is no separate hit), and where any channel is overloaded in it.
     """
     force = record.reference - float(np.median(record.reference))
     noise = float(np.median(np.abs(force)) / 0.6745)
@@ -108,10 +109,10 @@ def _overloads(record: TransferRecord) -> BoolArray:
 
 _END_SHARE = (1e-6, 1e-3)  # least and largest share of a response's beginning that its end may keep
 _HIDDEN_SHARE = 0.3  # share of the noise at which the end of a response is hidden in it
-_RINGING_FACTOR = 8.0  # factor over the lines around from which a line still rings
+_RINGING_FACTOR = 8.0  # factor over neighbouring lines from which a line is ringing
 _NEIGHBOUR_LINES = 41  # lines that are around
-_EXCITED_SHARE = 0.01  # share of the force spectrum's maximum below which nothing is excited
-_MANY_HITS = 5  # hits from which the coherence tells where the noise is
+_EXCITED_SHARE = 0.01  # share of the force spectrum's maximum below which lines are not excited
+_MANY_HITS = 5  # hits from which the coherence shows where the noise is
 _MIN_REST_SAMPLES = 8  # samples before the hits from which noise can be read
 _MAX_CORRELATED_LINES = 512  # lines over which errors correlate under an exponential window, at most
 
@@ -129,12 +130,18 @@ def transfer_impact(
 
     Parameters
     ----------
-    record : force as reference, and responses.
-    duration_s : length of a window in s.
-    pretrigger_s : part of the window before a hit in s; default 5 % of it.
-    added_decay_per_s : decay a of the exponential window in 1/s; default: the smallest needed, often zero.
-    estimator : "H1", "H2", "Hv"; default "auto" selects by the noise.
-    band_hz : band of the result in Hz; default: all excited lines.
+    record
+        Force as reference, and responses.
+    duration_s
+        Length of a window in s.
+    pretrigger_s
+        Part of the window before a hit in s; default 5 % of it.
+    added_decay_per_s
+        Decay a of the exponential window in 1/s; default: the smallest needed, often zero.
+    estimator
+        "H1", "H2", "Hv"; default "auto" selects by the noise.
+    band_hz
+        Band of the result in Hz; default: all excited lines.
 
     Returns
     -------
@@ -142,7 +149,8 @@ def transfer_impact(
 
     Raises
     ------
-    ValueError : no hit is valid, the window is too short, or the band has no excited line.
+    ValueError
+        No hit is valid, the window is too short, or the band has no excited line.
 
     Notes
     -----
@@ -185,7 +193,7 @@ def transfer_impact(
     if estimator != "auto" or not few:
         selection = choose_estimator(spectra, estimator, 1.0 if few else None, record.reference_name)
     ratio = ratio_of(spectra, selection)
-    # How the errors of lines 0, 1, 2 … apart correlate under the exponential window, and the force's under its own.
+    # Correlation of the errors of lines at distances 0, 1, 2 …: with the exponential window, and with the force window.
     square = np.exp(-2.0 * decay * blows.time_s)
     under_window = np.fft.fft(np.roll(square, -int(np.searchsorted(blows.time_s, 0.0))))
     under_force = np.fft.fft(np.mean(blows.force_window**2, axis=0) * square)
@@ -228,7 +236,10 @@ class _Blows:
 
 @dataclass(frozen=True)
 class _BlowLines:
-    """Transforms `value` (n, K, 1 + C) at the excited lines; `noise` (K, 1 + C, 1 + C) of each line."""
+    """Transforms `value` (n, K, 1 + C) at the excited lines.
+
+    `noise` (K, 1 + C, 1 + C) is that of each line.
+    """
 
     frequency_hz: FloatArray
     value: ComplexArray
@@ -261,10 +272,10 @@ def _cut(record: TransferRecord, hits: list[Hit], length: int, before: int) -> _
 
 
 def _needed_decay(blows: _Blows) -> float:
-    """Return the decay per second that lets every mode end below the noise, zero where none is needed.
+    """Return the decay per second that hides every mode's end in noise.
 
-    Modes are the significant lines in the spectrum of the window's last quarter. Their level relative to the first
-    quarter shows their decay.
+    It is zero where none is needed. Modes are the significant lines in the spectrum of the window's last quarter. Their
+    level relative to the first quarter shows their decay.
     """
     from scipy.ndimage import median_filter
 
@@ -287,7 +298,10 @@ def _needed_decay(blows: _Blows) -> float:
 
 
 def _transformed(blows: _Blows, decay: float, band_hz: tuple[float, float]) -> _BlowLines:
-    """Return the transforms of the windows at the lines of the band below the first unexcited one."""
+    """Return the transforms of the windows at excited lines.
+
+    These are the lines of the band below the first unexcited one.
+    """
     length = len(blows.time_s)
     window = np.exp(-decay * blows.time_s)
     seen = blows.samples * window[:, None]

@@ -41,7 +41,7 @@ class Periods:
 
 @dataclass(frozen=True)
 class Period:
-    """Length of a period in samples, its uncertainty, and the begin and number of used periods."""
+    """Length of a period in samples with uncertainty, begin and number."""
 
     samples: float
     u_samples: float
@@ -59,11 +59,11 @@ def count_periods(length: int, start: float, samples: float) -> int:
 
 
 def find_period(reference: FloatArray, samples: float, settle_periods: int) -> Period:
-    """Return the exact period of `reference` (S,) from a stated one in samples, good to 0.1 %.
+    """Return the exact period of `reference` (S,) from a stated one.
 
-    Delays of all periods relative to their mean, d_m = Σ k·Im(X_m X̄*) / Σ k²|X̄|², weight every line by its
-    information. Their slope over m is the period's error. The stated period is used where the record does not
-    contradict it.
+    The stated period is in samples, good to 0.1 %. Delays of all periods relative to their mean, d_m = Σ k·Im(X_m X̄*)
+    / Σ k²|X̄|², weight every line by its information. Their slope over m is the period's error. The stated period is
+    used where the record does not contradict it.
     """
     stated, u_samples = samples, np.inf
     for step in range(_STEPS):
@@ -116,7 +116,7 @@ def _period_error(spectrum: ComplexArray, samples: float) -> tuple[float, float]
 
 
 def period_phasors(data: FloatArray, period: Period, share: tuple[float, float], rounds: int = 5) -> Periods:
-    """Return the phasors of every period of `data` (S, C) at its harmonics in a band.
+    """Return phasors of every period of `data` (S, C) in a band.
 
     `share` is the band relative to the sampling rate. A period of a whole number of samples is transformed directly.
     For others each period has a window that rises and falls as 1 - rise of the next one, so that all windows add to
@@ -153,7 +153,7 @@ def _soft_phasors(data: FloatArray, period: Period, harmonic: IntArray, rounds: 
     missing = (index < 0) | (index >= len(data))
     padded = data[np.clip(index, 0, len(data) - 1)] - data.mean(axis=0)
     padded[missing] = 0.0
-    # Places (M, N) that the window of each period sees, and its transform at the harmonics 1, 2 … K.
+    # Samples (M, N) in the window of each period, and its transform at the harmonics 1, 2 … K.
     begin = period.start + samples * np.arange(period.count)
     index_in_window = np.searchsorted(index, begin - 0.5 * seam)[:, None] + np.arange(int(np.ceil(samples + seam)) + 1)
     time = index[index_in_window] - begin[:, None]
@@ -171,7 +171,7 @@ def _soft_phasors(data: FloatArray, period: Period, harmonic: IntArray, rounds: 
     basis = np.exp(np.multiply.outer(turns, every))
     for _ in range(rounds if missing.any() else 0):
         model = (basis @ value.mean(axis=0)).real
-        # A sample that is missing lowers the mean it is taken from by its own weight.
+        # A missing sample lowers the mean that replaces it by its weight.
         padded[missing] += (model - padded[missing]) / (1.0 - weight[:, None])
         for m in {0, period.count - 1}:
             value[m] = phasors(m)
@@ -188,11 +188,11 @@ def _is_whole(samples: float) -> bool:
     return abs(samples - round(samples)) < _WHOLE * max(1.0, samples / 1e4)
 
 
-# What periods tell beyond the transfer function: a structure not settled, a drift, distortions.
+# Further results of the periods: a structure not settled, drift, distortions.
 
 _BLOCK = 8  # lines that are tested together
 _UNLIKELY = 1e-4  # probability, over all blocks of a record, below which periods differ
-_GAIN = 1e-3  # change of the reference's amplitude between periods that is told
+_GAIN = 1e-3  # change of the reference's amplitude between periods that is reported
 _DISTORTION = 3.0  # mean of an unexcited line over its uncertainty, rms, from which it is a distortion
 
 
@@ -236,7 +236,7 @@ def _reference_drift(reference: ComplexArray, name: str) -> list[Notice]:
 
 
 def _unsettled(error: ComplexArray, response: ComplexArray, frequency: FloatArray, name: str) -> list[Notice]:
-    """Return a notice of a different first period, or of a response that drifts over the periods."""
+    """Return a notice of a different first period, or of drift."""
     count = len(error)
     if count < 3:
         return []
@@ -284,7 +284,7 @@ def _distortions(lines: Periods, excited: BoolArray, ratio: ComplexArray, channe
     through = np.interp(lines.harmonic, lines.harmonic[excited_index], ratio.real) + 1j * np.interp(
         lines.harmonic, lines.harmonic[excited_index], ratio.imag
     )
-    # What the distorted reference itself drives through the structure is no distortion of the response.
+    # The response to a distorted reference is no distortion of the structure.
     remaining = lines.value[:, :, channel] - through * lines.value[:, :, 0]
     level = np.sqrt(np.mean(np.abs(lines.value[:, excited, channel].mean(axis=0)) ** 2))
     levels = []
@@ -315,10 +315,14 @@ def transfer_periodic(
 
     Parameters
     ----------
-    record : reference and responses.
-    period_s : period in s, good to 0.1 %; it is refined on the reference.
-    settle_periods : number of periods skipped at the begin, default 0.
-    band_hz : band in Hz; default up to 0.45 of the sampling rate.
+    record
+        Reference and responses.
+    period_s
+        Period in s, good to 0.1 %; it is refined on the reference.
+    settle_periods
+        Number of periods skipped at the begin, default 0.
+    band_hz
+        Band in Hz; default up to 0.45 of the sampling rate.
 
     Returns
     -------
@@ -326,7 +330,8 @@ def transfer_periodic(
 
     Raises
     ------
-    ValueError : fewer than 2 whole periods remain, or the reference excites no line.
+    ValueError
+        Fewer than 2 whole periods remain, or the reference excites no line.
 
     Notes
     -----

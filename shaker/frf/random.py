@@ -20,9 +20,9 @@ _MIN_COHERENCE = 0.5  # coherence from which 1 - γ² is about the sum of the tw
 
 @dataclass(frozen=True)
 class Spectra:
-    """Averaged spectra `power` (K, 1 + C, 1 + C) = E[z zᴴ] of [reference, responses].
+    """Averaged spectra of [reference, responses].
 
-    `averages` (K,) is the number of independent averages.
+    `power` (K, 1 + C, 1 + C) is E[z zᴴ]. `averages` (K,) is the number of independent averages.
     """
 
     power: ComplexArray
@@ -75,7 +75,7 @@ def ratio_covariance(spectra: Spectra, ratio: ComplexArray, choice: EstimatorSel
     if not np.all(averages > 1.0):
         return np.full((len(ratio), 2 * ratio.shape[1], 2 * ratio.shape[1]), np.nan)
     cross = ratio[:, :, None] * spectra.cross.conj()[:, None, :]
-    # Power of y - H x for the H found; for H1 it is what the regression leaves.
+    # Power of y - H x for this H; for H1 it is the residual of the regression.
     left = power[:, 1:, 1:] - cross - cross.conj().swapaxes(1, 2)
     left = left + ratio[:, :, None] * ratio.conj()[:, None, :] * power[:, :1, :1]
     noise = left / (power[:, :1, :1].real * (averages[:, None, None] - 1.0))
@@ -120,7 +120,9 @@ def choose_estimator(
     on_reference, on_response, bias_h1, bias_h2 = _noise_shares(spectra)
     distinguishable = on_reference > 0.0 and on_response > 0.0
     if requested == "Hv" and noise_ratio is None and not distinguishable:
-        raise ValueError("noise_ratio: expected the ratio of the noise powers, found none and no noise to tell it by")
+        raise ValueError(
+            "noise_ratio: expected the ratio of the noise powers, found none and too little noise to estimate it"
+        )
     kappa = noise_ratio or (on_response / on_reference if distinguishable else 1.0)
     if requested != "auto":
         return EstimatorSelection(requested, kappa, ESTIMATOR_REQUESTED)
@@ -141,13 +143,13 @@ def _noise_shares(spectra: Spectra) -> tuple[float, float, float, float]:
     coherence = spectra.coherence
     bias = (1.0 - coherence) ** 2 / spectra.averages[:, None]
     missing = np.maximum(1.0 - coherence - bias, 0.0)
-    # The estimate of 1 - γ² scatters by about √2 γ (1 - γ²)/√n; a smooth stand-in weighs the lines.
+    # The estimate of 1 - γ² scatters by about √2 γ (1 - γ²)/√n; a smooth approximation weights the lines.
     scale = 1.0 / np.maximum(missing, np.maximum(np.median(missing), 1e-12))
     fits, shares = [], []
     for c in range(coherence.shape[1]):
         usable = (
             coherence[:, c] > _MIN_COHERENCE
-        )  # lines whose signal is above the noise: beside a band, noise is all there is
+        )  # lines whose signal is above the noise: outside a band there is only noise
         if not usable.any():
             usable[:] = True
         x, y, averages = spectra.reference[usable], spectra.responses[usable, c], spectra.averages[usable]
@@ -165,8 +167,8 @@ def _noise_shares(spectra: Spectra) -> tuple[float, float, float, float]:
 # Transfer functions by local polynomials: the spectrum of a whole record, without segments and window.
 
 _ORDER = 6  # of the polynomials in frequency
-_LOWER_ORDER = 4  # of those that show what the order matters
-_WINDOW = 5.0  # lines of the wanted spacing that one polynomial spans
+_LOWER_ORDER = 4  # of the polynomials that show the influence of the order
+_WINDOW = 5.0  # lines that one polynomial spans
 _UNKNOWNS = 2 * (_ORDER + 1)  # coefficients of transfer function and transient
 _FEWEST_BINS = 2 * _UNKNOWNS  # of a record's spectrum in a window, half of them for the noise
 LEAST_SEGMENTS = _FEWEST_BINS / _WINDOW
@@ -225,7 +227,7 @@ def local_spectra(record: TransferRecord, length: int, frequency_hz: FloatArray)
         _solved(transform, position[k : k + count], first[k : k + count], bins) for k in range(0, len(position), count)
     ]
     power, averages, bias = (np.concatenate(part) for part in zip(*parts, strict=True))
-    # Of polynomial fits at the middle of windows that lie samples/length bins apart.
+    # Correlation of polynomial fits at the middle of windows at a distance of samples/length bins.
     centred = (np.arange(bins) - 0.5 * (bins - 1)) / (0.5 * bins)
     kernel = np.linalg.pinv(centred[:, None] ** np.arange(_ORDER + 1))[0]
     lag = np.round(np.arange(0.0, bins, samples / length)).astype(np.int64)
@@ -238,7 +240,10 @@ def local_spectra(record: TransferRecord, length: int, frequency_hz: FloatArray)
 def _solved(
     transform: ComplexArray, position: FloatArray, first: IntArray, bins: int
 ) -> tuple[ComplexArray, FloatArray, ComplexArray]:
-    """Return power (K, 1 + C, 1 + C), averages (K,) and bias (K, C) of windows from bins `first`."""
+    """Return power, averages (K,) and bias (K, C) of windows.
+
+    `power` is (K, 1 + C, 1 + C). The windows begin at bins `first`.
+    """
     index = first[:, None] + np.arange(bins)
     powers = ((index - position[:, None]) / (0.5 * bins))[:, :, None] ** np.arange(_ORDER + 1)
     reference, responses = transform[index, :1], transform[index, 1:]
@@ -263,7 +268,7 @@ def _fitted(
 
     `responses` (K, B, C), `reference` (K, B, 1). Returns the ratio (K, C), its information (K,) and noise (K, C, C).
     """
-    # The transfer function at the line comes last but the responses, so that the triangle holds it alone.
+    # The transfer function at the line is last before the responses, so that the triangle separates it.
     columns = np.concatenate([powers[:, :, 1:] * reference, powers, reference, responses], axis=2)
     triangle: ComplexArray = np.asarray(np.linalg.qr(columns, mode="r"))
     last = 2 * powers.shape[2] - 1
@@ -277,7 +282,7 @@ def _fitted(
 # Transfer functions from noise: local polynomials, or averaged spectra of overlapping segments; H1, H2, Hv.
 
 _HOP = 3  # segments begin every third of their length: 67 % overlap
-_FIRST_BIN = 3  # a Hann window lets what the mean left reach the bins below
+_FIRST_BIN = 3  # a Hann window spreads the rest of the mean over the bins below
 _REACH = 8  # lines over which those errors correlate
 _CORRELATED = 1e-4  # correlation of the errors of neighbouring lines that counts
 
@@ -294,11 +299,16 @@ def transfer_random(
 
     Parameters
     ----------
-    record : reference and responses.
-    resolution_hz : distance of the lines in Hz.
-    estimator : "local", "H1", "H2", "Hv"; default "auto".
-    noise_ratio : ratio of the noise powers, response over reference, for Hv; default: from the coherence.
-    band_hz : band in Hz; default: all lines.
+    record
+        Reference and responses.
+    resolution_hz
+        Distance of the lines in Hz.
+    estimator
+        "local", "H1", "H2", "Hv"; default "auto".
+    noise_ratio
+        Ratio of the noise powers, response over reference, for Hv; default: from the coherence.
+    band_hz
+        Band in Hz; default: all lines.
 
     Returns
     -------
@@ -306,7 +316,8 @@ def transfer_random(
 
     Raises
     ------
-    ValueError : the record is too short for the resolution, the band has no line, or Hv has no noise ratio.
+    ValueError
+        The record is too short for the resolution, the band has no line, or Hv has no noise ratio.
 
     Notes
     -----

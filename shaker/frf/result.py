@@ -14,7 +14,7 @@ from shaker.frf.frf_notices import NARROW_PEAKS
 from shaker.sine.phasor import Phasors
 from shakercal._common.notices import Notice, Value
 
-# What goes into the estimate of a transfer function, and what comes out.
+# Input and result of the estimate of a transfer function.
 
 Estimator = Literal["H1", "H2", "Hv", "periodic", "local"]
 
@@ -137,7 +137,10 @@ class TransferFunction:
 
 
 def circular_covariance(complex_covariance: ComplexArray) -> FloatArray:
-    """Return the covariance (K, 2C, 2C) of [all Re, all Im] of circular noise from E[e eᴴ] (K, C, C)."""
+    """Return the real covariance (K, 2C, 2C) of circular complex noise.
+
+    It is that of [all Re, all Im]; the input is E[e eᴴ] (K, C, C).
+    """
     half = 0.5 * complex_covariance
     return np.asarray(np.block([[half.real, -half.imag], [half.imag, half.real]]))
 
@@ -179,7 +182,7 @@ def excited_lines(reference: ComplexArray) -> BoolArray:
 # Whether the lines of a transfer function resolve its resonances.
 
 _MIN_WIDTH = 6.0  # lines between half-power points; below it a Hann window or local polynomials lower a peak
-_PROMINENCE = 2.0  # factor by which a peak stands above its surroundings
+_PROMINENCE = 2.0  # factor by which a peak exceeds its surroundings
 _REACH = 40  # lines on either side that are its surroundings
 _CERTAIN = 0.1  # relative uncertainty of |H| from which a peak may be noise
 
@@ -187,7 +190,7 @@ _CERTAIN = 0.1  # relative uncertainty of |H| from which a peak may be noise
 def resolution_notices(
     frequency_hz: FloatArray, ratio: ComplexArray, u_ratio: FloatArray, name: str, cause: str
 ) -> list[Notice]:
-    """Return a notice of peaks of |H| (K,) that are too narrow for the line spacing.
+    """Return a notice of peaks of |H| narrower than the line spacing allows.
 
     `u_ratio` (K,) is the uncertainty of |H|. `cause` names the effect that lowers and widens such peaks.
     """
@@ -223,13 +226,14 @@ _OUTLIER_PROBABILITY = 1e-5  # probability below which a line counts as noisier 
 
 
 def pooled_scatter(scatter: ComplexArray, ratio: ComplexArray, dof: float) -> tuple[ComplexArray, FloatArray]:
-    """Return the noise (K, C, C) averaged over up to 17 neighbouring lines, and their number (K,).
+    """Return the noise (K, C, C) averaged over neighbouring lines, and their number.
 
-    Across a resonance the noise of y - Hx is not level. The noise of the response is, but that of the reference, and of
-    vibrations of the base, is multiplied by |H|². Every line's scatter is therefore divided by a shape A + B|H|², A, B
-    ≥ 0 constant over 64 lines, averaged, and multiplied by the shape again. A line that is noisier than `dof` degrees
-    of freedom allow (mains, a spur) keeps its noise and is excluded from the average. Where its scatter has too few
-    degrees of freedom for the correlation of C responses, that of the neighbours is used, enlarged.
+    Up to 17 lines are averaged. Across a resonance the noise of y - Hx is not level. The noise of the response is, but
+    that of the reference, and of vibrations of the base, is multiplied by |H|². Every line's scatter is therefore
+    divided by a shape A + B|H|², A, B ≥ 0 constant over 64 lines, averaged, and multiplied by the shape again. A line
+    that is noisier than `dof` degrees of freedom allow (mains, a spur) keeps its noise and is excluded from the
+    average. Where its scatter has too few degrees of freedom for the correlation of C responses, that of the neighbours
+    is used, enlarged.
     """
     from scipy.ndimage import convolve1d
 
@@ -244,7 +248,7 @@ def pooled_scatter(scatter: ComplexArray, ratio: ComplexArray, dof: float) -> tu
     number = convolve1d((~alone).astype(np.float64), near, mode="constant")
     mean = np.asarray(total / np.maximum(number, 1.0)[:, None, None], dtype=np.complex128)
     single = even
-    if dof < 2.0 * level.shape[1]:  # the neighbours' noise times what the line's own exceeds it by where most so
+    if dof < 2.0 * level.shape[1]:  # the neighbours' noise times the largest ratio of the line's noise to it
         around = np.einsum("kcc->kc", mean).real
         factor = np.max(level / shape**2 / np.maximum(around, np.finfo(np.float64).tiny), axis=1)
         single = np.where(np.any(around > 0.0, axis=1)[:, None, None], mean * factor[:, None, None], even)
@@ -253,9 +257,9 @@ def pooled_scatter(scatter: ComplexArray, ratio: ComplexArray, dof: float) -> tu
 
 
 def share_of_reference(scatter: ComplexArray, ratio: ComplexArray) -> FloatArray:
-    """Return the share (K, C) of the noise of y - Hx that is proportional to |H|².
+    """Return the share (K, C) of noise proportional to |H|².
 
-    The shape is that of `pooled_scatter`.
+    The noise is that of y - Hx. The shape is that of `pooled_scatter`.
     """
     level, gain = np.einsum("kcc->kc", scatter).real, np.abs(ratio) ** 2
     flat, through = _shape(level, gain)
@@ -287,7 +291,10 @@ def _shape(level: FloatArray, gain: FloatArray) -> FloatArray:
 
 
 def _outlying(level: FloatArray, dof: float) -> BoolArray:
-    """Return which lines are noisier in any channel of `level` (K, C) than common noise allows."""
+    """Return which lines are noisier than common noise allows.
+
+    `level` (K, C) is examined in every channel.
+    """
     from scipy.ndimage import median_filter
     from scipy.special import chdtri
 

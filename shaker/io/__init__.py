@@ -41,7 +41,7 @@ _EXPORTS = {
 
 
 def unsupported_suffix(path: Path) -> tuple[str, str] | None:
-    """Return the expected suffixes and a description of an unsupported file; None if a reader exists."""
+    """Return the expected suffixes and a description of an unsupported file, else None."""
     suffix = path.suffix.lower()
     if suffix in _READERS:
         return None
@@ -57,9 +57,12 @@ def read_channels(
 
     Parameters
     ----------
-    path : the file.
-    names : channels to read; None reads all.
-    sample_rate_hz : sampling rate in Hz for a file that states none; it must agree with the rate that a file states.
+    path
+        The file.
+    names
+        Channels to read; None reads all.
+    sample_rate_hz
+        Sampling rate in Hz for a file that states none; it must agree with the rate that a file states.
 
     Returns
     -------
@@ -67,7 +70,8 @@ def read_channels(
 
     Raises
     ------
-    OSError, ValueError : the file cannot be read; the message is one sentence that begins with the path.
+    OSError, ValueError
+        The file cannot be read; the message is one sentence that begins with the path.
 
     Examples
     --------

@@ -81,7 +81,7 @@ def _build_channels(
     requested: Mapping[str, _Stated],
     sample_rate_hz: float | None,
 ) -> dict[str, RawChannel]:
-    """Return the requested channels with times from the file's rate and vector of times, or the given rate."""
+    """Return the requested channels with times from the file or the given rate."""
     times = {stated.times for stated in requested.values() if stated.times}
     values = read_datasets(path, datasets, {name: columns[name] for name in {*requested, *times}}, times)
     result = {}
@@ -178,7 +178,7 @@ def _holder(node: Any, keys: Sequence[str]) -> Any:
 
 
 def _one_text(value: Any, index: int | None) -> str:
-    """Return a text; of several texts for the columns of a table, that of one column."""
+    """Return a text; of several texts that of one column."""
     texts = np.asarray(value, dtype=object).reshape(-1)
     text = texts[index if index is not None and index < len(texts) else 0] if len(texts) else ""
     return text.decode("utf-8", "replace") if isinstance(text, bytes) else str(text)
@@ -194,7 +194,7 @@ def _packing(where: str, node: Any, index: int | None) -> _Packing | None:
 
 
 def _neighbouring_time(name: str, columns: Mapping[str, DatasetColumn]) -> str | None:
-    """Return the dataset or field `time` next to a channel or its table, of equal length."""
+    """Return the `time` next to a channel or its table, of equal length."""
     group = name.rpartition("/")[0]
     for other, column in columns.items():
         parent, _, tail = other.rpartition("/")
@@ -226,7 +226,7 @@ class _Unreadable(str):
 
 
 def read_matlab(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
-    """Read vectors by name, fields of structs as `struct.field`, and columns of a table as `name/1`, ….
+    """Read vectors by name, fields as `struct.field`, and table columns as `name/1`, ….
 
     The rate is a scalar `sample_rate` (or `fs`, `Fs`) next to the channel, in the structs around it, or in the file. A
     vector `time` (or `t`) there of the channel's length contains the times, in s or in the unit of a text `time_unit`
@@ -271,7 +271,7 @@ def _channels(
 
 
 def _neighbouring_keys(name: str, keys: Sequence[str]) -> Iterator[str]:
-    """Yield the full names of keys next to a channel, in the structs around it, and in the file."""
+    """Yield full names of keys next to a channel and in all enclosing levels."""
     struct = name.rpartition("/")[0] or name
     while struct:
         struct = struct.rpartition(".")[0]
@@ -279,7 +279,7 @@ def _neighbouring_keys(name: str, keys: Sequence[str]) -> Iterator[str]:
 
 
 def _scalar(path: Path, variables: Mapping[str, Any], name: str, keys: Sequence[str]) -> tuple[str, float | None]:
-    """Return name and value of the first scalar among the keys, None where there is none."""
+    """Return name and value of the first scalar among the keys, else None."""
     for key in _neighbouring_keys(name, keys):
         if getattr(variable := variables.get(key), "size", 0) == 1:
             check_stored(path, key, variable)
@@ -323,7 +323,7 @@ def _classic(path: Path, names: Sequence[str] | None) -> dict[str, Any]:
         if roots <= {name for name, *_ in whosmat(str(path))}:
             roots |= {*_MATLAB_RATES, *_STARTS, *_UNITS, *_TIMES, *_TIME_UNITS}
         else:
-            roots = None  # a name is wrong: all of them stand in the message
+            roots = None  # a name is wrong: the message lists all of them
     content = loadmat(str(path), variable_names=roots)
     return dict(leaf for name, value in content.items() for leaf in _classic_leaves(name, value))
 
@@ -362,7 +362,7 @@ def read_wave(path: Path, names: Sequence[str] | None, sample_rate_hz: float | N
     from scipy.io import wavfile
 
     with warnings.catch_warnings():
-        # Chunks with remarks of the recorder are passed over; a record shorter than its header says is not.
+        # Chunks with remarks of the recorder are skipped; a record shorter than stated is refused.
         warnings.simplefilter("ignore", wavfile.WavFileWarning)
         warnings.filterwarnings("error", message="Reached EOF", category=wavfile.WavFileWarning)
         try:

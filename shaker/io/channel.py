@@ -77,18 +77,18 @@ class RawChannel:
         return f"RawChannel({len(self.samples)} samples at {rate} from {self.start_s:g} s, {unit})"
 
 
-# What all file readers share: choosing channels by name, and errors of one sentence that name the file.
+# Shared by all file readers: channels by name, and errors of one sentence with the file.
 
 BLOCK = 1 << 20  # bytes read at a time
 MOST_CHANNELS = 10_000  # of a table
 LONGEST_LINE = 16 << 20  # bytes of a line of text
 MAX_NESTING = 64  # groups or structs inside one another
-_FREE, _EXPANSION = 512 << 20, 100  # bytes of samples that any file may have, and how many more for each of its own
+_FREE, _EXPANSION = 512 << 20, 100  # bytes of samples that any file may have, and how many more per byte of the file
 
 
 @contextmanager
 def convert_read_errors(path: Path) -> Iterator[None]:
-    """Convert every error of reading a file into `OSError` or `ValueError`: one sentence with its path.
+    """Convert every read error into `OSError` or `ValueError`: one sentence with the path.
 
     A path that is no file is refused before it is opened: a pipe would wait for ever, and a device may have no end.
     """
@@ -106,7 +106,7 @@ def convert_read_errors(path: Path) -> Iterator[None]:
     except MemoryError as error:
         raise ValueError(f"{path}: expected a file that fits into memory, found one that does not") from error
     except Exception as error:
-        # The libraries answer damaged files with errors of every kind; here they become one.
+        # The libraries raise errors of every kind for damaged files; they are converted into one.
         text = " ".join(str(error).split())
         if isinstance(error, OSError | ValueError) and text.startswith(str(path)) and type(error) is not OSError:
             raise
@@ -115,7 +115,7 @@ def convert_read_errors(path: Path) -> Iterator[None]:
 
 
 def max_sample_bytes(path: Path) -> int:
-    """Return the largest number of bytes of samples that a file of this length can contain.
+    """Return the largest number of sample bytes in a file of this length.
 
     Compression makes measured samples a few times smaller, and a trigger between its edges perhaps a hundred times.
     """
@@ -144,7 +144,10 @@ def select_names(path: Path, names: Sequence[str] | None, present: Iterable[str]
 def select_by_either_name(
     path: Path, names: Sequence[str] | None, present: Mapping[str, T], short: Sequence[str]
 ) -> dict[str, T]:
-    """Return the items of the requested names (None: all present); a unique `short` name is accepted too."""
+    """Return the items of the requested names (None: all).
+
+    A unique `short` name is accepted too.
+    """
     count = Counter(short)
     alone = {name: item for name, item in zip(short, present.values(), strict=True) if count[name] == 1}
     items = {**present, **alone, **present}
@@ -238,7 +241,7 @@ def full_name(group: Any, name: bytes) -> str:
 
 
 def check_links(path: Path, group: Any, *, soft: bool = True) -> None:
-    """Refuse links to other files below an HDF5 group; without `soft`, also links to other groups."""
+    """Refuse links to other files below an HDF5 group; also soft links unless `soft`."""
     import h5py
 
     local_types = (h5py.h5l.TYPE_HARD, h5py.h5l.TYPE_SOFT)[: 1 + soft]
@@ -275,9 +278,9 @@ def check_stored(path: Path, name: str, dataset: Any) -> None:
 def read_datasets(
     path: Path, datasets: Mapping[str, Any], requested: Mapping[str, DatasetColumn], exact: Collection[str] = ()
 ) -> dict[str, NDArray[Any]]:
-    """Return the samples (S,) of the requested channels as float64, of `exact` names in their stored type.
+    """Return the samples (S,) of the requested channels as float64.
 
-    Each dataset is read once, in blocks of whole chunks.
+    Channels of `exact` names keep their stored type. Each dataset is read once, in blocks of whole chunks.
     """
     total = 0
     for name in {column.dataset for column in requested.values()}:

@@ -35,10 +35,10 @@ _CLIPPED_RATIO = 4.0 / 3.0  # samples within eight widths of a limit over those 
 _CROWDED = ((8.0, 1.8, 200), (4.0, 1.5, 300), (2.0, 1.25, 1000))
 _RUN = 3  # samples at a limit one after another, which no sampling of a smooth crest can give without others nearby
 _CHOSEN, _CLUSTER = 4096, 2.5  # values of the middle half whose clusters are counted; samples at a limit over theirs
-_LIKE = 1e-5  # of the range: how far values of one cluster lie apart
+_LIKE = 1e-5  # of the range: largest distance of values in one cluster
 _CLUSTERED = 0.5  # of the middle half of the values that the widest twentieth of their gaps takes
-_RESTS = 0.02  # of the record: a level kept for longer at a time is where the signal rests
-_OUTSIDE = 12.0  # resolutions that the record falls off beside a cut peak; the top of a wave falls off by 9 at most
+_RESTS = 0.02  # of the record: a level that lasts longer at a time is the resting level
+_OUTSIDE = 12.0  # resolutions by which the record falls next to a clipped peak; the top of a wave falls by 9 at most
 _NOISE, _MEDIAN_DIFFERENCE = 6.0, 0.954  # standard deviations of noise; median difference of two samples of unit noise
 _NAMED = 3  # stretches named
 
@@ -208,7 +208,7 @@ def _swings(blocks: FloatArray) -> FloatArray:
 
 
 def _interruptions(samples: FloatArray, spans: IntArray, reach: int, least: float) -> Iterator[tuple[int, int]]:
-    """Yield the spans (N, 2) next to which samples swing by more than `least`, within `reach`."""
+    """Yield the spans (N, 2) with a swing above `least` within `reach` samples."""
     for first, last in spans.tolist():
         neighbours = [
             part for part in (samples[max(first - reach, 0) : first], samples[last : last + reach]) if len(part)
@@ -217,7 +217,7 @@ def _interruptions(samples: FloatArray, spans: IntArray, reach: int, least: floa
             yield first, last
 
 
-# Limits at which samples are held.
+# Limits at which samples are clipped.
 
 
 def clip_levels(samples: FloatArray, step: float, *, resting: bool = False) -> tuple[float, float]:
@@ -231,11 +231,13 @@ def clip_levels(samples: FloatArray, step: float, *, resting: bool = False) -> t
     if len(samples) < 2 * _FEWEST or np.ptp(samples) == 0.0:
         return -np.inf, np.inf
     high, low = (_clipping_level(signal, step, resting) for signal in (samples, -samples))
-    return (-low, high) if -low < high else (-np.inf, np.inf)  # one level, at which the signal rests between its peaks
+    return (
+        (-low, high) if -low < high else (-np.inf, np.inf)
+    )  # one level: the resting level of the signal between its peaks
 
 
 def cut_run(samples: FloatArray, resolution: float, noise: float) -> int:
-    """Return the length of a run of equal samples (N,) at a clipped maximum; 0 without one.
+    """Return the length of a run of equal samples at a clipped maximum, else 0.
 
     The top of a wave of resolution q falls by 9q at most within the length of the run on either side. A clipped one
     falls by more.

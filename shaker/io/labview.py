@@ -20,7 +20,7 @@ from shaker.io.times import SampleTimes, Segment, agreed_rate, times_of_segments
 _END, _CHANNELS = b"***End_of_Header***", b"\nChannels"
 _SPECIAL, _SPECIAL_END = "***Start_Special***", "***End_Special***"
 _SEPARATORS = {"Tab": "\t", "Comma": ",", "Semicolon": ";"}
-_NEAREST = 8  # X columns before a channel that are looked at for its times
+_NEAREST = 8  # X columns before a channel that are searched for its times
 _ROUND = (1.0, 2.0, 2.5, 4.0, 5.0, 8.0, 10.0)  # times a power of ten: rates that few digits state exactly
 _FEW, _TOO_FEW = 1e-4, 1e-2  # relative, of half a digit of Delta_X: beyond it, only such rates are believed, or none
 _COMMENT, _TIMES, _SEPARATOR = "Comment", "X_Value", "Separator"
@@ -156,7 +156,9 @@ def _read_segment(path: Path, segment: _Segment, requested: Sequence[str]) -> di
         samples, column = columns[requested_columns[name]], requested_columns[name]
         stated = int(_value(segment, "Samples", column, len(samples)))
         if 0 < stated < len(samples) and np.isnan(samples[stated:]).all():
-            samples = samples[:stated]  # columns shorter than others (X_Columns Multi) end where the header says
+            samples = samples[
+                :stated
+            ]  # columns shorter than others (X_Columns Multi) end after the stated number of samples
         near = {i: columns[i][: len(samples)] for i in before[name]}
         dated = [i for i, time in near.items() if np.isfinite(time).all()][-1:]
         digit = last_digit(segment.layout, segment.start, segment.stop, dated[0]) if dated else 0.0
@@ -214,8 +216,8 @@ def _times(path: Path, part: _Part, sample_rate_hz: float | None) -> SampleTimes
         return _of_column(path, part, (step, u_step), sample_rate_hz)
     samples = int(_value(segment, "Samples", column, count))
     if count < samples or 0 < samples < count:
-        more = "" if count < samples else "; an X column must date what other writes have added"
-        raise ValueError(f"{path}: line {line}: expected {samples} samples as the header says, found {count}{more}")
+        more = "" if count < samples else "; an X column must state the times of samples added by other writes"
+        raise ValueError(f"{path}: line {line}: expected {samples} samples as in the header, found {count}{more}")
     if not step > 0.0:
         return SampleTimes(agreed_rate(path, where, None, sample_rate_hz), start)
     decade = 1.0 / step / 10.0 ** np.floor(-np.log10(step))

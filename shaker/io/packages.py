@@ -86,7 +86,7 @@ def _silent() -> Iterator[None]:
 def read_mdf(
     path: Path, names: Sequence[str] | None = None, sample_rate_hz: float | None = None
 ) -> dict[str, RawChannel]:
-    """Read channels of an MDF 4 file as physical values, with the time channel of their group.
+    """Read channels of an MDF 4 file as physical values with their times.
 
     Channels are called `group/channel`, with the group's acquisition name or number, or `channel` where only one group
     has it. Text, arrays and bus frames are skipped. `sample_rate_hz` is used for groups without a time.
@@ -128,11 +128,12 @@ def read_mdf(
 def read_dewesoft(
     path: Path, names: Sequence[str] | None = None, sample_rate_hz: float | None = None
 ) -> dict[str, RawChannel]:
-    """Read channels of a Dewesoft file (.dxd, .dxz, .d7d) as physical values at the file's times.
+    """Read channels of a Dewesoft file (.dxd, .dxz, .d7d) as physical values.
 
-    The sampling rate of the header is not used, because files exist that were stored at another rate. Dewesoft's
-    library ends the whole program on a damaged file, or never returns. A separate process therefore reads the file. It
-    has 8 s of processor time, or one second for every 2 MB where that is more; intact files need a tenth of it.
+    Their times are those of the file. The sampling rate of the header is not used, because files exist that were stored
+    at another rate. Dewesoft's library ends the whole program on a damaged file, or never returns. A separate process
+    therefore reads the file. It has 8 s of processor time, or one second for every 2 MB where that is more; intact
+    files need a tenth of it.
     """
     _package(path, "dwdatareader")
     longest_s = max(_LONGEST_S, path.stat().st_size / _SLOWEST)
@@ -162,7 +163,7 @@ def read_dewesoft(
 
 
 def dewesoft_process(file: str, out: str, names: str, longest_s: str) -> None:
-    """Read a Dewesoft file in this process and write its channels, or the refusal, to a file."""
+    """Read a Dewesoft file in this process; write channels or refusal to a file."""
     path, requested_names = Path(file), json.loads(names)
     Thread(target=_ended_after, args=(float(longest_s), Path(out)), daemon=True).start()
     result: dict[str, RawChannel] | str
@@ -177,7 +178,7 @@ def dewesoft_process(file: str, out: str, names: str, longest_s: str) -> None:
                 check_size(path, f'channel "{name}"', 16 * channel.number_of_samples)
             selected = {name: samples(present[name]) for name in select_names(path, requested_names, present)}
             result = _dated(path, selected, requested_names, None)
-    except Exception as error:  # the library's own, of every kind
+    except Exception as error:  # errors of every kind from the library
         result = str(error).removeprefix(file) or type(error).__name__
     _leave(Path(out), result)
 
@@ -200,9 +201,10 @@ def _ended_after(longest_s: float, out: Path) -> None:
 def read_parquet(
     path: Path, names: Sequence[str] | None = None, sample_rate_hz: float | None = None
 ) -> dict[str, RawChannel]:
-    """Read columns of a Parquet table with a column `time` of time stamps, durations or numbers.
+    """Read columns of a Parquet table with a column `time`.
 
-    A column's metadata may have a `unit`. Floating-point times without a unit are seconds; whole numbers need a unit.
+    Times are time stamps, durations or numbers. A column's metadata may have a `unit`. Floating-point times without a
+    unit are seconds; whole numbers need a unit.
     """
     table = _package(path, "pyarrow.parquet").ParquetFile(path)
     rows = table.metadata.num_rows
@@ -245,7 +247,7 @@ def _dated(
                 times = SampleTimes(agreed_rate(path, where, None, sample_rate_hz))
             else:
                 times = times_of_stamps(path, where, stamps, time_unit, given_hz=sample_rate_hz)
-        except Exception as error:  # the packages' own, of every kind, for channels that they do not read
+        except Exception as error:  # errors of every kind from the packages, for channels that they do not read
             if isinstance(error, ValueError):
                 refusals.append(error)
             else:

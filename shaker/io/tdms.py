@@ -26,7 +26,7 @@ from shaker.arrays import FloatArray
 from shaker.io.channel import BLOCK, RawChannel, is_time, select_by_either_name
 from shaker.io.times import SampleTimes, Segment, agreed_rate, times_of_segments, times_of_stamps
 
-# Where the values of every channel stand in a TDMS file (NI, "TDMS file format internal structure", version 2.0).
+# Position of the values of every channel in a TDMS file (NI, "TDMS file format internal structure", version 2.0).
 
 _LEAD = 28  # bytes before every segment's metadata
 _METADATA, _NEW_LIST, _RAW, _INTERLEAVED, _BIG_ENDIAN = 1 << 1, 1 << 2, 1 << 3, 1 << 5, 1 << 6
@@ -37,7 +37,7 @@ _STRING, _BOOLEAN, _STAMP = 0x20, 0x21, 0x44
 _NUMBERS = {1: "i1", 2: "i2", 3: "i4", 4: "i8", 5: "u1", 6: "u2", 7: "u4", 8: "u8", 9: "f4", 10: "f8"}
 _NUMBERS |= {0x19: "f4", 0x1A: "f8", _BOOLEAN: "u1", 0x08000C: "c8", 0x10000D: "c16"}
 _CARD_NUMBERS = {0: "u1", 1: "i1", 2: "u2", 3: "i2", 4: "u4", 5: "i4", 6: "u8", 7: "i8", 8: "f4", 9: "f8"}
-DAQMX = -1  # no scale: the value itself
+DAQMX = -1  # no scale: the stored value
 _Key = tuple[str, int]  # a channel's path and the number of its raw scale
 
 
@@ -134,7 +134,7 @@ class _Raw:
     count: int
     dtype: np.dtype[Any] | None
     size: int
-    scales: tuple[tuple[int, Field], ...] = ()  # buffer and place in its records
+    scales: tuple[tuple[int, Field], ...] = ()  # buffer and field in its records
     widths: tuple[int, ...] = ()
 
 
@@ -315,7 +315,10 @@ def _regions(path: Path, chunk: Mapping[str, _Raw], interleaved: bool, position:
 
 
 def _card_regions(path: Path, chunk: Mapping[str, _Raw], position: int, size: int) -> list[TdmsRegion]:
-    """Return the regions of a segment of cards; each chunk has one buffer of rows after another."""
+    """Return the regions of a segment of cards.
+
+    Each chunk has one buffer of rows after another.
+    """
     widths = next(iter(chunk.values())).widths
     if any(raw.widths != widths for raw in chunk.values()):
         raise ValueError(f"{path}: expected one layout of all channels of the cards, found several")
@@ -439,7 +442,9 @@ def _sampled(path: Path, where: str, dated: Sequence[Dated], count: int, given_h
     segments = []
     for statement, last in zip(dated, (*(after.first for after in dated[1:]), count), strict=True):
         if statement.first == last:
-            raise ValueError(f"{path}: {where}: expected its time with its values, found it changed after the last one")
+            raise ValueError(
+                f"{path}: {where}: expected time properties with the values, found them changed after the last value"
+            )
         since = 0.0 if statement.start is None or first.start is None else float(statement.start - first.start)
         segments.append(
             Segment(since + statement.offset_s, last - statement.first, statement.interval_s or first.interval_s)
@@ -553,7 +558,10 @@ def _scale(path: Path, name: str, index: TdmsIndex) -> Any:
 
 
 def _starts(stream: BinaryIO, index: TdmsIndex, requested: Iterable[str]) -> dict[str, float]:
-    """Return the delay in s of every channel after the earliest requested one, from time stamps."""
+    """Return the delay in s of every channel after the earliest requested one.
+
+    It follows from their time stamps.
+    """
     stamps: dict[str, Fraction] = {}
     for name in requested:
         stamp = index.dated[name][0].start

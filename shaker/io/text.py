@@ -44,7 +44,7 @@ from shaker.io.channel import (
 )
 from shaker.io.times import SampleTimes, agreed_rate, times_of_stamps
 
-# Rows of numbers in text files: whole blocks at once, line by line only where a block holds anything unusual.
+# Rows of numbers in text files: whole blocks at once, line by line only for unusual blocks.
 
 _COMMENT = "#"
 _SAMPLE = 1 << 12  # bytes of a table from which the digits of its times are read
@@ -94,10 +94,10 @@ def read_columns(layout: TextLayout, start: int, stop: int, line: int, numbers: 
 
 
 def last_digit(layout: TextLayout, start: int, stop: int, column: int) -> float:
-    """Return the last printed digit of a column in bytes `start` to `stop`: 0.001 for 12.345.
+    """Return the last printed digit of a column, 0.001 for 12.345.
 
-    Of the first and the last rows the coarser digit is returned. Trailing zeros may be missing, and numbers with a
-    fixed number of significant digits become coarser as they grow.
+    The rows are in bytes `start` to `stop`. Of the first and the last rows the coarser digit is returned. Trailing
+    zeros may be missing, and numbers with a fixed number of significant digits become coarser as they grow.
     """
     digits = []
     with layout.path.open("rb") as stream:
@@ -120,7 +120,7 @@ def digit_of(cell: str, comma: bool) -> float:
 
 
 def find_bytes(stream: BinaryIO, text: bytes, start: int, stop: int) -> int:
-    """Return the position of a text in bytes `start` to `stop` of a file, -1 if absent."""
+    """Return the position of a text in a range of bytes, -1 if absent."""
     with mmap(stream.fileno(), 0, access=ACCESS_READ) as mapped:
         return mapped.find(text, start, stop)
 
@@ -134,7 +134,10 @@ def decode_text(raw: bytes) -> str:
 
 
 def whole_lines(stream: BinaryIO, start: int, stop: int) -> Iterator[tuple[int, bytes]]:
-    """Yield the end position and content of blocks of whole lines, each ending with a line end."""
+    """Yield end position and content of blocks of whole lines.
+
+    Each line ends with a line end.
+    """
     stream.seek(start)
     rest = b""
     while start < stop and (block := stream.read(min(BLOCK, stop - start))):
@@ -151,13 +154,13 @@ def whole_lines(stream: BinaryIO, start: int, stop: int) -> Iterator[tuple[int, 
 
 
 def check_line(line: bytes) -> None:
-    """Raise `ValueError` for a line longer than any text has, before searching on for its end."""
+    """Raise `ValueError` for a line longer than any text has."""
     if len(line) > LONGEST_LINE:
         raise ValueError(f"a line of more than {LONGEST_LINE >> 20} MiB")
 
 
 def _whole_block(layout: TextLayout, block: bytes) -> FloatArray | None:
-    """Return the rows of a purely numeric block with equally many cells per row, else None."""
+    """Return the rows of a purely numeric block of equal rows, else None."""
     delimiter = layout.delimiter.encode()
     block = block.replace(b"\r\n", b"\n")
     if layout.comma:
@@ -184,7 +187,10 @@ def plain_rows(block: bytes, delimiter: str) -> FloatArray | None:
 
 
 def _line_by_line(layout: TextLayout, block: bytes, line: int, requested: Sequence[int]) -> FloatArray:
-    """Return columns (S, W) of a block; `ValueError` with the line number for a text in one of them."""
+    """Return columns (S, W) of a block, read line by line.
+
+    `ValueError` with the line number for a text in one of them.
+    """
     rows = []
     for number, text in enumerate(decode_text(block.replace(b"\r\n", b"\n")).split("\n"), line):
         if not text.strip() or text.startswith(_COMMENT):
@@ -210,13 +216,13 @@ def number_of(cell: str, comma: bool) -> float:
 # CSV: a header with the channels' names, an optional row of units, numbers.
 
 _DELIMITERS = ("\t", ";", ",")
-_STATED = re.compile(r'"?sep=(.)"?\s*', re.IGNORECASE)  # how Excel is told the delimiter
+_STATED = re.compile(r'"?sep=(.)"?\s*', re.IGNORECASE)  # a line that states the delimiter to Excel
 _NAME_AND_UNIT = re.compile(r"(.*\S)\s*(?:\[([^][]*)\]|\(([^()]*)\))")
 
 
 @dataclass(frozen=True)
 class _Head:
-    """Header of a table: names, units, layout, and byte and line number of the first row."""
+    """Header of a table: names, units, layout, and position of the first row."""
 
     names: list[str]
     units: list[str]
@@ -271,7 +277,7 @@ def read_table(path: Path, names: Sequence[str] | None, sample_rate_hz: float | 
 
 
 def table_units(path: Path) -> dict[str, str]:
-    """Return the unit of each column of a text table, by the column name without unit."""
+    """Return the unit of each table column by its name without unit."""
     with convert_read_errors(path):
         head = _head(path)
         return dict(zip(head.plain, head.units, strict=True))
@@ -322,9 +328,9 @@ def _head(path: Path) -> _Head:
 
 
 def _next_line(stream: BinaryIO, line: int) -> tuple[int, int, str]:
-    """Return position, number and text of the next line that is neither empty nor a remark.
+    """Return position, number and text of the next line with content.
 
-    The text is empty at the end of the file.
+    Remarks and empty lines are skipped. The text is empty at the end of the file.
     """
     while True:
         start, raw = stream.tell(), stream.readline(LONGEST_LINE + 1)

@@ -18,7 +18,7 @@ CONTINUOUS = 0.5
 SAME_RATE = 1e-6
 """Relative difference of two statements of one sampling rate that agree."""
 _GRID = 0.01  # sampling intervals by which a stamp may lie off a uniform grid: 0.03 rad of phase at the Nyquist rate
-_ROUNDING = 8.0  # units in the last place of a stamp that a uniform grid may leave
+_ROUNDING = 8.0  # units in the last place by which a stamp may deviate from a uniform grid
 _DIGITS = 0.75  # of the last printed digit: rounding leaves a half, a straight line through few samples a little more
 _COARSE = 0.25  # last printed digit over the sampling interval, from which on stamps may hide a lost sample
 _FINEST_DIGIT = 9  # decimals of a second that numbers without text are searched for: nanoseconds
@@ -60,7 +60,7 @@ class Segment:
 
 
 def seconds_of(path: Path, where: str, unit: str) -> float:
-    """Return the seconds of a time unit as files write it (`ms`, `µs`, `milliseconds since 1970-01-01`).
+    """Return the seconds of a time unit of files (`ms`, `µs`, `milliseconds since 1970-01-01`).
 
     No unit means seconds. `ValueError` names a unit that is none of time.
     """
@@ -73,7 +73,7 @@ def seconds_of(path: Path, where: str, unit: str) -> float:
 
 
 def agreed_rate(path: Path, where: str, stated_hz: float | None, given_hz: float | None, u: float = SAME_RATE) -> float:
-    """Return the sampling rate that a file states, or the given one where it states none.
+    """Return the stated sampling rate of a file, or the given one without.
 
     `u` is the relative uncertainty of the stated rate from its digits. Within it the given rate is used, which has more
     digits. `ValueError` where there is no rate, where it is not positive, or where the two contradict each other.
@@ -87,7 +87,7 @@ def agreed_rate(path: Path, where: str, stated_hz: float | None, given_hz: float
         return float(rate)
     if not abs(given_hz - rate) <= max(u, SAME_RATE) * rate:
         raise ValueError(
-            f"{path}: {where}: expected sample_rate = {rate:.9g} Hz, which the file states, found {given_hz:.9g} Hz; "
+            f"{path}: {where}: expected sample_rate = {rate:.9g} Hz as in the file, found {given_hz:.9g} Hz; "
             f"correct or remove sample_rate"
         )
     return float(given_hz if u > SAME_RATE else rate)
@@ -111,7 +111,7 @@ def times_of_segments(path: Path, where: str, segments: Sequence[Segment]) -> Sa
         end = before.start_s + before.count * interval
         if after.start_s < end - CONTINUOUS * interval:
             raise ValueError(
-                f"{path}: {where}: expected a segment that begins at its {end - first.start_s:.6f} s or later, found "
+                f"{path}: {where}: expected a segment that begins at {end - first.start_s:.6f} s or later, found "
                 f"one that begins at {after.start_s - first.start_s:.6f} s, before the last one has ended"
             )
         gaps = gaps or after.start_s > end + CONTINUOUS * interval
@@ -130,18 +130,18 @@ def times_of_stamps(
     digit: float | None = None,
     given_hz: float | None = None,
 ) -> SampleTimes:
-    """Return the times of samples (S,) from one stamp each: numbers in a time unit, or dates.
+    """Return the times of samples (S,) from stamps: numbers or dates.
 
-    Stamps that deviate from a straight line by no more than their digits explain are uniform, at the rate of its slope.
-    All others are used unchanged. `digit` is the last printed digit of a text, in its unit. `given_hz` is a rate from
-    another source. `ValueError` where stamps decrease, where they contradict the given rate, and where their digits are
-    so coarse that a lost sample would be hidden and no rate is given.
+    Numbers are in a time unit. Stamps that deviate from a straight line by no more than their digits explain are
+    uniform, at the rate of its slope. All others are used unchanged. `digit` is the last printed digit of a text, in
+    its unit. `given_hz` is a rate from another source. `ValueError` where stamps decrease, where they contradict the
+    given rate, and where their digits are so coarse that a lost sample would be hidden and no rate is given.
     """
     if len(stamps) < 2:
         raise ValueError(f"{path}: {where}: expected at least 2 samples, found {len(stamps)}")
     time_s, start_s, digit_s = _from_first(path, where, stamps, unit, digit)
     if not np.isfinite(time_s[-1]) or not np.isfinite(np.sum(time_s)):
-        raise ValueError(f"{path}: {where}: expected times, found {int(np.sum(~np.isfinite(time_s)))} that are none")
+        raise ValueError(f"{path}: {where}: expected times, found {int(np.sum(~np.isfinite(time_s)))} invalid ones")
     interval, offset, deviation = _line(time_s)
     if interval <= 0.0:
         raise ValueError(f"{path}: {where}: expected ascending times, found {_backwards(time_s)}")
@@ -177,7 +177,7 @@ def _from_first(
     if kind in "mM":
         name, multiple = np.datetime_data(stamps.dtype)
         if name not in _FACTORS or np.isnat(stamps).any():
-            raise ValueError(f"{path}: {where}: expected dates, found {int(np.isnat(stamps).sum())} that are none")
+            raise ValueError(f"{path}: {where}: expected dates, found {int(np.isnat(stamps).sum())} invalid ones")
         ticks, factor, digit = stamps.astype(np.int64), multiple * _FACTORS[name], 1.0
     elif kind in "iuf":
         ticks, factor = stamps, seconds_of(path, where, unit)
@@ -197,9 +197,9 @@ def _from_first(
 
 
 def _last_digit(time_s: FloatArray) -> float:
-    """Return the power of ten (s) of which all times are multiples, 0 if finer than 1 ns.
+    """Return the power of ten (s) that divides all times.
 
-    Whole intervals are exact and return 0.
+    It is 0 if finer than 1 ns. Whole intervals are exact and return 0.
     """
     interval = float(np.median(np.diff(time_s[:_BLOCK])))
     for decimals in range(_FINEST_DIGIT + 1):

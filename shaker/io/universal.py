@@ -36,7 +36,7 @@ _FLOATS = {1: "DEC VMS", 3: "IBM 5/370"}
 
 @dataclass(frozen=True)
 class DataSet:
-    """One data set: its number, the rest of its first line, and its byte range in the file."""
+    """One data set: number, rest of its first line, and byte range."""
 
     kind: int
     more: bytes
@@ -83,7 +83,7 @@ class FunctionHeader:
 
 
 def data_sets(path: Path, stream: BinaryIO) -> Iterator[DataSet]:
-    """Yield the data sets of a file in their order; `ValueError` for a missing end mark."""
+    """Yield the data sets of a file in order; `ValueError` without an end mark."""
     line = 0
     while text := stream.readline(LONGEST_LINE):
         line += 1
@@ -110,7 +110,7 @@ def data_sets(path: Path, stream: BinaryIO) -> Iterator[DataSet]:
 
 
 def _skip_binary(path: Path, stream: BinaryIO, more: bytes, line: int) -> int:
-    """Move behind the end mark of a binary data set; return the end of its numbers."""
+    """Skip a binary data set and its end mark; return its last byte."""
     records = [stream.readline() for _ in range(_HEADER)]
     head, position = function_header(path, records, line), stream.tell()
     stated = _integer(more[25:37])
@@ -327,7 +327,8 @@ def read_universal_shapes(path: str | Path) -> tuple[UniversalShape, ...]:
 
     Parameters
     ----------
-    path : the file.
+    path
+        The file.
 
     Returns
     -------
@@ -335,7 +336,8 @@ def read_universal_shapes(path: str | Path) -> tuple[UniversalShape, ...]:
 
     Raises
     ------
-    OSError, ValueError : the file cannot be read.
+    OSError, ValueError
+        The file cannot be read.
 
     Examples
     --------
@@ -424,12 +426,12 @@ _KINDS = (
 
 @dataclass(frozen=True)
 class UniversalFunction:
-    """A function of data set 58: `value` (N,), real or complex as stored, over `abscissa` (N,).
+    """A function of data set 58: `value` (N,) over `abscissa` (N,).
 
-    `kind` is in words ("frequency response", "spectrum", …). `response` and `reference` are node and direction
-    (`12+Z`). `unit` is that of the ordinate, divided by that of its denominator where it has one (`(m/s^2)/N`). Texts
-    are empty where the file has none. Frequency responses keep the sign convention of the file. Universal files state
-    none; exp(+jωt) is usual.
+    Values are real or complex as stored. `kind` is in words ("frequency response", "spectrum", …). `response` and
+    `reference` are node and direction (`12+Z`). `unit` is that of the ordinate, divided by that of its denominator
+    where it has one (`(m/s^2)/N`). Texts are empty where the file has none. Frequency responses keep the sign
+    convention of the file. Universal files state none; exp(+jωt) is usual.
     """
 
     name: str
@@ -482,7 +484,8 @@ def read_universal_functions(path: str | Path) -> tuple[UniversalFunction, ...]:
 
     Parameters
     ----------
-    path : the file.
+    path
+        The file.
 
     Returns
     -------
@@ -490,7 +493,8 @@ def read_universal_functions(path: str | Path) -> tuple[UniversalFunction, ...]:
 
     Raises
     ------
-    OSError, ValueError : the file cannot be read.
+    OSError, ValueError
+        The file cannot be read.
 
     Examples
     --------

@@ -24,7 +24,7 @@ _QUANTITIES = {
     "m": 8, "rad": 8, "m/s": 11, "rad/s": 11, "m/s^2": 12, "rad/s^2": 12, "N": 13, "N.m": 13, "s": 17, "Hz": 18,
 }  # fmt: skip
 """Specific data type of a unit: displacement, velocity, acceleration, excitation force, time, frequency; 1: general."""
-_EXACT = 1e-9  # relative, of what counts as the same number
+_EXACT = 1e-9  # relative difference of numbers that count as equal
 _ANALYSES = {"normal mode": 2, "frequency response": 5}
 _SHAPES = {"displacement": 8, "velocity": 11, "acceleration": 12}
 

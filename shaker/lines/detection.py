@@ -15,7 +15,7 @@ from shaker.lines.peaks import MOST_LINES, FloorSpectrum, Peaks, find_peaks
 from shaker.sine.aliasing import CAPTURE, alias_frequency, frequency_of_alias
 from shakercal._common.notices import Notice
 
-# What a line most likely is: fundamental, multiple or part of one, combination, mains, side band, or unexplained.
+# Most likely explanation of a line.
 
 Kind = Literal[
     "fundamental",
@@ -32,16 +32,16 @@ MAINS_HZ = (50.0, 60.0)
 MAINS_MULTIPLES = 20
 _MAINS_ALONE = 7  # highest multiple taken for mains without another mains line to prove it
 MAX_MULTIPLE = 40
-_LOW_MULTIPLE = 10  # of a folded harmonic that is told beside another explanation
+_LOW_MULTIPLE = 10  # highest multiple of an aliased harmonic that is mentioned in addition to another explanation
 _MAINS_TOLERANCE = 2e-3  # relative: how far a grid strays
 _TOLERANCE_U = 4.0  # standard uncertainties within which two frequencies agree
 _TOLERANCE_BINS = 0.2  # and resolutions
 _SIMPLE_ORDERS, _HIGHER_ORDERS = range(2, 4), range(4, 6)  # m + n of the combinations m·f1 ± n·f2
-_FUNDAMENTAL = 0.01  # of the strongest line: below it, what nothing explains is unexplained, not another fundamental
+_FUNDAMENTAL = 0.01  # of the strongest line: a weaker line without explanation is no fundamental
 _BASE = 0.05  # of a line that is to be a harmonic of it: the weakest fundamental
-_PROOF = 1e-3  # of the line that is to be a harmonic: what a further multiple must reach
+_PROOF = 1e-3  # of the line that is to be a harmonic: smallest further multiple that proves it
 _HUM = 0.2  # of the strongest line: the largest mains line that is not taken for a fundamental
-_SMALLER = 0.5  # of the fundamental: the largest side band, combination, part of it or folded harmonic
+_SMALLER = 0.5  # of the fundamental: the largest side band, combination, part of it or aliased harmonic
 _PAIR_RATIO = 2.0  # ratio up to which two side bands are a pair
 _DIVISORS = (2, 3)
 _PERHAPS = 0.1  # expected number of chance coincidences from which a name is doubtful
@@ -62,10 +62,7 @@ UNEXPLAINED = LineOrigin("unexplained", "unexplained")
 
 @dataclass(frozen=True)
 class DetectedLines:
-    """Lines to be explained, with their sampling.
-
-    `frequency_hz`, `u_hz` and `strength` (L,), the last relative to the strongest line.
-    """
+    """Lines to be explained, with frequency, uncertainty and relative strength (L,)."""
 
     frequency_hz: FloatArray
     u_hz: FloatArray
@@ -76,10 +73,7 @@ class DetectedLines:
 
 @dataclass
 class _Naming:
-    """Names found so far, and the fundamentals in use.
-
-    `fundamentals` (3, F): frequency in Hz, uncertainty and strength, strongest first.
-    """
+    """Names found so far, and the fundamentals in use."""
 
     lines: DetectedLines
     fundamentals: FloatArray = field(default_factory=lambda: np.empty((3, 0)))
@@ -159,7 +153,7 @@ def _accept(state: _Naming, frequency: float, index: int | None = None) -> None:
 
 
 def _lowest(state: _Naming, i: int) -> int:
-    """Return the line of which line i is a harmonic, proved by a further multiple; else i."""
+    """Return the line of which line i is a proven harmonic, else i."""
     f, u = float(state.lines.frequency_hz[i]), float(state.lines.u_hz[i])
     strength = state.lines.strength
     for m in reversed(_DIVISORS):
@@ -173,10 +167,7 @@ def _lowest(state: _Naming, i: int) -> int:
 
 
 def _explain(state: _Naming, i: int) -> LineOrigin | None:
-    """Return the simplest explanation of a line, None without one.
-
-    A low aliased harmonic is mentioned as an alternative.
-    """
+    """Return the simplest explanation of a line, None without one."""
     plain = _harmonic(state, i) or _mains(state, i, range(1, 2))
     if plain is not None:
         return plain
@@ -207,7 +198,7 @@ def _harmonic(state: _Naming, i: int) -> LineOrigin | None:
 
 
 def _mains(state: _Naming, i: int, multiples: range) -> LineOrigin | None:
-    """Explain a line by the mains; further lines must be multiples of the first one found."""
+    """Explain a line as a multiple of the mains frequency."""
     f, u = float(state.lines.frequency_hz[i]), float(state.lines.u_hz[i])
     for mains in MAINS_HZ if state.lines.strength[i] < _HUM else ():
         m = round(f / mains)
@@ -224,7 +215,7 @@ def _mains(state: _Naming, i: int, multiples: range) -> LineOrigin | None:
 
 
 def _sub_harmonic(state: _Naming, i: int) -> LineOrigin | None:
-    """Explain a line as a half or a third of a fundamental, or as a multiple of such a line."""
+    """Explain a line as half or third of a fundamental, or its multiple."""
     f, u, strength = state.fundamentals[..., None]
     part = np.array(_DIVISORS)
     k = np.round(part * state.lines.frequency_hz[i] / f)
@@ -245,12 +236,12 @@ def _combination(state: _Naming, i: int, orders: range, folded: bool = False) ->
         if found is not None:
             (m, f1), (n, f2) = found
             predicted = m * f1 + n * f2
-            # Its positive part is told first.
+            # The positive part is written first.
             positive_first = found if n > 0 or predicted >= 0.0 else ((-n, f2), (-m, f1))
             first, second = (f"{abs(k)}·{f:.6g}" if abs(k) > 1 else f"{f:.6g}" for k, f in positive_first)
             text = f"{state.perhaps(i, predictions)}combination {first} {'+' if n > 0 else '-'} {second} Hz"
             if folded:
-                return LineOrigin("folded combination", f"{text}, folded from {abs(predicted):.6g} Hz")
+                return LineOrigin("folded combination", f"{text}, aliased from {abs(predicted):.6g} Hz")
             return LineOrigin("combination", text)
     return None
 
@@ -258,10 +249,10 @@ def _combination(state: _Naming, i: int, orders: range, folded: bool = False) ->
 def _sum(
     state: _Naming, i: int, available: FloatArray, order: int, folded: bool
 ) -> tuple[tuple[int, float], tuple[int, float]] | None:
-    """Return (m, f1), (n, f2) of the strongest pair of fundamentals with line i = m·f1 + n·f2.
+    """Return the strongest pair of fundamentals that explains line i.
 
-    |m| + |n| = order. Each of `available` (2, F), frequencies and their uncertainties, is tried as f1, and f2 is
-    searched for among all.
+    The result is (m, f1), (n, f2) with line i = m·f1 + n·f2. |m| + |n| = order. Each of `available` (2, F), frequencies
+    and their uncertainties, is tried as f1, and f2 is searched for among all.
     """
     f, u = available
     rate_hz = state.lines.rate_hz
@@ -274,7 +265,7 @@ def _sum(
     ascending = np.argsort(f)
     m, n = terms.T[..., None, None]
     partner = (np.array(origin)[:, None] - m * f) / n
-    # As wide as the least certain pair asks for, and rounding: what is found is looked at exactly.
+    # As wide as the least certain pair and rounding need; matches are then tested exactly.
     reach = (float(state.tolerance(i, order * float(u.max()))) + 1e-9 * rate_hz) / np.abs(n)
     low, high = (np.searchsorted(f[ascending], partner + sign * reach) for sign in (-1, 1))
     matches = np.argwhere(high > low)
@@ -304,12 +295,12 @@ def _folded(state: _Naming, i: int) -> LineOrigin | None:
         return None
     multiple, base = int(m[fits[0, 0], 0]), float(f[fits[0, 1]])
     doubt = state.perhaps(i, multiple * len(f))
-    text = f"{doubt}harmonic {multiple} of {base:.6g} Hz, folded from {multiple * base:.6g} Hz"
+    text = f"{doubt}harmonic {multiple} of {base:.6g} Hz, aliased from {multiple * base:.6g} Hz"
     return LineOrigin("folded harmonic", text, base, multiple)
 
 
 def _side_band(state: _Naming, i: int) -> LineOrigin | None:
-    """Explain a line as a side band: with an equal partner on the other side of a stronger line."""
+    """Explain a line as one of two equal side bands of a stronger line."""
     lines = state.lines
     frequency, u = float(lines.frequency_hz[i]), float(lines.u_hz[i])
     named = [j for j, origin in state.origins.items() if origin.kind in ("fundamental", "harmonic")]
@@ -330,7 +321,7 @@ def _side_band(state: _Naming, i: int) -> LineOrigin | None:
     return None
 
 
-# Every line of a record, how far it stands out of the noise, and what it most likely is.
+# Every line of a record, its level over the noise, and its explanation.
 
 FALSE_ALARM = 1e-3  # probability that noise alone adds any line to the list
 _SAME_BINS = 0.75  # lines of two channels closer than this are one
@@ -339,14 +330,16 @@ _EXPECTED_MAINS = 7
 _FEWEST = 32  # samples
 _MOST_COMBINED = 6  # fundamentals whose sums and differences are expected
 _FLOOR_POINTS = 400
-_MAX_STORED_BINS = 1 << 24  # bins of spectra that are kept from the first look for the second
+_MAX_STORED_BINS = 1 << 24  # bins of spectra that are stored from the first search for the second: 256 MiB
 _PER_LINE = ("frequency_hz", "u_frequency_hz", "amplitude", "u_amplitude", "snr")
 _HANN_NOISE = 3.0  # noise power in a Hann bin over the variance of a fitted quadrature: 6 σ²/N over 2 σ²/N
 
 
 @dataclass(frozen=True)
 class Survey:
-    """Lines of a record in ascending frequency at their spectral position, aliased lines at their alias.
+    """Lines of a record in ascending frequency.
+
+    Aliased lines are at their alias.
 
     Attributes
     ----------
@@ -429,10 +422,14 @@ def survey_lines(
 
     Parameters
     ----------
-    values : (S,) or (S, C), uniform samples without NaN.
-    rate_hz : sampling rate in Hz.
-    nominal_hz : nominal fundamentals in Hz; default: those that explain most lines.
-    false_alarm : probability that noise alone adds a line; default 1e-3.
+    values
+        (S,) or (S, C), uniform samples without NaN.
+    rate_hz
+        Sampling rate in Hz.
+    nominal_hz
+        Nominal fundamentals in Hz; default: those that explain most lines.
+    false_alarm
+        Probability that noise alone adds a line; default 1e-3.
 
     Returns
     -------
@@ -440,7 +437,8 @@ def survey_lines(
 
     Raises
     ------
-    ValueError : there are too few samples, NaN, or no positive rate.
+    ValueError
+        There are too few samples, NaN, or no positive rate.
 
     Notes
     -----
@@ -479,7 +477,7 @@ def survey_lines(
 
 
 class _Spectra:
-    """Spectra of channels one by one; the first ones are stored while they need little memory."""
+    """Spectra of channels one by one; small first ones are stored."""
 
     def __init__(self, data: Stacked) -> None:
         self._data, self._stored = data, list[FloorSpectrum]()
@@ -503,10 +501,11 @@ def detect_lines(
     fitted_hz: FloatArray | None = None,
     min_amplitude: FloatArray | None = None,
 ) -> Survey:
-    """Return the unnamed lines of the spectra of C columns of uniform samples, `shape` (S, C).
+    """Return the unnamed lines of the spectra of C channels.
 
-    Lines at `expected_hz` need less height. `fitted_hz` are lines already fitted, with these samples as residual.
-    `min_amplitude` (C,) is the amplitude below which a peak is rounding.
+    `shape` (S, C) is that of their uniform samples. Lines at `expected_hz` need less height. `fitted_hz` are lines
+    already fitted, with these samples as residual. `min_amplitude` (C,) is the amplitude below which a peak is
+    rounding.
     """
     samples, channels = shape
     to_bins = samples / rate_hz
@@ -542,7 +541,7 @@ def with_origins(survey: Survey, rate_hz: float, samples: int, fundamental_hz: F
 
 
 def relative_strength(amplitude: FloatArray) -> FloatArray:
-    """Return the amplitudes (L, C) relative to each channel's largest, the best of the channels (L,)."""
+    """Return the amplitudes (L, C) over each channel's largest, best channel (L,)."""
     filled = np.nan_to_num(amplitude)
     return np.asarray(np.max(filled / np.maximum(filled.max(axis=0), np.finfo(np.float64).tiny), axis=1))
 
@@ -550,7 +549,7 @@ def relative_strength(amplitude: FloatArray) -> FloatArray:
 def _nominal(
     survey: Survey, nominal_hz: Sequence[float], rate_hz: float, samples: int
 ) -> tuple[FloatArray, tuple[Notice, ...]]:
-    """Return the strongest line near the alias of each nominal frequency; a notice where none is."""
+    """Return the strongest line near each nominal frequency's alias, or notices."""
     found, notices = [], []
     strength = relative_strength(survey.amplitude) if len(survey.frequency_hz) else np.empty(0)
     for nominal in sorted(set(nominal_hz)):

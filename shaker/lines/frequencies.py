@@ -35,15 +35,15 @@ from shaker.sine.sine_fit import fit_sines, rows_present
 from shaker.sine.solve import SineFit, SineModel
 from shakercal._common.notices import Notice, Value
 
-MAX_MULTIPLE = 20  # harmonics looked for
+MAX_MULTIPLE = 20  # harmonics searched for
 _PROMINENT = 36.0  # times the noise power that a fundamental must reach; exp(-36) by chance in one bin
-_NYQUIST_SHARE = 0.98  # of the Nyquist frequency up to which harmonics are looked for
+_NYQUIST_SHARE = 0.98  # of the Nyquist frequency up to which harmonics are searched for
 _SMALLEST = 1e-9  # of the strongest line: below it, rounding looks like lines
-_ROUNDS = 4  # of fitting and looking at what is left, where gaps let lines leak
-_FINER = 8  # places of the searched grid to an interval, where samples lie on no grid
-_LEAK = 0.1  # of a line's uncertainty: what another line may leave in it before it is fitted too
+_ROUNDS = 4  # of fitting and searching the residual, where gaps let lines leak
+_FINER = 8  # grid points per interval for the search, where samples lie on no grid
+_LEAK = 0.1  # of a line's uncertainty: leakage of another line above which that is fitted too
 _MOST_NUISANCES = 12
-_NAMED = 4  # folded harmonics named in one notice
+_NAMED = 4  # aliased harmonics named in one notice
 _STRANGERS = 3  # other lines named in one notice
 
 
@@ -153,7 +153,7 @@ class _Fitted:
 
 @dataclass(frozen=True)
 class _Record:
-    """Complete samples (S, C) on a grid, and a finer grid in which peaks are searched.
+    """Complete samples (S, C) on a grid, and a finer grid for the search.
 
     A sample at the nearest grid point is up to half an interval off, which would rotate a line by its phase there. The
     finer grid is used where samples lie only near a grid.
@@ -189,7 +189,7 @@ class _Record:
         height = np.stack([ratio for ratio, _ in peaks], axis=1)
         for q in np.flatnonzero(~(height.max(axis=1) > _PROMINENT)):
             raise ValueError(
-                f"nominal_hz: expected {nominal[q]:.6g} Hz to stand out of the spectrum, found no peak above "
+                f"nominal_hz: expected {nominal[q]:.6g} Hz to exceed the noise of the spectrum, found no peak above "
                 f"{np.sqrt(_PROMINENT):g} times the noise within {capture[q]:.3g} Hz"
             )
         best = np.argmax(height, axis=1)
@@ -241,7 +241,10 @@ class _Record:
 
 
 def _extended(record: _Record, fitted: _Fitted, others: Survey, auto: bool) -> _LineSelection:
-    """Return the lines of the next fit: previous ones, new harmonics, and other lines that leak."""
+    """Return the lines of the next fit.
+
+    These are the previous ones, new harmonics, and other lines that leak.
+    """
     multiples = [list(orders) for orders in fitted.chosen.multiples]
     limit = _NYQUIST_SHARE * record.grid.rate_hz / 2.0
     for frequency, origin in zip(others.frequency_hz, others.origin, strict=True):
@@ -329,7 +332,7 @@ def _as_lines(
     why = []
     for k, (q, m) in enumerate(line_orders):
         share = float(np.max(amplitude[k] / amplitude[first[q]]))
-        reason = "stands out" if auto else "asked for"
+        reason = "is significant" if auto else "requested"
         why.append(
             f"fundamental, {height[k]:.3g} times its noise"
             if m == 1

@@ -26,17 +26,17 @@ from shaker.lines.spectrum import (
 )
 
 MOST_LINES = 200
-MIN_SEPARATION_BINS = 2.5  # two lines closer than this pass for one, and a line's own change stands within it
+MIN_SEPARATION_BINS = 2.5  # lines closer than this count as one; a line's change of amplitude lies within it
 _ROUNDS = 12
 _SWEEPS = 3
-_INTERACT = 12.0  # bins within which lines are fitted again when another is found
-_LEAKAGE = 2.0  # times what a stronger line may leave in a bin: below it, a peak waits until that line is out
+_INTERACT = 12.0  # bins within which lines are refitted when another is found
+_LEAKAGE = 2.0  # times the leakage of a stronger line: a lower peak waits until that line is subtracted
 _SMALLEST = 1e-9  # of the strongest line: below it, rounding looks like lines
-_NEIGHBOURHOOD = 16  # bins on either side that a line must stand out of as well, fewer beside a stronger one
+_NEIGHBOURHOOD = 16  # bins on either side that a line must exceed too, fewer next to a stronger one
 _RAMP_BINS = 256
 _LOOKED_AT = 1 << 14  # bins among which the noise level differs little
 _REMEMBERED = 1 << 10
-_EXPECTED_BINS = 1.0  # how far from an expected place a line may lie
+_EXPECTED_BINS = 1.0  # largest distance of a line from an expected position
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class FloorSpectrum:
         lowest -= float(ramp @ lowest) / float(ramp @ ramp) * ramp
 
     def add(self, line: BinLine, noise: float, sign: float) -> tuple[int, int]:
-        """Add a line times `sign` where it exceeds a noise power; return the changed range of bins."""
+        """Add a line times `sign` above a noise power; return its bins."""
         low, high = bins_of(line, len(self.spectrum), noise)
         self.remember(low, high)
         add_line(self.spectrum, self.samples, line, (low, high), sign)
@@ -131,9 +131,9 @@ def find_peaks(
 
 
 def excess_power(samples: FloatArray, bin_intervals: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the highest power over the noise floor in intervals `bin_intervals` (Q, 2), and its position.
+    """Return the highest power over the noise floor in intervals, and its position.
 
-    Samples (S,) → ratio (Q,) and fitted position of the peak (Q,) in bins.
+    `bin_intervals` (Q, 2) are in bins. Samples (S,) → ratio (Q,) and fitted position of the peak (Q,) in bins.
     """
     spectrum = centred_spectrum(samples)
     power = Power(spectrum)
@@ -182,13 +182,13 @@ class _Search:
         return max(self.smallest, _SMALLEST**2 * strongest, float(np.finfo(np.float64).tiny))
 
     def grow(self) -> bool:
-        """Add all significant peaks that are no leakage of stronger ones; return whether there were any."""
+        """Add all significant peaks except leakage; return whether there were any."""
         height = chance_height(self.chance_anywhere, self.level.independent)
         found = []
         for part in split_bins(self.last, _LOOKED_AT):
             first, stop = max(part.start, FIRST_BIN), part.stop
             power = self.power[first - 1 : stop + 1]
-            # Few bins reach what none of these falls short of: the level is interpolated there only.
+            # Few bins exceed the lower bound of the level, which is interpolated only for these.
             high = np.flatnonzero(power[1:-1] > height * self.level.lower_bound(slice(first, stop))) + 1
             high = high[(power[high] >= power[high - 1]) & (power[high] >= power[high + 1])]
             found.append(first - 1 + high[power[high] > height * self.level[first - 1 + high]])

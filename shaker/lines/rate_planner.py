@@ -27,7 +27,7 @@ _REFINEMENT = 16  # points of the noise integral per bin of the record
 def amplitude_covariance(
     frequency_hz: FloatArray, rate_hz: float, frames: int, corner_hz: float = 0.0
 ) -> tuple[FloatArray, float]:
-    """Return the covariance (K, 2, 2) of fitted cosine and sine amplitudes, and the condition number.
+    """Return the covariance (K, 2, 2) of fitted amplitudes, and the condition number.
 
     It is that of an ordinary least-squares fit of the lines and an offset to `frames` uniform samples, disturbed by
     noise of spectral density S(f) = (2/rate)·(1 + corner/f): white with unit variance per frame, and 1/f noise that is
@@ -62,10 +62,10 @@ def rms_uncertainty(covariance: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2.0))
 
 
-# One point of a plan: the lines of an excitation, and what one camera rate makes of them.
+# One point of a plan: the lines of an excitation at one camera rate.
 
 WATCHED = 20
-"""Highest multiple of a fundamental whose fold onto a fitted line is looked for."""
+"""Highest multiple of a fundamental whose alias on a fitted line is searched for."""
 _SAME = 1e-9  # relative difference below which a harmonic of one fundamental is a line of another
 
 
@@ -170,8 +170,10 @@ def lines_of(fundamentals_hz: Sequence[float], harmonics: int) -> PlannedLines:
 
     Parameters
     ----------
-    fundamentals_hz : excited frequencies in Hz, above 0.
-    harmonics : highest multiple.
+    fundamentals_hz
+        Excited frequencies in Hz, above 0.
+    harmonics
+        Highest multiple.
 
     Returns
     -------
@@ -179,7 +181,8 @@ def lines_of(fundamentals_hz: Sequence[float], harmonics: int) -> PlannedLines:
 
     Raises
     ------
-    ValueError : a frequency is not above 0.
+    ValueError
+        A frequency is not above 0.
 
     Examples
     --------
@@ -206,9 +209,12 @@ def plan_at(lines: PlannedLines, rate_hz: float, sampling: Sampling) -> RatePlan
 
     Parameters
     ----------
-    lines : the lines of an excitation.
-    rate_hz : camera rate in Hz.
-    sampling : frames, exposure and noise.
+    lines
+        The lines of an excitation.
+    rate_hz
+        Camera rate in Hz.
+    sampling
+        Frames, exposure and noise.
 
     Returns
     -------
@@ -216,7 +222,8 @@ def plan_at(lines: PlannedLines, rate_hz: float, sampling: Sampling) -> RatePlan
 
     Raises
     ------
-    ValueError : there are too few frames for the lines.
+    ValueError
+        There are too few frames for the lines.
 
     Examples
     --------
@@ -230,11 +237,9 @@ def plan_at(lines: PlannedLines, rate_hz: float, sampling: Sampling) -> RatePlan
     gain, alias = exposure_gain(frequency, sampling.exposure_s), alias_frequency(frequency, rate_hz)
     alias_distance = np.abs(np.subtract.outer(alias, alias))
     np.fill_diagonal(alias_distance, np.inf)
-    # A line near the Nyquist frequency meets its own mirror image, which is twice as far away.
+    # A line near the Nyquist frequency meets its mirror image, which is twice as far.
     distance = np.column_stack([alias_distance, alias, rate_hz - 2.0 * alias])
-    aliased: dict[
-        float, AliasedHarmonic
-    ] = {}  # harmonics, not fitted themselves, that come within a bin of a fitted line
+    aliased: dict[float, AliasedHarmonic] = {}  # harmonics without a fit within a bin of a fitted line
     for line in frequency:
         for fold in find_aliased_harmonics(
             line, lines.fundamentals_hz.tolist(), rate_hz, rate_hz / sampling.frames, WATCHED
@@ -263,7 +268,7 @@ _NEAR_BEST = 1.05  # uncertainties this close are equal, and the distance betwee
 _CHOICES = 3
 _CHOICE_DISTANCE = 0.02  # of the range of rates: choices closer than this are one choice
 _POINTS_PER_INTERVAL = 4  # rates tried within the narrowest interval in which two lines meet
-_MAX_ENTRIES = 4_000_000  # points times rates held at a time
+_MAX_ENTRIES = 4_000_000  # points times rates stored at a time
 _MAX_GRAM_ENTRIES = 1_000_000  # of Gram matrices formed at a time
 _SEPARATED_BINS = 1.0  # between a fitted line and a harmonic that is not
 
@@ -297,7 +302,10 @@ class RateScan:
 
     @property
     def good(self) -> BoolArray:
-        """Clear rates with most fundamentals in the preferred band; only separated ones if there are any."""
+        """Clear rates with most fundamentals in the preferred band.
+
+        Only separated ones count if there are any.
+        """
         good = self.clear
         if good.any():
             good &= self.preferred == self.preferred[good].max()
@@ -330,7 +338,7 @@ def candidate_rates(
 
 def scan_rates(lines: PlannedLines, rate_hz: FloatArray, sampling: Sampling) -> RateScan:
     """Evaluate every rate (R,) for the lines of one point by their aliases."""
-    # The tolerance moves two lines together or apart: those of one fundamental as far as their difference.
+    # The tolerance changes the distance of two lines: for one fundamental in proportion to their difference.
     first, second = np.triu_indices(len(lines.frequency_hz), k=1)
     one = lines.fundamental_hz[first] == lines.fundamental_hz[second]
     differences = differences_hz(lines.frequency_hz)
@@ -339,7 +347,7 @@ def scan_rates(lines: PlannedLines, rate_hz: FloatArray, sampling: Sampling) -> 
         one, differences[len(differences) - len(one) :], differences[-2 * len(one) :][: len(one)]
     )
     margin = _margin_bins(differences, slack, rate_hz, sampling)
-    separated = margin >= CLEAR_BINS  # the other rates are not good whatever else folds there
+    separated = margin >= CLEAR_BINS  # the other rates are not good in any case
     watched = np.outer(np.arange(sampling.harmonics + 1, WATCHED + 1), lines.fundamentals_hz).ravel()
     sums = np.abs(np.concatenate([np.add.outer(watched, sign * lines.frequency_hz).ravel() for sign in (1, -1)]))
     sums = sums[sums > 1e-6 * lines.frequency_hz.max()]
@@ -372,9 +380,10 @@ def best_rates(scan: RateScan) -> tuple[float, ...]:
 
 
 def fewest_rates(scans: Sequence[RateScan]) -> tuple[tuple[float, tuple[int, ...]], ...]:
-    """Return a small set of rates, found greedily, with a good rate for every point that has one.
+    """Return a small set of rates that includes a good one per point.
 
-    Each rate has the indices of its points. All scans have the same rates.
+    It is found greedily; points without a good rate are left out. Each rate has the indices of its points. All scans
+    have the same rates.
     """
     good = np.array([scan.good for scan in scans])
     penalty = np.array([scan.penalty for scan in scans])
@@ -407,7 +416,7 @@ def condition_over_rate(lines: PlannedLines, rate_hz: FloatArray, frames: int) -
     for part in parts:
         turns = distance / part[:, None, None]
         below = np.sin(np.pi * turns)
-        met = np.abs(below) < 1e-9  # there the kernel is ±1
+        met = np.abs(below) < 1e-9  # where the kernel is ±1
         limit = np.cos(np.pi * frames * turns) * np.cos(np.pi * turns)
         gram = np.where(met, limit, np.sin(np.pi * frames * turns) / (frames * np.where(met, 1.0, below)))
         smallest, *_, largest = np.linalg.eigvalsh(gram).T

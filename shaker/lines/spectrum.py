@@ -68,17 +68,20 @@ def amplitude_spectrum(samples: FloatArray | Stacked, sample_rate_hz: float, mos
 
 _SPAN = 3  # bins on either side from which a line is fitted
 _STEPS = 10
-_CONVERGED = 1e-6  # of the variance of the place: the square of the last step
-_BIN_CORRELATION = (1.0, 2.0 / 3.0, 1.0 / 6.0)  # of white noise in Hann bins 0, 1, 2 apart
-_DRIFT_FROM = 1e4  # power over noise from which a line's own slow change of amplitude is taken out with it
-_NEGLIGIBLE = 0.05  # of the noise amplitude: what a line leaves beyond the bins it is taken out of
+_CONVERGED = 1e-6  # of the variance of the position: the square of the last step
+_BIN_CORRELATION = (1.0, 2.0 / 3.0, 1.0 / 6.0)  # of white noise in Hann bins at distances 0, 1, 2
+_DRIFT_FROM = 1e4  # power over noise from which a line's slow change of amplitude is subtracted with it
+_NEGLIGIBLE = 0.05  # of the noise amplitude: rest of a line outside the bins from which it is subtracted
 _WIDEST = 20_000
 _SERIES_BELOW = 1e-5  # bins: nearer to its centre the kernel is taken from its series
 
 
 @dataclass(frozen=True)
 class BinLine:
-    """A line: position in bins, phasor `value` at the middle of the record, its `slope`, uncertainties."""
+    """A line: position in bins, phasor `value`, `slope`, and uncertainties.
+
+    The phasor is that at the middle of the record.
+    """
 
     bin_position: float
     value: complex
@@ -88,9 +91,9 @@ class BinLine:
 
 
 def centred_spectrum(samples: FloatArray) -> ComplexArray:
-    """Return the Hann spectrum (B,) of samples (S,) without their mean, as phasors of sines on a bin.
+    """Return the Hann spectrum (B,) of samples (S,) without mean.
 
-    The window is symmetric about the middle of the record, to which the phases refer.
+    A sine on a bin shows its phasor. The window is symmetric about the middle of the record, to which the phases refer.
     """
     count = len(samples)
     spectrum = _hann_rfft(samples, (count - 1) / 2.0)
@@ -101,7 +104,7 @@ def centred_spectrum(samples: FloatArray) -> ComplexArray:
     return spectrum
 
 
-_LONG = 1 << 22  # samples from which a transform is put together from shorter ones, in little more than its own memory
+_LONG = 1 << 22  # samples from which a transform is combined from shorter ones, to save memory
 _PART = 1 << 18  # bins worked on at a time
 _FEWEST_PARTS, _MOST_PARTS = 16, 64
 _RETURNED = 1 << 26  # bytes of an array whose memory the system has back at once
@@ -158,7 +161,10 @@ def _hann_rfft(samples: FloatArray, middle: float) -> ComplexArray:
 
 
 def _windowed(samples: FloatArray, mean: float, middle: float, which: slice) -> FloatArray:
-    """Return some samples (S,) without their mean, times 1 + cos(2π/S·(n - middle)), in little memory."""
+    """Return some samples (S,) without mean, times a Hann window.
+
+    The window is 1 + cos(2π/S·(n - middle)); little memory is used.
+    """
     window = np.arange(which.start, which.stop, which.step, dtype=np.float64)
     window -= middle
     window *= 2.0 * np.pi / len(samples)
@@ -169,9 +175,10 @@ def _windowed(samples: FloatArray, mean: float, middle: float, which: slice) -> 
 
 
 def hann_kernel(position: float, low: int, high: int, samples: int) -> tuple[FloatArray, FloatArray]:
-    """Return the spectrum of a unit line at `position` in bins `low` to `high` - 1, and its derivative.
+    """Return the spectrum of a unit line in some bins, and its derivative.
 
-    K(δ) = D(δ) + ½D(δ - 1) + ½D(δ + 1) with Dirichlet's kernel D(δ) = sin(πδ) / (N sin(πδ/N)).
+    The line is at `position`, the bins are `low` to `high` - 1. K(δ) = D(δ) + ½D(δ - 1) + ½D(δ + 1) with Dirichlet's
+    kernel D(δ) = sin(πδ) / (N sin(πδ/N)).
     """
     distance = position - np.arange(low - 1, high + 1)
     near = np.abs(distance) < _SERIES_BELOW
@@ -189,10 +196,11 @@ def hann_kernel(position: float, low: int, high: int, samples: int) -> tuple[Flo
 
 
 def fit_line(spectrum: ComplexArray, samples: int, start: float, noise: float) -> BinLine:
-    """Fit a line to the bins around `start` by least squares, weighted for correlated Hann bins.
+    """Fit a line to the bins around `start` by weighted least squares.
 
-    Y = A·K(δ) + B·K'(δ). The part of B in phase with A is a shift of the line, which Gauss-Newton steps remove; the
-    other part is a linear change of the amplitude. `noise` is the noise power of a bin.
+    The weights allow for correlated Hann bins. Y = A·K(δ) + B·K'(δ). The part of B in phase with A is a shift of the
+    line, which Gauss-Newton steps remove; the other part is a linear change of the amplitude. `noise` is the noise
+    power of a bin.
     """
     low, high = max(1, round(start) - _SPAN), min(len(spectrum), round(start) + _SPAN + 1)
     weight = _hann_weight(high - low)
@@ -218,7 +226,10 @@ def fit_line(spectrum: ComplexArray, samples: int, start: float, noise: float) -
 
 
 def bins_of(line: BinLine, bins: int, noise: float) -> tuple[int, int]:
-    """Return the range of bins in which a line exceeds a noise power: first, and one after the last."""
+    """Return the range of bins in which a line exceeds a noise power.
+
+    It is the first bin, and one after the last.
+    """
     reach = (abs(line.value) / (_NEGLIGIBLE * np.sqrt(noise) * np.pi)) ** (1.0 / 3.0)
     width = int(min(max(reach, 4.0), _WIDEST)) + 2
     return max(0, round(line.bin_position) - width), min(bins, round(line.bin_position) + width + 1)
@@ -241,10 +252,10 @@ def _hann_weight(count: int) -> FloatArray:
 
 # The noise floor of a power spectrum, and how far above it chance alone does not reach.
 
-FIRST_BIN = 3  # the lowest bin looked at: fewer periods are drift
+FIRST_BIN = 3  # the lowest bin used: fewer periods are drift
 _BLOCKS = (64, 256)  # bins per median, narrow and wide
 _LOW_BINS = 256  # in which a slope of the noise towards zero is taken off first
-_CAPPED = 4.0  # times the floor: what stands higher does not pull at the slope
+_CAPPED = 4.0  # times the floor: limit of the power in the fit of the slope
 _FIT_STEPS = 60
 _ROUNDING = 1e-9  # by which an interpolated level may fall short of its neighbours, with a wide margin
 BINS_PER_INDEPENDENT = 1.94  # 1 + 2·(4/9 + 1/36): Hann bins share their noise

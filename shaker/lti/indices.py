@@ -61,9 +61,10 @@ LABELS = {
 
 @dataclass(frozen=True)
 class Mode:
-    """An oscillating mode: pole in rad/s, f_n = |p|/2π, f_d = Im p/2π, ζ = -Re p/|p|.
+    """An oscillating mode of a system.
 
-    `step_share`: amplitude of its oscillation after a step over the static gain, None where poles coincide.
+    The pole is in rad/s, f_n = |p|/2π, f_d = Im p/2π, ζ = -Re p/|p|. `step_share`: amplitude of its oscillation after a
+    step over the static gain, None where poles coincide.
     """
 
     pole: complex
@@ -147,9 +148,12 @@ def indices(system: LinearSystem, nominal_gain: float = 1.0, sample_rate_hz: flo
 
     Parameters
     ----------
-    system : the system.
-    nominal_gain : specified gain, default 1.
-    sample_rate_hz : rate in Hz of the samples from which a continuous system was identified, for notices of its poles.
+    system
+        The system.
+    nominal_gain
+        Specified gain, default 1.
+    sample_rate_hz
+        Rate in Hz of the samples from which a continuous system was identified, for notices of its poles.
 
     Returns
     -------
@@ -220,7 +224,7 @@ def step_shares(system: LinearSystem) -> FloatArray:
         return np.asarray(np.abs(pairs * system.residues() / below / system.static_gain))
 
 
-# What makes a model's poles doubtful.
+# Doubtful poles of a model.
 
 MAX_POLE_SHARE = 0.5
 """Share of the sampling rate above which a pole cannot belong to the sensor: the Nyquist frequency."""
@@ -331,10 +335,11 @@ OVER_NOMINAL = ("band_5_nominal_hz", "band_10_nominal_hz")
 
 
 def moving_figures(model: ModalModel, found: Indices) -> tuple[tuple[str, ...], Callable[[ModalModel], FloatArray]]:
-    """Return names (Q,) and a function of models whose Q values change like the figures of `found`.
+    """Return functions of models whose values change like the figures.
 
-    It is valid close to `model`, for `ModalModel.propagate` and `.jacobian`, which need changes only. Missing figures
-    are left out, and settling times, for which see `settling_u`.
+    The result are names (Q,) and one function with Q values. It is valid close to `model`, for `ModalModel.propagate`
+    and `.jacobian`, which need changes only. Missing figures are left out, and settling times, for which see
+    `settling_u`.
     """
     parts: dict[str, tuple[ModelFigure, float]] = {"static_gain": (lambda at: at.static_gain, 1.0)}
     if found.dominant is not None:
@@ -356,7 +361,10 @@ def moving_figures(model: ModalModel, found: Indices) -> tuple[tuple[str, ...], 
 
 
 def _over_frequency(system: LinearSystem, found: Indices) -> dict[str, tuple[ModelFigure, float]]:
-    """Return functions for peak, bands, -3 dB and 90° at fixed frequency, with their scale factors."""
+    """Return functions for figures over frequency, with scale factors.
+
+    They are peak, bands, -3 dB and 90° at fixed frequency.
+    """
 
     def level_at(hertz: float, over_static: bool) -> ModelFigure:
         """ln|H|, over the static gain or not."""

@@ -21,21 +21,24 @@ TINY = 2.0 * float(np.finfo(np.float64).eps)
 
 
 def sign_changes(value: FloatArray) -> IntArray:
-    """Return the indices i at which `value` (N,) changes sign between i and i + 1, or is 0 at i + 1."""
+    """Return the indices i after which `value` (N,) changes sign.
+
+    A zero at i + 1 counts too.
+    """
     positive = value > 0
     return np.asarray(np.flatnonzero(positive[1:] != positive[:-1]), dtype=np.int64)
 
 
 def roots_between(function: Callable[[FloatArray], FloatArray], low: FloatArray, high: FloatArray) -> FloatArray:
-    """Return roots (R,) of a function of (R,), each between a `low` and a `high` of different sign.
+    """Return roots (R,) of a function, each between `low` and `high`.
 
-    Inverse quadratic interpolation where it is safe, else bisection (Chandrupatla, Adv. Eng. Softw. 28 (1997) 145-149),
-    to the last digits.
+    The function has different signs there. Inverse quadratic interpolation where it is safe, else bisection
+    (Chandrupatla, Adv. Eng. Softw. 28 (1997) 145-149), to the last digits.
     """
     at_low, at_high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
     if not len(at_high):
         return at_high
-    other, point = np.array([at_low, function(at_low)]), np.array([at_high, function(at_high)])  # place and value
+    other, point = np.array([at_low, function(at_low)]), np.array([at_high, function(at_high)])  # position and value
     ahead = np.full(len(at_high), 0.5)
     with np.errstate(all="ignore"):
         for _ in range(STEPS):
@@ -106,7 +109,10 @@ class GainCurve(Brief):
         self.passed.update(zip(new, np.split(roots, np.cumsum(counts)[:-1]), strict=True))
 
     def inside(self, low: float, high: float) -> list[tuple[float, float]]:
-        """Return the ranges of frequency in Hz in which low ≤ |H| ≤ high; the last may be infinite."""
+        """Return the ranges of frequency in Hz in which low ≤ |H| ≤ high.
+
+        The last may be infinite.
+        """
         ends = [0.0, *self.crossings(low, high), float(self.edges_hz[-1])]
         middle = np.abs(self.system.response(np.array([0.5 * (begin + end) for begin, end in pairwise(ends)])))
         ranges: list[tuple[float, float]] = []
@@ -133,7 +139,10 @@ def gain_curve(system: LinearSystem) -> GainCurve:
 
 
 def roots_rad(system: LinearSystem) -> tuple[ComplexArray, ComplexArray]:
-    """Return zeros and poles as s in rad/s, those of samples by ln(z)·rate without z = 0."""
+    """Return zeros and poles as s in rad/s.
+
+    Those of samples are ln(z)·rate; z = 0 is left out.
+    """
     if system.sample_rate_hz is None:
         return system.zeros, system.poles
     zeros, poles = (np.log(part[part != 0]) * system.sample_rate_hz for part in (system.zeros, system.poles))
@@ -162,7 +171,10 @@ def _grid(system: LinearSystem) -> FloatArray:
 
 
 def log_slope(system: LinearSystem, hertz: FloatArray) -> FloatArray:
-    """Return d ln|H|/dω (K,) in s at frequencies (K,) in Hz, 0 on a zero or pole."""
+    """Return d ln|H|/dω (K,) in s at frequencies (K,).
+
+    Frequencies are in Hz. The slope is 0 on a zero or pole.
+    """
     x = 2j * np.pi * np.asarray(hertz)
     change: ComplexArray = np.full(len(x), 1j)
     if system.sample_rate_hz is not None:
@@ -227,15 +239,15 @@ FORGOTTEN = 1e-8
 """Share of the final value below which a pole's part no longer decides where the grid's points lie."""
 
 COINCIDING = 1e12
-"""Bound of the parts, over the final value, where poles coincide and the parts themselves say nothing."""
+"""Bound of the parts over the final value where poles coincide and the parts are undefined."""
 
 
 @dataclass(frozen=True)
 class Transient:
-    """Figures of a step response: `overshoot` over the final value, times in s; None where there is none.
+    """Figures of a step response, None where there is none.
 
-    For a continuous system, `highest_s` is the time of the highest value, and `passing_s` (2,) are the times at which
-    10 and 90 % are first reached.
+    `overshoot` is over the final value, times are in s. For a continuous system, `highest_s` is the time of the highest
+    value, and `passing_s` (2,) are the times at which 10 and 90 % are first reached.
     """
 
     overshoot: float | None = None
@@ -247,7 +259,10 @@ class Transient:
 
 
 def transient(system: LinearSystem) -> Transient:
-    """Return overshoot, rise and settling; empty for a system that is unstable or has no static gain."""
+    """Return overshoot, rise and settling.
+
+    They are None for an unstable system or one without static gain.
+    """
     if not system.stable or not system.static_gain or not np.isfinite(system.static_gain):
         return Transient()
     if not len(system.poles):
@@ -262,9 +277,9 @@ def transient(system: LinearSystem) -> Transient:
 
 
 def settling_points(system: LinearSystem, tolerance: float) -> FloatArray | None:
-    """Return times (3,) in s of a continuous system: settled, the turning points before and after.
+    """Return settling time and neighbouring turning points (3,) in s.
 
-    None if it never settles.
+    The system is continuous. None if it never settles.
     """
     if not system.stable or not system.static_gain or not len(system.poles):
         return None
@@ -296,9 +311,9 @@ def _sampled(system: LinearSystem, rate: float) -> Transient:
 
 @dataclass(frozen=True)
 class _Passing:
-    """Bracket in s of the time at which a response crosses a share `level` of its final value.
+    """Bracket in s of the time at which a response crosses a level.
 
-    `begin` equals `end` where the time is exact.
+    `level` is a share of the final value. `begin` equals `end` where the time is exact.
     """
 
     begin: float
@@ -335,9 +350,10 @@ class _Response:
         return float(np.sum(self.size * np.exp(self.poles.real * time_s)))
 
     def quiet(self, level: float) -> float:
-        """Return a time after which the envelope is below `level`, within 1e-6 of the slowest time constant.
+        """Return a time after which the envelope is below `level`.
 
-        The logarithm of a sum of decays is convex: Newton's steps from before that time never pass it.
+        It is accurate within 1e-6 of the slowest time constant. The logarithm of a sum of decays is convex: Newton's
+        steps from before that time never pass it.
         """
         decay, time, step = -self.poles.real, 0.0, np.inf
         while step > 1e-6 / self.slowest:
@@ -369,7 +385,10 @@ class _Response:
             begin = end
 
     def coarse(self, begin: float, end: float) -> FloatArray:
-        """Return the response at the points of a piece; in between it exceeds them by less than `SHORT`."""
+        """Return the response at the points of a piece.
+
+        In between it exceeds them by less than `SHORT`.
+        """
         if not self.separate:
             return self.ratio(np.linspace(begin, end, BLOCK + 1))
         return 1.0 + exponentials_between(self.poles, self.terms, begin, end, BLOCK + 1)
@@ -388,7 +407,7 @@ class _Response:
         return self.pieces[begin, end]
 
     def overshoot(self) -> tuple[float, float | None]:
-        """Return the highest value minus the final one and its time; 0 and None without overshoot."""
+        """Return overshoot and its time; 0 and None without overshoot."""
         best, when = 0.0, None
         for begin, end in self.blocks():
             if float(self.coarse(begin, end).max()) - 1.0 >= (1 - SHORT) * best:

@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape, check_shapes
+from shaker.lti.roots import hold_factor, logarithms, pair_conjugates, tustin_constant
 
 Method = Literal["tustin", "zoh", "matched"]
 MIN_LAG, MAX_DAMPING = 0.02, 0.999
@@ -19,10 +20,10 @@ MAX_TERM_RATIO = 1e5
 
 @dataclass(frozen=True, repr=False)
 class LinearSystem(Brief):
-    """H = gain·Π(x - zeros)/Π(x - poles), x = s in rad/s, or x = z of samples.
+    """Linear system, continuous or sampled, by zeros, poles and gain.
 
-    Polynomial coefficients are computed only where a format needs them and never stored: rounded ones move the poles of
-    an oversampled system.
+    H = gain·Π(x - zeros)/Π(x - poles), x = s in rad/s, or x = z of samples. Polynomial coefficients are computed only
+    where a format needs them and never stored: rounded ones move the poles of an oversampled system.
 
     Attributes
     ----------
@@ -57,7 +58,10 @@ class LinearSystem(Brief):
     def from_coefficients(
         numerator: FloatArray, denominator: FloatArray, sample_rate_hz: float | None = None
     ) -> LinearSystem:
-        """Return the system of polynomials in falling powers of s or z (of z⁻¹: both padded to one length)."""
+        """Return the system of polynomials in falling powers of s or z.
+
+        For powers of z⁻¹ both are padded to one length.
+        """
         top, bottom = (np.trim_zeros(np.asarray(part, float), "f") for part in (numerator, denominator))
         if not len(top) or not len(bottom):
             raise ValueError("numerator, denominator: expected a coefficient other than 0 in both, found none")
@@ -68,11 +72,11 @@ class LinearSystem(Brief):
     def from_residues(
         poles: ComplexArray, residues: ComplexArray, direct: float = 0.0, sample_rate_hz: float | None = None
     ) -> LinearSystem:
-        """Return the system direct + Σ residue/(x - pole) of different poles (P,), in conjugate pairs.
+        """Return the system direct + Σ residue/(x - pole).
 
-        The numerator is computed in powers of x minus the x of frequency zero, in units of the poles' typical distance
-        from it. Poles of oversampled signals, all near z = 1, thus keep their digits. Leading coefficients that are
-        zero within rounding are dropped.
+        The poles (P,) differ and are in conjugate pairs. The numerator is computed in powers of x minus the x of
+        frequency zero, in units of the poles' typical distance from it. Poles of oversampled signals, all near z = 1,
+        thus keep their digits. Leading coefficients that are zero within rounding are dropped.
         """
         p, r = np.asarray(poles, dtype=np.complex128), np.asarray(residues, dtype=np.complex128)
         rest = 0.0 if sample_rate_hz is None else 1.0
@@ -85,7 +89,7 @@ class LinearSystem(Brief):
         total, size = np.sum(terms, axis=0).real, np.sum(np.abs(terms), axis=0)
         significant = np.flatnonzero(np.abs(total) > 1e-13 * size)
         if not len(significant):
-            raise ValueError("residues: expected one other than 0, found none")
+            raise ValueError("residues: expected a residue other than 0, found none")
         first = int(significant[0])
         zeros = np.asarray(np.roots(total[first:]) * scale + rest + 0j)
         return LinearSystem(zeros, p, float(total[first]) * scale**first, sample_rate_hz)
@@ -134,7 +138,7 @@ class LinearSystem(Brief):
         from scipy.signal import zpk2sos
 
         if self.sample_rate_hz is None:
-            raise ValueError("sample_rate_hz: expected that of a sampled system, found none")
+            raise ValueError("sample_rate_hz: expected a sampled system, found a continuous one")
         rows = np.asarray(zpk2sos(self.zeros, self.poles, self.gain))
         late = len(self.poles) - len(self.zeros)
         for row in rows:  # zpk2sos fills up with zeros at z = 0, each of which makes the output a sample early
@@ -161,9 +165,9 @@ class LinearSystem(Brief):
         return np.asarray(np.where(np.isfinite(parts), parts, np.inf))
 
     def step_terms(self) -> tuple[ComplexArray, bool]:
-        """Return a (P,) of the step response direct + Σ a·(exp(pole·t) - 1), and whether poles are separate."""
+        """Return terms a (P,) of the step response, and whether poles are separate."""
         if self.sample_rate_hz is not None or np.any(self.poles == 0):
-            raise ValueError("system: expected a continuous one without a pole at 0")
+            raise ValueError("system: expected a continuous system without a pole at 0")
         parts = self.residues()
         if not np.all(np.isfinite(parts)):
             return parts, False
@@ -178,7 +182,7 @@ class LinearSystem(Brief):
         return self._driven(time_s, step=True)
 
     def impulse(self, time_s: FloatArray) -> FloatArray:
-        """Return the response (N,) to a unit impulse without direct feedthrough; for samples to a unit sample."""
+        """Return the response (N,) to a unit impulse, or to a unit sample."""
         return self._driven(time_s, step=False)
 
     def _driven(self, time_s: FloatArray, step: bool) -> FloatArray:
@@ -205,11 +209,11 @@ class LinearSystem(Brief):
         return response
 
     def _terms(self) -> tuple[ComplexArray, bool]:
-        """Return `step_terms`; poles count as not separate for samples, or with a pole at 0."""
+        """Return `step_terms`; poles of samples, or with one at 0, count as coinciding."""
         return (self.poles, False) if self.sample_rate_hz or np.any(self.poles == 0) else self.step_terms()
 
     def step_between(self, begin_s: float, end_s: float, count: int) -> FloatArray:
-        """Return the response (count,) to a unit step at evenly spaced times, none of them negative."""
+        """Return the response (count,) to a unit step at evenly spaced times."""
         terms, separate = self._terms()
         if not separate:
             return self.step(np.linspace(begin_s, end_s, count))
@@ -234,10 +238,7 @@ class LinearSystem(Brief):
         return np.asarray((states @ output).real)
 
     def _chain(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """Return state (P, P), drive (P,) and output (P,) of a chain of first-order factors.
-
-        The factors are 1 + (p - z)/(s - p) and 1/(s - p).
-        """
+        """Return state (P, P), drive (P,) and output (P,) of first-order factors in series."""
         count = len(self.poles)
         state = np.diag(self.poles).astype(np.complex128)
         drive, output = np.zeros((2, count), dtype=np.complex128)
@@ -260,15 +261,15 @@ class LinearSystem(Brief):
         zeros at infinity to z = -1, the same static gain (|H| at fs/100 where that is 0 or infinite).
         """
         if self.sample_rate_hz is not None:
-            raise ValueError(f"system: expected a continuous one, found samples at {self.sample_rate_hz} Hz")
+            raise ValueError(f"system: expected a continuous system, found samples at {self.sample_rate_hz} Hz")
         if not rate_hz > 0:
             raise ValueError(f"rate_hz: expected a positive number, found {rate_hz}")
         if prewarp_hz is not None and method != "tustin":
-            raise ValueError(f"prewarp_hz: expected with tustin only, found with {method}")
+            raise ValueError(f"prewarp_hz: expected only with tustin, found with {method}")
         zeros, poles = self.zeros, self.poles
         at_infinity = np.full(len(poles) - len(zeros), -1.0 + 0j)
         if method == "tustin":  # z = (c + s)/(c - s)
-            c = _tustin_constant(rate_hz, prewarp_hz)
+            c = tustin_constant(rate_hz, prewarp_hz)
             factor = np.prod((c - zeros) / (c - poles[: len(zeros)])) / np.prod(c - poles[len(zeros) :])
             moved = np.concatenate([(c + zeros) / (c - zeros), at_infinity])
             return LinearSystem(moved, (c + poles) / (c - poles), float(np.real(self.gain * factor)), rate_hz)
@@ -276,7 +277,7 @@ class LinearSystem(Brief):
         if method == "matched":
             shape = LinearSystem(np.concatenate([np.exp(zeros / rate_hz), at_infinity]), z, 1.0, rate_hz)
             return replace(shape, gain=_same_gain(self, shape, rate_hz))
-        return LinearSystem.from_residues(z, self._hold_residues() * _hold_factor(poles, rate_hz), self.direct, rate_hz)
+        return LinearSystem.from_residues(z, self._hold_residues() * hold_factor(poles, rate_hz), self.direct, rate_hz)
 
     def continuous(self, method: Method = "tustin", prewarp_hz: float | None = None) -> LinearSystem:
         """Return the continuous system equivalent to a sampled one, the inverse of `sampled`.
@@ -285,68 +286,44 @@ class LinearSystem(Brief):
         """
         rate = self.sample_rate_hz
         if rate is None:
-            raise ValueError("sample_rate_hz: expected that of a sampled system, found none")
+            raise ValueError("sample_rate_hz: expected a sampled system, found a continuous one")
         if prewarp_hz is not None and method != "tustin":
-            raise ValueError(f"prewarp_hz: expected with tustin only, found with {method}")
+            raise ValueError(f"prewarp_hz: expected only with tustin, found with {method}")
         zeros, poles = self.zeros, self.poles
         left = zeros[zeros != -1]  # those at z = -1 go to infinity
         if method == "tustin":
             if np.any(poles == -1):
-                raise ValueError("poles: expected none at z = -1 for the Tustin conversion, found one")
-            c, far = _tustin_constant(rate, prewarp_hz), len(poles) - len(zeros)
+                raise ValueError("poles: expected no pole at z = -1 for the Tustin conversion, found one")
+            c, far = tustin_constant(rate, prewarp_hz), len(poles) - len(zeros)
             moved = np.concatenate([c * (left - 1) / (left + 1), np.full(far, c + 0j)])
             factor = np.prod(left + 1) * (2 * c) ** (len(zeros) - len(left)) * (-1.0) ** far / np.prod(poles + 1)
             return LinearSystem(moved, c * (poles - 1) / (poles + 1), float(np.real(self.gain * factor)))
-        p = _logarithms(poles, rate)
+        p = logarithms(poles, rate)
         if method == "matched":
-            shape = LinearSystem(_logarithms(left, rate), p, 1.0)
+            shape = LinearSystem(logarithms(left, rate), p, 1.0)
             return replace(shape, gain=1.0 / _same_gain(shape, self, rate))
-        return LinearSystem.from_residues(p, self._hold_residues() / _hold_factor(p, rate), self.direct)
+        return LinearSystem.from_residues(p, self._hold_residues() / hold_factor(p, rate), self.direct)
 
     def _hold_residues(self) -> ComplexArray:
         """Return residues of different poles, as the zoh conversion needs."""
         parts = self.residues()
         if not np.all(np.isfinite(parts)):
-            expected = "different ones for the zoh conversion"
+            expected = "separate poles for the zoh conversion"
             raise ValueError(f"poles: expected {expected}, found some that coincide; use tustin")
         return parts
 
     def times(self, other: LinearSystem) -> LinearSystem:
         """Return the product of two systems without cancellation."""
         if self.sample_rate_hz != other.sample_rate_hz:
-            raise ValueError(f"other: expected one at {self.sample_rate_hz}, found one at {other.sample_rate_hz} Hz")
+            raise ValueError(
+                f"other: expected a system at {self.sample_rate_hz}, found one at {other.sample_rate_hz} Hz"
+            )
         zeros, poles = np.concatenate([self.zeros, other.zeros]), np.concatenate([self.poles, other.poles])
         return LinearSystem(zeros, poles, self.gain * other.gain, self.sample_rate_hz)
 
 
-def _tustin_constant(rate_hz: float, prewarp_hz: float | None) -> float:
-    """Return c of s = c (z - 1)/(z + 1) in rad/s: 2 fs, or ω/tan(ω/2fs) with prewarping."""
-    if prewarp_hz is None:
-        return 2.0 * rate_hz
-    if not 0 < prewarp_hz < 0.5 * rate_hz:
-        raise ValueError(f"prewarp_hz: expected one between 0 and {0.5 * rate_hz} Hz, found {prewarp_hz}")
-    return float(2 * np.pi * prewarp_hz / np.tan(np.pi * prewarp_hz / rate_hz))
-
-
-def _hold_factor(poles: ComplexArray, rate_hz: float) -> ComplexArray:
-    """Return the factor of residues by a hold between samples: (exp(p/fs) - 1)/p, 1/fs for a pole at 0."""
-    factor = np.expm1(poles / rate_hz) / np.where(poles == 0, 1.0, poles)
-    return np.where(poles == 0, 1 / rate_hz, factor)
-
-
-def _logarithms(z: ComplexArray, rate_hz: float) -> ComplexArray:
-    """Return ln(z)·fs; a z that no real continuous system has is refused."""
-    alone = z[(z.imag == 0) & (z.real <= 0)]
-    if len(alone):
-        raise ValueError(
-            f"system: expected no real pole or zero at or below z = 0, found {alone[0].real:.6g}: such a one turns its "
-            "sign with every sample, which nothing continuous does; use tustin"
-        )
-    return np.asarray(np.log(z) * rate_hz)
-
-
 def _same_gain(continuous: LinearSystem, samples: LinearSystem, rate_hz: float) -> float:
-    """Return the factor of the sampled system for equal gain at rest, or at fs/100 without static gain."""
+    """Return the gain correction of a sampled system at rest, or at fs/100."""
     if np.all(continuous.zeros != 0) and np.all(continuous.poles != 0):
         return continuous.static_gain / samples.static_gain
     near = np.array([rate_hz / 100])
@@ -354,42 +331,24 @@ def _same_gain(continuous: LinearSystem, samples: LinearSystem, rate_hz: float) 
     return float(np.copysign(abs(ratio), ratio.real))
 
 
-def pair_conjugates(roots: ComplexArray, name: str) -> ComplexArray:
-    """Return roots (N,) with exact conjugate pairs, pairs first by size, then real ones.
-
-    A complex root without its conjugate is refused.
-    """
-    scale = 1e-9 * max(1e-300, float(np.max(np.abs(roots), initial=0.0)))
-    above = roots[roots.imag > scale]
-    below = roots[roots.imag < -scale]
-    real = roots[np.abs(roots.imag) <= scale].real
-    left = list(below.conj())
-    for root in above:
-        near = int(np.argmin(np.abs(np.array(left) - root))) if left else -1
-        if near < 0 or abs(left[near] - root) > 1e-6 * abs(root):
-            raise ValueError(f"{name}: expected conjugate pairs, found {root} without its conjugate")
-        left.pop(near)
-    if left:
-        raise ValueError(f"{name}: expected conjugate pairs, found {left[0].conjugate()} without its conjugate")
-    above = above[np.argsort(np.abs(above), kind="stable")]
-    return np.concatenate([np.stack([above, above.conj()], axis=1).ravel(), np.sort(real) + 0j])
-
-
-# A system as a sum of modes: what is fitted to a record, with its covariance.
+# A system as a sum of modes, as fitted to a record, with its covariance.
 
 
 def modal_poles(omega: FloatArray, damping_ratio: FloatArray, rate: FloatArray) -> ComplexArray:
-    """Return poles in rad/s: ω(-ζ + j√(1 - ζ²)) of modes (…, M), then the real ones -`rate` (…, Q)."""
+    """Return poles in rad/s of modes (…, M) and real poles (…, Q).
+
+    They are ω(-ζ + j√(1 - ζ²)), then -`rate`.
+    """
     upper = omega * (-damping_ratio + 1j * np.sqrt(1 - damping_ratio**2))
     return np.concatenate([upper, -rate + 0j], axis=-1)
 
 
 @dataclass(frozen=True, repr=False)
 class ModalModel(Brief):
-    """H(s) = Σ_m [r_m/(s - p_m) + r̄_m/(s - p̄_m)] + Σ_q r_q/(s - p_q), output over load.
+    """Sum of modes with covariance: output over load.
 
-    Oscillating modes m have p = -ζω + jω√(1 - ζ²), real poles q have p = -2π·`real_hz`. ζ < 1; a negative ζ or
-    `real_hz` is an unstable model.
+    H(s) = Σ_m [r_m/(s - p_m) + r̄_m/(s - p̄_m)] + Σ_q r_q/(s - p_q). Oscillating modes m have p = -ζω + jω√(1 - ζ²),
+    real poles q have p = -2π·`real_hz`. ζ < 1; a negative ζ or `real_hz` is an unstable model.
 
     Attributes
     ----------
@@ -420,10 +379,7 @@ class ModalModel(Brief):
 
     @property
     def vector(self) -> FloatArray:
-        """All parameters (P,) in the order of `covariance`.
-
-        They are frequency_hz, damping_ratio, Re residue, Im residue, real_hz, real_residue.
-        """
+        """All parameters (P,) in the order of `covariance`."""
         parts = (self.frequency_hz, self.damping_ratio, self.residue.real, self.residue.imag, self.real_hz)
         return np.concatenate([*parts, self.real_residue])
 
@@ -435,7 +391,7 @@ class ModalModel(Brief):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the parameters: frequency_hz_1, … with the number of the mode or of the real pole."""
+        """Names of the parameters with the number of mode or real pole."""
         modes = ("frequency_hz", "damping_ratio", "residue_re", "residue_im")
         of_modes = [f"{name}_{m + 1}" for name in modes for m in range(len(self.frequency_hz))]
         of_reals = [f"{name}_{q + 1}" for name in ("real_hz", "real_residue") for q in range(len(self.real_hz))]
@@ -489,8 +445,7 @@ class ModalModel(Brief):
     ) -> tuple[FloatArray, FloatArray]:
         """Return a function's values (Q,) and their derivatives (Q, P) by central differences.
 
-        `step` is the shift of a parameter to both sides in its standard uncertainties, at most 5 % for real poles. A
-        parameter without uncertainty is not shifted.
+        `step` is the shift of a parameter in its standard uncertainties, at most 5 % for real poles.
         """
         moves = step * np.sqrt(np.maximum(np.diag(self._require_covariance()), 0.0))  # less than 0 by rounding
         reals = slice(4 * len(self.frequency_hz), 4 * len(self.frequency_hz) + len(self.real_hz))
@@ -505,10 +460,11 @@ class ModalModel(Brief):
         return value, np.asarray(slope @ self._require_covariance() @ slope.T)
 
     def with_move(self, move: FloatArray) -> ModalModel:
-        """Return the model with its parameters shifted by `move` (P,) to first order, linearly in `to_coordinates`.
+        """Return the model with its parameters shifted by `move` (P,).
 
-        Properties that a record determines well, such as smoothness and static gain, stay constant for large shifts.
-        Frequencies and lags near zero do not change sign: they stay above `LEAST_LAG` of their size.
+        The shift is of first order, and linear in `to_coordinates`. Properties that a record determines well, such as
+        smoothness and static gain, stay constant for large shifts. Frequencies and lags near zero do not change sign:
+        they stay above `LEAST_LAG` of their size.
         """
         modes, reals = len(self.frequency_hz), len(self.real_hz)
         scale, coordinates, slope = self._linear_coordinates
@@ -543,7 +499,7 @@ class ModalModel(Brief):
     def _require_covariance(self) -> FloatArray:
         """Return the covariance, or raise `ValueError`."""
         if self.covariance is None:
-            raise ValueError("covariance: expected that of the parameters, found none")
+            raise ValueError("covariance: expected the covariance of the parameters, found none")
         return self.covariance
 
 
@@ -565,9 +521,10 @@ def differences(
 
 
 def even_exponentials(rates: ComplexArray, begin_s: float, step_s: float, count: int) -> tuple[ComplexArray, ...]:
-    """Return coarse and fine (P, m) of exp(rate·(begin + kΔ)) = coarse[:, k // m]·fine[:, k % m].
+    """Return coarse and fine factors (P, m) of evenly spaced exponentials.
 
-    For k below `count`. Evenly spaced times thus need 2√count exponentials for each rate.
+    exp(rate·(begin + kΔ)) = coarse[:, k // m]·fine[:, k % m]. For k below `count`. Evenly spaced times thus need
+    2√count exponentials for each rate.
     """
     size = int(np.sqrt(count - 1)) + 1
     steps, p = np.arange(size), rates[:, None]
@@ -582,15 +539,16 @@ def exponentials_between(
     return np.asarray(((coarse.T * weights) @ fine).real.ravel()[:count])
 
 
-# Coordinates of models in which means and large moves are sound: what a record tells well is linear in them.
+# Coordinates of models for means and large shifts: well determined properties are linear in them.
 
 
 def to_coordinates(model: ModalModel, scale: float) -> FloatArray:
-    """Return [f_n (M), ζ (M), 1/real_hz (Q), n_0 … n_{P-1}] (2P,), P = 2M + Q, of a model.
+    """Return smooth coordinates (2P,) of a model, P = 2M + Q.
 
-    H(s) = Σ n_k (s/ω0)^k/Π(1 - s/p), ω0 = `scale` in rad/s. n_0 is the static gain. A response that starts smoothly has
-    zero for its highest n_k, and so has every mean. A real pole is represented by its lag: for a pole far above the
-    modes, which is hardly visible, the lag is near zero, while its frequency is arbitrary.
+    They are [f_n (M), ζ (M), 1/real_hz (Q), n_0 … n_{P-1}]. H(s) = Σ n_k (s/ω0)^k/Π(1 - s/p), ω0 = `scale` in rad/s.
+    n_0 is the static gain. A response that starts smoothly has zero for its highest n_k, and so has every mean. A real
+    pole is represented by its lag: for a pole far above the modes, which is hardly visible, the lag is near zero, while
+    its frequency is arbitrary.
     """
     poles, residues = model.terms
     parts = [r * np.poly(np.delete(poles, index) / scale)[::-1] / scale for index, r in enumerate(residues)]
@@ -599,7 +557,10 @@ def to_coordinates(model: ModalModel, scale: float) -> FloatArray:
 
 
 def from_coordinates(coordinates: FloatArray, modes: int, reals: int, scale: float) -> FloatArray:
-    """Return the vector (2P,) of a `ModalModel` from coordinates (2P,), the inverse of `to_coordinates`; |ζ| < 1."""
+    """Return the vector (2P,) of a `ModalModel` from coordinates (2P,).
+
+    It is the inverse of `to_coordinates`; |ζ| < 1.
+    """
     order = 2 * modes + reals
     frequency, damping, lag, numerator = np.split(coordinates, [modes, 2 * modes, order])
     damping = np.clip(damping, -MAX_DAMPING, MAX_DAMPING)
@@ -617,7 +578,7 @@ def from_coordinates(coordinates: FloatArray, modes: int, reals: int, scale: flo
 
 
 def coordinate_sizes(coordinates: FloatArray, reals: int) -> FloatArray:
-    """Return the magnitudes of coordinates (2P,); for the numerator and the lags the largest of each."""
+    """Return the magnitudes of coordinates (2P,); of numerator and lags the largest."""
     half = len(coordinates) // 2
     size: FloatArray = np.abs(coordinates)
     size[half:] = size[half:].max()

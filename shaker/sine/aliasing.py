@@ -13,7 +13,7 @@ from shakercal._common.notices import Notice, Value
 
 CAPTURE = 5e-3  # relative: how far a fundamental may lie from its nominal frequency, besides two bins
 _GAP = 3.0  # times the median interval: longer ones are gaps
-_MAX_GAP_RATIO, _MAX_GRID_POINTS = 16, 1 << 22  # places of a grid: times the samples, and as many as any may have
+_MAX_GAP_RATIO, _MAX_GRID_POINTS = 16, 1 << 22  # grid points: limit relative to the samples, and in total
 GRID_TOLERANCE = 1e-2  # of a sampling interval: times this close to a grid are treated as being on it
 
 
@@ -54,7 +54,10 @@ class SamplingGrid:
 
 
 def alias_frequency(frequency_hz: FloatArray | float, rate_hz: float) -> FloatArray:
-    """Return the alias of lines between zero and the Nyquist frequency: |f - rate·round(f / rate)|."""
+    """Return the alias |f - rate·round(f / rate)| of lines.
+
+    It lies between zero and the Nyquist frequency.
+    """
     f = np.asarray(frequency_hz, dtype=np.float64)
     return np.asarray(np.abs(f - rate_hz * np.round(f / rate_hz)))
 
@@ -75,7 +78,7 @@ def exposure_gain(frequency_hz: FloatArray, exposure_s: float) -> FloatArray:
 
 
 def sampling_grid(time_s: FloatArray) -> SamplingGrid | None:
-    """Return the uniform grid, with gaps, of ascending times; None if off by more than 1 %.
+    """Return the uniform grid, with gaps, of ascending times, else None.
 
     The limit of 1 % is relative to the sampling interval.
     """
@@ -118,10 +121,11 @@ def nearest_grid(time_s: FloatArray, oversampling: int = 1) -> SamplingGrid | No
 
 
 def sine_columns(time_s: FloatArray, frequency_hz: FloatArray) -> FloatArray:
-    """Return the design matrix (S, 2K + 1): cos and sin of each line in turn, then the offset.
+    """Return the design matrix (S, 2K + 1) of lines and offset.
 
-    Columns have unit length for ideal sampling (cos, sin by √(2/S)). The condition number therefore shows the deviation
-    from ideal sampling. A line at zero or the Nyquist frequency has a vanishing column.
+    Its columns are cos and sin of each line in turn, then the offset. Columns have unit length for ideal sampling (cos,
+    sin by √(2/S)). The condition number therefore shows the deviation from ideal sampling. A line at zero or the
+    Nyquist frequency has a vanishing column.
     """
     samples, lines = len(time_s), len(frequency_hz)
     columns = np.empty((samples, 2 * lines + 1), order="F")
@@ -145,7 +149,10 @@ def angles(turns: FloatArray) -> FloatArray:
 
 
 def condition_number(gram: FloatArray) -> float:
-    """Return the condition number of a design matrix from its Gram matrix XᵀX, infinite if singular."""
+    """Return the condition number of a design matrix, infinite if singular.
+
+    The input is its Gram matrix XᵀX.
+    """
     eigenvalues = np.linalg.eigvalsh(gram)
     limit = float(eigenvalues[-1]) * len(gram) * float(np.finfo(np.float64).eps)
     return float(np.sqrt(eigenvalues[-1] / eigenvalues[0])) if eigenvalues[0] > limit else float("inf")
@@ -175,17 +182,17 @@ def find_aliased_harmonics(
     return tuple(sorted(found.values(), key=lambda fold: fold.frequency_hz))
 
 
-# Which lines a series of sampling times can tell apart, and the nearest rate that can.
+# Lines that sampling times can separate, and the nearest rate that can.
 
 MAX_CONDITION = 10.0  # above it, the standard uncertainty of a line is several times that of well-spread sampling
 CLEAR_BINS = 1.25
 """Distance, in bins of rate/frames, of lines that are clear of each other: the condition number is then at most 3."""
-_MAX_CHANGE = 0.2  # of the rate: a cure that lies farther away is a new measurement, not a change of this one
+_MAX_CHANGE = 0.2  # of the rate: a larger change would be another measurement
 _RATE_STEP_HZ = 1e-3
 
 
 def usable_lines(time_s: FloatArray, frequency_hz: FloatArray) -> tuple[BoolArray, tuple[Notice, ...]]:
-    """Return which lines (K,) the sampling times can separate, and a notice for each dropped line.
+    """Return which lines (K,) are separable, and notices of the dropped ones.
 
     Lines are examined in the given order, so put fundamentals first. A line is dropped if it raises the condition
     number of the design matrix, with the accepted lines and the offset, above `MAX_CONDITION`. The notice names the
@@ -269,7 +276,7 @@ def _clear_rate_towards(
         if not close.any():
             return float(np.round(rate, 9))
         ends = nearest[close] - outward * margin
-        if np.any(ends <= 0.0):  # these two come no farther apart in this direction
+        if np.any(ends <= 0.0):  # the distance of these two does not increase in this direction
             return None
         edge = outward * np.max(outward * differences[close] / ends)
         count = max(count + 1.0, np.ceil(edge / step))
@@ -277,7 +284,7 @@ def _clear_rate_towards(
 
 
 def _dropped(grid: SamplingGrid | None, frequency: float, accepted: FloatArray, all_lines: FloatArray) -> Notice:
-    """Return the notice of a dropped line: its alias, and the rate that would separate it."""
+    """Return the notice of a dropped line with its alias and a better rate."""
     where = f"{frequency:.6g} Hz"
     if grid is None:
         return Notice(INSEPARABLE_LINE, where, frequency_hz=frequency)

@@ -9,22 +9,23 @@ import numpy as np
 
 from shaker.arrays import ComplexArray, FloatArray, IntArray
 
-# Sines that stand out beside lines, and straight-line changes of the lines, taken off before noise is read.
+# Distinct sines next to lines and straight-line changes of the lines, subtracted before noise is estimated.
 
-OFFSET_BIN = 0.5  # a place up to here is that of the offset
-TONE_CLEARANCE = 1.9  # bins beside a line within which a peak is the line's own unrest
-_TONE_LIMIT = 9.2  # height of a sine over the level: exceeded by pure noise once in 10⁴ places
-_TONES = 16  # sines and changes that are looked for
+OFFSET_BIN = 0.5  # bins: positions up to this are that of the offset
+TONE_CLEARANCE = 1.9  # bins from a line within which a peak belongs to the line's fluctuation
+_TONE_LIMIT = 9.2  # height of a sine over the level: exceeded by pure noise once in 10⁴ ordinates
+_TONES = 16  # sines and changes that are searched for
 
 
 def _highest_sine(
     ordinates: ComplexArray, level: FloatArray, bins: FloatArray, line_bin: FloatArray, length: int
 ) -> tuple[FloatArray, ComplexArray, FloatArray]:
-    """Return position in bins, transform and height (K, C) of the highest sine between two ordinates.
+    """Return position, transform and height (K, C) of the highest sine.
 
-    Ordinates on a bin are standard exponential variables over the level where there is no sine. Between two bins so is
-    half the squared difference of neighbours. A peak near a line belongs to the line's fluctuation. For a rectangular
-    window the two ordinates are as 1/distance from the sine, with opposite signs.
+    The position is in bins, between two ordinates. Ordinates on a bin are standard exponential variables over the level
+    where there is no sine. Between two bins so is half the squared difference of neighbours. A peak near a line belongs
+    to the line's fluctuation. For a rectangular window the two ordinates are as 1/distance from the sine, with opposite
+    signs.
     """
     relative = ordinates / np.sqrt(level)
     between = np.abs(relative[:, 1:] - relative[:, :-1]) ** 2 / 2.0
@@ -48,12 +49,12 @@ def _highest_sine(
 def _without_tones(
     ordinates: ComplexArray, bins: FloatArray, line_bin: FloatArray, length: int
 ) -> tuple[ComplexArray, ComplexArray, FloatArray]:
-    """Subtract sines and straight-line changes of lines (K,) from ordinates (K, M, C) at bins (K, M).
+    """Subtract sines and straight-line changes of lines (K,) from ordinates (K, M, C).
 
-    The heights of sines on and between bins and of straight-line changes are compared relative to the remaining noise
-    level. The highest is subtracted first, until pure noise would be as high (Högbom 1974, CLEAN, one channel and line
-    at a time). Returned are the remainder (K, M, C), the remainder including the sines, and the power (K, C) of the
-    sines in the fitted lines.
+    The ordinates are at bins (K, M). The heights of sines on and between bins and of straight-line changes are compared
+    relative to the remaining noise level. The highest is subtracted first, until pure noise would be as high (Högbom
+    1974, CLEAN, one channel and line at a time). Returned are the remainder (K, M, C), the remainder including the
+    sines, and the power (K, C) of the sines in the fitted lines.
     """
     shape, rest, changed = _shapes(bins), ordinates.copy(), np.zeros_like(ordinates)
     leaked = np.zeros((len(bins), ordinates.shape[2]))
@@ -77,7 +78,10 @@ def _without_tones(
 def _highest_change(
     ordinates: ComplexArray, level: FloatArray, bins: FloatArray, line_positions: FloatArray, length: int
 ) -> tuple[ComplexArray, FloatArray]:
-    """Return the transform (K, M, C) of the highest straight-line change of a line, and its height (K, C)."""
+    """Return the highest straight-line change of a line.
+
+    It is given as transform (K, M, C) and height (K, C).
+    """
     best, height = np.zeros_like(ordinates), np.zeros((len(bins), ordinates.shape[2]))
     for position in line_positions:
         near = (bins[:, 0] < position) & (position < bins[:, -1])
@@ -93,7 +97,10 @@ def _highest_change(
 
 
 def _sine(bins: FloatArray, position: FloatArray, top: ComplexArray, length: int) -> ComplexArray:
-    """Return the transform at `bins` of a real sine: `top` at its position, and its mirror image below zero."""
+    """Return the transform at `bins` of a real sine with its mirror image.
+
+    `top` is its transform at its position.
+    """
     return np.asarray(top * _kernel(bins - position, length) + top.conj() * _kernel(bins + position, length))
 
 
@@ -107,9 +114,9 @@ def _kernel(distance: FloatArray, length: int) -> ComplexArray:
 
 
 def _ramp_kernel(distance: FloatArray, length: int) -> ComplexArray:
-    """Return the transform of a complex sine with amplitude from -1 to 1 over the record.
+    """Return the transform of a complex sine that grows linearly.
 
-    `distance` is in bins from the sine.
+    Its amplitude changes from -1 to 1 over the record. `distance` is in bins from the sine.
     """
     angle = np.pi * distance
     size = (np.cos(angle) - np.sinc(distance)) / np.where(angle == 0.0, 1.0, angle)
@@ -120,18 +127,18 @@ def _ramp_kernel(distance: FloatArray, length: int) -> ComplexArray:
 
 _NEIGHBOURS = 96  # bins from which the noise around a line is estimated
 _MIN_NEIGHBOURS = 12
-_CLEARANCE = 0.75  # bins beside a line that its own fit has emptied
+_CLEARANCE = 0.75  # bins from a line that its fit has emptied
 # Shapes that the noise may have: S(j) = s·(1 + (corner/j)^exponent), the corner in bins.
-# With a corner below four bins a steep one differs from white noise in the first ordinates only, which tell too little.
+# With a corner below four bins a steep shape differs from white noise in the first ordinates only: too few to decide.
 _CORNERS = {1.0: 2.0 ** np.arange(0, 10), 2.0: 2.0 ** np.arange(2, 10), 3.0: 2.0 ** np.arange(2, 10)}
 _WHITE_WEIGHT = 0.25  # prior weight of white noise; the exponents share the rest
 _PRIOR = np.concatenate(
     [[_WHITE_WEIGHT], *(np.full(len(c), (1.0 - _WHITE_WEIGHT) / len(_CORNERS) / len(c)) for c in _CORNERS.values())]
 )
-_BLOCK_BINS = 4  # ordinates nearest to a line, which say what blocks of the record scatter by
+_BLOCK_BINS = 4  # ordinates nearest to a line, which show the scatter between blocks of the record
 _BLOCK_LIMIT = 3.27  # their mean over the level: exceeded by pure noise once in 1000 lines
 _NEWTON_STEPS = 30
-_NO_POWER = 1e-77  # power of an ordinate below which there is no noise
+_NO_POWER = 1e-77  # power of an ordinate without noise
 
 
 @dataclass(frozen=True)
@@ -167,11 +174,12 @@ class _Levels:
 
 
 def line_noise(residual: FloatArray, samples: int, line_bin: FloatArray, *, blocks: bool = True) -> LineNoise | None:
-    """Return the noise of lines at fractional bins (K,) from the residual (L, C) of their fit.
+    """Return the noise of lines (K,) from the residual (L, C) of their fit.
 
-    The residual is zero in gaps, and `samples` is the number of samples present. Distinct sines between the lines
-    (mains) are not noise. They are subtracted, and their contribution to a line is added to its variance. Without
-    `blocks` the noise may be smaller than the scatter between blocks. None where the record has too few bins.
+    `line_bin` are fractional bins. The residual is zero in gaps, and `samples` is the number of samples present.
+    Distinct sines between the lines (mains) are not noise. They are subtracted, and their contribution to a line is
+    added to its variance. Without `blocks` the noise may be smaller than the scatter between blocks. None where the
+    record has too few bins.
     """
     bins = neighbour_bins(len(residual), line_bin)
     if bins is None:
@@ -197,7 +205,7 @@ def noise_of_ordinates(
     variance, dof, level = levels_at_lines(np.abs(rest) ** 2, bins, line_bin)
     if blocks:
         distance = np.abs(bins - line_bin[:, None])
-        # Beside the line a sine may be the line's own unrest; farther off it is another's.
+        # Near the line a sine may be the line's fluctuation; farther off it is another line.
         near = np.where((distance < TONE_CLEARANCE + 0.5)[:, :, None], steady, rest)
         nearest = np.argsort(distance, axis=1, kind="stable")[:, :_BLOCK_BINS, None]
         power = np.take_along_axis(np.abs(near) ** 2, nearest, axis=1)
@@ -211,10 +219,10 @@ def noise_of_ordinates(
 
 
 def neighbour_bins(length: int, line_bin: FloatArray) -> IntArray | None:
-    """Return the bins (K, M) of a record of `length` samples for the noise of lines (K,).
+    """Return the bins (K, M) that determine the noise of lines (K,).
 
-    They are the nearest to each line, ascending, without those that a fitted line or the mean has emptied. None where
-    there are too few.
+    The record has `length` samples. They are the nearest to each line, ascending, without those that a fitted line or
+    the mean has emptied. None where there are too few.
     """
     # Bin 0 is the offset's and the Nyquist bin of an even length has one quadrature only.
     free = np.ones((length + 1) // 2, dtype=np.bool_)
@@ -236,19 +244,19 @@ def neighbour_bins(length: int, line_bin: FloatArray) -> IntArray | None:
 def levels_at_lines(
     power: FloatArray, bins: FloatArray, line_bin: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return variance and degrees of freedom (K, C) of lines, and the nearby level (K, M, C).
+    """Return noise variance, degrees of freedom and level of lines.
 
-    The input are periodogram ordinates (K, M, C) at bins (K, M) near each line at fractional bins (K,): |DFT|² over the
-    number of samples, so that white noise of variance σ² has mean σ². Each is its level S(j) times a standard
-    exponential variable (Whittle's likelihood). S(j) = s·h(j) with shapes h that are white, 1/f, 1/f² and 1/f³ above
-    white noise with various corners. With the prior 1/s a shape has the weight Π 1/h(j)·Q^-M, Q = Σ I(j)/h(j), and s
-    has the inverse gamma distribution (M, Q).
+    The first two are (K, C), the nearby level is (K, M, C). The input are periodogram ordinates (K, M, C) at bins (K,
+    M) near each line at fractional bins (K,): |DFT|² over the number of samples, so that white noise of variance σ² has
+    mean σ². Each is its level S(j) times a standard exponential variable (Whittle's likelihood). S(j) = s·h(j) with
+    shapes h that are white, 1/f, 1/f² and 1/f³ above white noise with various corners. With the prior 1/s a shape has
+    the weight Π 1/h(j)·Q^-M, Q = Σ I(j)/h(j), and s has the inverse gamma distribution (M, Q).
 
     The noise of the line, s·h(line), is distributed as their mixture. Its degrees of freedom follow from that, and so
     does the variance with the same 95 % region. Drift and 1/f noise thus count where they act, as far as the ordinates
     show them. A position up to half a bin is that of the offset.
     """
-    # What the fit of the lines has taken away is put back; numbers of any size become moderate ones.
+    # The power that the fit of the lines has removed is restored; numbers of any size become moderate ones.
     top = np.maximum(power.max(axis=1, keepdims=True), _NO_POWER)
     distance = bins[None, :, :] - line_bin[line_bin > OFFSET_BIN][:, None, None]
     lost = np.minimum(np.sum(np.sinc(distance) ** 2, axis=0), 0.8)
@@ -276,7 +284,7 @@ def _fit_levels(power: FloatArray, shape: FloatArray) -> _Levels:
 
 
 def _mixture(levels: _Levels, at_line: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return variance and degrees of freedom (K, C) for the mixture of levels at the line.
+    """Return variance and degrees of freedom (K, C) of mixed levels.
 
     `at_line` (K, N) are the shapes there. |error|²/2 over the level is a standard exponential variable, so that
     P(|error|²/2 > r) = Σ w (1 + r/(h·Q))^-M. The degrees of freedom are those of the scaled inverse χ² distribution

@@ -1,4 +1,4 @@
-"""Sampling times and normal equations of damped sines, in one pass over records of any length.
+"""Sampling times and normal equations of damped sines for long records.
 
 The normal equations are summed block by block without a design matrix. In a block of local times τ around its centre
 t_b, a line Re{X exp(s·t)} with s = -δ + jω is Re{X exp(s·t_b) · exp(s·τ)}. Its columns are those of any other block,
@@ -21,10 +21,10 @@ from shaker.sine.aliasing import angles, condition_number, sine_columns
 
 # Sampling times of a record, cut into blocks whose phases are exact however long the record is.
 
-LONG = 1 << 17  # samples from which a record is never copied, and its residual never held
+LONG = 1 << 17  # samples from which a record is never copied and its residual never stored
 _BLOCKS = 2048  # blocks of a long record
 _SHORT_BLOCK = 2048  # samples in a block of a short one
-_ROUNDING = 8.0  # units in the last place by which the times of a uniform grid may be off
+_ROUNDING = 8.0  # units in the last place by which the times of a uniform grid may deviate
 
 
 @dataclass(frozen=True)
@@ -94,10 +94,10 @@ class Timeline:
         return self.grid is not None and self.edges[block + 1] - self.edges[block] == len(self.local_s)
 
     def turns(self, frequency_hz: float) -> FloatArray:
-        """Return the fractional periods (B,) from the middle of the record to the centre of each block.
+        """Return the fractional periods (B,) from the record's middle to each block.
 
-        On a grid a phase accumulator of 64 bits is used (as in a numerically controlled oscillator): 3·10⁶ samples
-        leave no more than 10⁻¹² rad.
+        Each block is represented by its centre. On a grid a phase accumulator of 64 bits is used (as in a numerically
+        controlled oscillator): 3·10⁶ samples leave no more than 10⁻¹² rad.
         """
         if self.grid is None:
             return np.mod(frequency_hz * self.centre_s, 1.0)
@@ -147,7 +147,7 @@ def _on_grid(start_s: Fraction, interval_s: Fraction, samples: int) -> Timeline:
 
 
 def _uniform(time_s: FloatArray) -> tuple[Fraction, Fraction] | None:
-    """Return start and interval of the grid of times that are uniform within rounding, else None.
+    """Return start and interval of times that are uniform within rounding, else None.
 
     The line through the deviations is added exactly, so that the rounding of single times averages out.
     """
@@ -177,11 +177,11 @@ _ORDERS = 4  # powers of time per block: 30 bins off in 2048 blocks, they leave 
 
 @dataclass(frozen=True)
 class Demodulator:
-    """Discrete Fourier transform of a record at chosen bins only, (K, M) in K groups of neighbours.
+    """Discrete Fourier transform of a record at chosen bins (K, M).
 
-    In each block the record is demodulated by the middle bin of a group and multiplied by the powers of time of a
-    Taylor series. The remaining exponential is smooth over a block. These moments therefore yield all bins of the
-    group, without the droop and the aliases of a decimation.
+    There are K groups of neighbouring bins. In each block the record is demodulated by the middle bin of a group and
+    multiplied by the powers of time of a Taylor series. The remaining exponential is smooth over a block. These moments
+    therefore yield all bins of the group, without the droop and the aliases of a decimation.
     """
 
     timeline: Timeline
@@ -215,7 +215,7 @@ class Demodulator:
             angle = 2.0 * np.pi * (np.multiply.outer(bins, centre) % samples) / samples
             return np.asarray(np.cos(angle) - 1j * np.sin(angle))
 
-        # Of all groups alike: what neighbours of the bin in the middle turn by against it.
+        # Equal for all groups: phase of the neighbours relative to the bin in the middle.
         change = 2.0 * np.pi * offsets * self._half / samples
         scale = np.array([(-1j) ** m / factorial(m) for m in range(_ORDERS)])
         series = scale * change[:, None] ** np.arange(_ORDERS)
@@ -324,10 +324,10 @@ class Chunk:
 
 @dataclass(frozen=True)
 class SineColumns:
-    """Columns of a fit: Re and Im of each line exp((-δ + 2πjf)·t) in turn, offset, drift, slopes.
+    """Columns of a fit: lines, offset, drift, and slopes.
 
-    `frequency_hz`, `decay_per_s`: f and δ (K,). The slopes are the lines' columns times t, the effect of a change of
-    frequency or decay rate.
+    A line has Re and Im of exp((-δ + 2πjf)·t) in turn. `frequency_hz`, `decay_per_s`: f and δ (K,). The slopes are the
+    lines' columns times t, the effect of a change of frequency or decay rate.
     """
 
     frequency_hz: FloatArray
@@ -362,7 +362,7 @@ class SineColumns:
         return columns
 
     def block_transforms(self, timeline: Timeline) -> FloatArray:
-        """Return the matrices (B, P, P) from coefficients of the record to those of each block."""
+        """Return matrices (B, P, P) from coefficients of the record to blocks."""
         lines, linear, centre = self.lines, self.linear, timeline.centre_s
         size = linear + (2 * lines if self.slopes else 0)
         matrix = np.zeros((len(centre), size, size))
@@ -385,10 +385,10 @@ class SineColumns:
 
 @dataclass(frozen=True)
 class SineNormalEquations:
-    """Sums over all samples: `gram` (D, D, P, P) of the weighted columns, `right` (P, C), `power` (C,).
+    """Sums over all samples: `gram`, `right`, `power`.
 
-    D = 1 where all channels have the same weights, else C. `power` is that of the values, and is summed only if there
-    are slopes.
+    `gram` (D, D, P, P) of the weighted columns, `right` (P, C), `power` (C,). D = 1 where all channels have the same
+    weights, else C. `power` is that of the values, and is summed only if there are slopes.
     """
 
     gram: FloatArray
@@ -433,9 +433,9 @@ def normal_equations(samples: SineSamples, columns: SineColumns) -> SineNormalEq
 def residuals(
     samples: SineSamples, columns: SineColumns, coefficients: FloatArray
 ) -> Iterator[tuple[Chunk, FloatArray, FloatArray]]:
-    """Yield the chunks with their columns (n, P) and weighted residual (n, B·C), zero where left out.
+    """Yield chunks with their columns (n, P) and weighted residual (n, B·C).
 
-    `coefficients` (P or fewer, C) are those of the first columns.
+    The residual is zero where left out. `coefficients` (P or fewer, C) are those of the first columns.
     """
     timeline = samples.timeline
     local_coefficients = columns.block_transforms(timeline)[:, :, : len(coefficients)] @ coefficients
@@ -466,9 +466,9 @@ class SineSolution:
     condition: float
 
     def phasors(self, lines: int) -> tuple[ComplexArray, FloatArray]:
-        """Return the phasors (K, C) of the first lines of `sine_columns`, and the variance (K,) of their parts.
+        """Return phasors (K, C) of the first lines, and their variance (K,).
 
-        The variance is that for noise of variance 1, the mean of both parts.
+        The lines are those of `sine_columns`. The variance is that for noise of variance 1, the mean of both parts.
         """
         scale = np.sqrt(2.0 / len(self.residual))
         spread = np.diag(self.inverse)[: 2 * lines].reshape(-1, 2).mean(axis=1)
@@ -476,10 +476,10 @@ class SineSolution:
 
 
 def solve_sines(columns: FloatArray, data: FloatArray) -> SineSolution:
-    """Solve columns (S, P) · coefficients = data (S, C) by normal equations with one refinement.
+    """Solve columns · coefficients = data by refined normal equations.
 
-    The columns have about unit length, and a condition number below 10⁶ is required. The refined solution therefore has
-    the accuracy of an orthogonal factorisation in a fraction of its time.
+    Columns are (S, P), data (S, C). The columns have about unit length, and a condition number below 10⁶ is required.
+    The refined solution therefore has the accuracy of an orthogonal factorisation in a fraction of its time.
     """
     samples, parameters = columns.shape
     check_samples(samples, parameters)
@@ -505,9 +505,10 @@ def sine_amplitudes(
 
 
 class SineSums:
-    """Sines at the same times in N series of C values, with missing samples, added in parts.
+    """Sines at the same times in N series of C values, added in parts.
 
-    Only sums are stored, (2K + 1)² numbers for each series. Values count from `origin` (N, C), which lies near them.
+    Samples may be missing. Only sums are stored, (2K + 1)² numbers for each series. Values count from `origin` (N, C),
+    which lies near them.
     """
 
     def __init__(self, time_s: FloatArray, frequency_hz: FloatArray, origin: FloatArray) -> None:
@@ -520,7 +521,7 @@ class SineSums:
         self.count: IntArray = np.zeros(series, np.int64)
 
     def add(self, values: FloatArray) -> None:
-        """Add the next samples (S, N, C); one with a NaN is missing in its series."""
+        """Add the next samples (S, N, C); a NaN marks a missing sample."""
         rows = self._columns[self._added : self._added + len(values)]
         present = np.asarray(np.isfinite(values).all(axis=2))
         filled = np.where(present[..., None], values - self._origin, 0.0)
@@ -532,10 +533,11 @@ class SineSums:
         self.count = self.count + present.sum(axis=0)
 
     def solve(self, freedom: int) -> tuple[FloatArray, ComplexArray, FloatArray]:
-        """Return offsets (N, C), phasors (K, N, C) and u (K, N, C) of their real and imaginary parts.
+        """Return offsets (N, C), phasors (K, N, C) and their u (K, N, C).
 
-        NaN for a series with fewer than `freedom` samples beyond the unknowns, or whose samples cannot separate the
-        lines. u² = s²·(XᵀX)⁻¹ with the variance s² of the residual, mean of both parts.
+        u is that of the real and of the imaginary part. NaN for a series with fewer than `freedom` samples beyond the
+        unknowns, or whose samples cannot separate the lines. u² = s²·(XᵀX)⁻¹ with the variance s² of the residual, mean
+        of both parts.
         """
         samples, parameters = self._columns.shape
         good = self.count >= parameters + freedom
@@ -568,6 +570,6 @@ def check_condition(condition: float) -> None:
     """Refuse lines that alias onto each other."""
     if not condition < SINGULAR:
         raise ValueError(
-            f"frequency_hz: expected lines that the sampling times can tell apart, found condition number "
+            f"frequency_hz: expected lines that the sampling times can separate, found condition number "
             f"{condition:.2g}; drop those that usable_lines names"
         )

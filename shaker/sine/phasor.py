@@ -120,7 +120,7 @@ class Phasors:
 
 def derivative_factor(frequency_hz: FloatArray, order: int) -> ComplexArray:
     """Return (jω)^order for frequencies in Hz: 2 from displacement to acceleration, -1 integrates."""
-    # Powers of j are exact here; complex powers would leave 1e-16 in the part that is zero.
+    # These powers of j are exact; complex powers would leave 1e-16 in the part that is zero.
     turn = np.array([1.0, 1.0j, -1.0, -1.0j])[order % 4]
     return np.asarray(turn * (2.0 * np.pi * np.asarray(frequency_hz, dtype=np.float64)) ** float(order))
 

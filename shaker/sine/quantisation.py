@@ -9,20 +9,21 @@ from shaker.sine.solve import SineFit
 
 _MOST = 1 << 21  # values of the exponentials of all lines
 _LONGEST = 1 << 15  # samples that are rounded
-_OFFSETS, _SIZES = 4, np.arange(-16, 17) / 32.0  # places between two steps; changes of the amplitude, in steps
-_SHIFTS, _GOLDEN = 6, (5.0**0.5 - 1.0) / 2.0  # places of the sampling times between two samples, and how they follow
+_OFFSETS, _SIZES = 4, np.arange(-16, 17) / 32.0  # offsets between two steps; changes of the amplitude, in steps
+_SHIFTS, _GOLDEN = 6, (5.0**0.5 - 1.0) / 2.0  # phases of the sampling times between two samples, and their increment
 _UNDITHERED = 0.1  # of a step: noise below which rounding is that of the sine alone
 _DITHERED = 0.8  # of a step: with more noise less than 1e-5 of a step is left
 _TERMS = 30.0  # exponent at which terms of the series end
 
 
 def quantisation_error(fit: SineFit, channel: int, time_s: FloatArray, step: float) -> ComplexArray:
-    """Return the largest relative change of each line (K,) by rounding to a `step`, as Re and Im.
+    """Return the largest relative change of each line (K,) by rounding.
 
-    Rounding x + noise of standard deviation σ to multiples of q adds, on average over the noise, Σ (-1)^m
-    q/(πm)·exp(-2π²m²σ²/q²)·sin(2πm·x/q). For one sine between two steps that changes its amplitude A by Σ (-1)^m
-    2q/(πm)·J₁(2πmA/q)·cos(2πm·offset/q) without noise (Widrow and Kollár, Quantization Noise, 2008). Samples that are
-    synchronous with the line add the terms that alias onto it.
+    Its real and imaginary part are those of the change; samples are rounded to a `step`. Rounding x + noise of standard
+    deviation σ to multiples of q adds, on average over the noise, Σ (-1)^m q/(πm)·exp(-2π²m²σ²/q²)·sin(2πm·x/q). For
+    one sine between two steps that changes its amplitude A by Σ (-1)^m 2q/(πm)·J₁(2πmA/q)·cos(2πm·offset/q) without
+    noise (Widrow and Kollár, Quantization Noise, 2008). Samples that are synchronous with the line add the terms that
+    alias onto it.
 
     The sum is evaluated at the sampling times, for all lines together. The largest change over offsets, over amplitudes
     within a step and over sampling times within an interval is returned, because synchronous samples do not show where

@@ -44,7 +44,7 @@ from shaker.sine.solve import (
 from shakercal._common.notices import Notice, Value
 
 _NO_ADDITIONS = SineModel()
-_ROUNDING = 1e-15  # of a channel's lines: no residual is known better
+_ROUNDING = 1e-15  # of a channel's lines: no residual is more certain
 
 
 def fit_sines(
@@ -65,13 +65,20 @@ def fit_sines(
 
     Parameters
     ----------
-    time_s : (S,), sampling times in s, or `UniformTimes`.
-    values : (S, C), samples of C channels.
-    frequency_hz : (K,), frequencies of the lines in Hz; start values where they are free.
-    channels : C names.
-    unit : C units.
-    model : free frequencies, drift, decay, removal of spikes; default: none of them.
-    variance : (S,) or (S, C), noise variances of the samples up to a factor per channel; None: all equal.
+    time_s
+        (S,), sampling times in s, or `UniformTimes`.
+    values
+        (S, C), samples of C channels.
+    frequency_hz
+        (K,), frequencies of the lines in Hz; start values where they are free.
+    channels
+        C names.
+    unit
+        C units.
+    model
+        Free frequencies, drift, decay, removal of spikes; default: none of them.
+    variance
+        (S,) or (S, C), noise variances of the samples up to a factor per channel; None: all equal.
 
     Returns
     -------
@@ -79,7 +86,8 @@ def fit_sines(
 
     Raises
     ------
-    ValueError : shapes differ, samples are too few, lines cannot be separated, or the fit does not converge.
+    ValueError
+        Shapes differ, samples are too few, lines cannot be separated, or the fit does not converge.
 
     Notes
     -----
@@ -231,13 +239,15 @@ _UNUSED = 0.02  # of the record may be left over for the sake of more blocks
 _DRIFT_SEPARATION = 8.0  # bins between lines from which on a drift can be taken off without touching their noise
 _SLOPES = ("amplitude_per_s", "u_amplitude_per_s", "phase_rad_per_s", "u_phase_rad_per_s", "p_value")
 _TURNS = 3  # of estimating a wrong rate
-_NO_NOISE = 1e-200  # variance that stands for none: sums of its inverse are numbers
+_NO_NOISE = 1e-200  # variance used for zero: sums of its inverse are finite
 _NOISE_SAMPLES = 1 << 17  # of a longer record no more are needed for its noise density
 
 
 @dataclass(frozen=True)
 class Stationarity:
-    """Phasors of K lines in C channels over B blocks of a record, with a test for drift.
+    """Phasors of lines over blocks of a record, with a test for drift.
+
+    K lines, C channels, B blocks.
 
     Attributes
     ----------
@@ -286,13 +296,16 @@ class Stationarity:
         return _by_chance(self._chi_square(u_phase_rad_per_s), len(self.time_s), self.dof)
 
     def excess_variance(self, u_phase_rad_per_s: ArrayLike) -> FloatArray:
-        """Return the variance (K, C) of the blocks beyond noise and an uncertain rate, both parts."""
+        """Return the variance (K, C) of the blocks beyond noise and rate error.
+
+        It includes both parts.
+        """
         blocks = len(self.time_s)
         more = np.maximum(self._chi_square(u_phase_rad_per_s) - 2.0 * (blocks - 1), 0.0)
         return np.asarray(more / np.sum(1.0 / np.maximum(self.u**2, _NO_NOISE), axis=0))
 
     def _chi_square(self, u_phase_rad_per_s: ArrayLike) -> FloatArray:
-        """Return the weighted sum of squares (K, C) about the mean and of the most likely rate error."""
+        """Return the χ² (K, C) about the mean and of the likeliest rate."""
         rate = np.broadcast_to(np.asarray(u_phase_rad_per_s, dtype=np.float64), self.frequency_hz.shape)[:, None] ** 2
         weight = 1.0 / np.maximum(self.u**2, _NO_NOISE)
         total = np.sum(weight, axis=0)
@@ -356,7 +369,7 @@ def stationarity(
         return None
     try:
         every = (solve_sines(sine_columns(time[rows], frequency_hz), data[rows]) for rows in blocks)
-        found = [(one.condition, *one.phasors(len(frequency_hz))) for one in every]  # the residuals are not held
+        found = [(one.condition, *one.phasors(len(frequency_hz))) for one in every]  # the residuals are not stored
     except ValueError:
         return None
     condition, value, spread = (np.stack(part) for part in zip(*found, strict=True))
@@ -395,9 +408,9 @@ def stationarity(
 
 
 def _by_chance(chi2: FloatArray, blocks: int, dof: FloatArray) -> FloatArray:
-    """Return the probability that 2(B - 1) normal variables exceed χ² (K, C), by Fisher's distribution.
+    """Return the probability that noise exceeds χ² (K, C), by Fisher's distribution.
 
-    `dof` (K,) are the degrees of freedom of the noise.
+    There are 2(B - 1) normal variables. `dof` (K,) are the degrees of freedom of the noise.
     """
     from scipy.special import fdtrc
 
@@ -406,7 +419,10 @@ def _by_chance(chi2: FloatArray, blocks: int, dof: FloatArray) -> FloatArray:
 
 
 def _block_length(time: FloatArray, frequency_hz: FloatArray) -> tuple[float, float, bool]:
-    """Return the length of a block in s, its periods of the first line, and whether they are whole."""
+    """Return length of a block in s, periods in it, and whether whole.
+
+    The periods are those of the first line.
+    """
     grid = sampling_grid(time)
     if grid is None:
         length, seen_hz = float(time[-1] - time[0]), float(frequency_hz[0])

@@ -58,9 +58,9 @@ class SineModel:
     robust: bool = False
 
     def exponents(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return the derivative (K, Q) of the exponents s = -δ + jω with respect to the Q unknowns.
+        """Return the derivative (K, Q) of the exponents by the unknowns.
 
-        The unknowns are relative frequencies, then δ.
+        The exponents are s = -δ + jω. The unknowns are relative frequencies, then δ.
         """
         lines = len(frequency_hz)
         labels = np.full(lines, -1) if self.free is None else np.asarray(self.free)
@@ -102,13 +102,19 @@ class SineSystem:
         return np.asarray(self.project.swapaxes(1, 2)[:, None] @ self.gram @ self.project[None])
 
     def spread(self) -> FloatArray:
-        """Return G⁻¹·XᵀX·G⁻¹ (D, D, P, P), the covariance of linear parameters between channels for unit noise."""
+        """Return the covariance of linear parameters for unit noise.
+
+        It is G⁻¹·XᵀX·G⁻¹ (D, D, P, P) between channels.
+        """
         gram = self.gram[:, :, : self.linear, : self.linear]
         return np.asarray(self.inverse[:, None] @ gram @ self.inverse[None])
 
 
 def _products(matrices: FloatArray, right: FloatArray) -> FloatArray:
-    """Return the products (N, C) of one matrix (1, N, M), or one per channel (C, N, M), with columns (M, C)."""
+    """Return the products (N, C) of matrices and columns (M, C).
+
+    There is one matrix (1, N, M), or one per channel (C, N, M).
+    """
     if len(matrices) == 1:
         return np.asarray(matrices[0] @ right)
     return np.asarray((matrices @ right.T[:, :, None])[:, :, 0].T)
@@ -168,7 +174,7 @@ def frequency_step(
     size = np.sqrt(hessian.diagonal())
     scaled = hessian / np.multiply.outer(size, size) if np.all(size > 0.0) else np.zeros_like(hessian)
     if not np.linalg.eigvalsh(scaled)[0] > _SINGULAR:
-        raise ValueError("frequency_hz: expected lines whose frequencies and decays the record tells, found none")
+        raise ValueError("frequency_hz: expected lines whose frequencies and decays the record determines, found none")
     inverse = np.linalg.inv(scaled) / np.multiply.outer(size, size)
     gradient = np.einsum("ckq,kc->q", pull, _products(system.project.swapaxes(1, 2), right))
     return GaussNewtonStep(inverse @ gradient, inverse, derivative, pull)
@@ -196,8 +202,8 @@ def estimate(
     columns = SineColumns(lines, np.zeros(len(lines)), model.drift, count > 0 or slopes)
     half_s = float(np.max(np.abs(samples.timeline.centre_s))) + float(np.max(np.abs(samples.timeline.local_s)))
     # Not by `shaker.fitting`: the channels' weights follow the fit, so no sum of squares falls, and each trial is a
-    # pass over the record. On the likelihood it comes to the same sines, in up to twice the passes, but from 0.9 bins
-    # away it leaps into a side lobe; steps limited by the phase that they turn do not.
+    # pass over the record. On the likelihood it finds the same sines, in up to twice the passes, but from 0.9 bins
+    # off it leaps into a side lobe; steps limited by their phase do not.
     for _ in range(_STEPS):
         normal = normal_equations(samples, columns)
         system = solve_linear(normal, columns)
@@ -223,7 +229,7 @@ def estimate(
 # Result of a sine approximation, with the covariance that frequencies and decay rates share with the phasors.
 
 _CHUNK = 1 << 16  # samples for which the curve is worked out at a time
-_SAME_ROTATION = 1e-9  # rad, by which the phases of lines in two parts may differ and count as alike
+_SAME_ROTATION = 1e-9  # rad, largest difference of the phases of lines in two parts that count as equal
 
 
 @dataclass(frozen=True)
@@ -301,7 +307,10 @@ class SineFit:
         return np.asarray(as_complex(_products(self.slopes, parts), len(middle)) / to_middle)
 
     def residual_of(self, time_s: FloatArray, values: FloatArray) -> FloatArray:
-        """Return values (T, C) at times (T,) minus the fitted curve; rows with a NaN are NaN."""
+        """Return values (T, C) at times (T,) minus the curve.
+
+        Rows with a NaN are NaN.
+        """
         residual = values - self.model(time_s)
         residual[~np.isfinite(values).all(axis=1)] = np.nan
         return np.asarray(residual)
@@ -330,7 +339,10 @@ class Estimate:
     step: GaussNewtonStep | None
 
     def noise_between(self, first: int, second: int) -> FloatArray:
-        """Return the noise covariance (C, C) between two lines; equal indices give that of a line."""
+        """Return the noise covariance (C, C) between two lines.
+
+        Equal indices give that of a line.
+        """
         level = np.sqrt(self.noise[first] * self.noise[second])
         return np.asarray(self.factor * level @ self.factor.T)
 
@@ -382,7 +394,7 @@ def phasors_at_zero(
     return middle.scaled(factor[:, None])
 
 
-# What a fit leaves: its sums, its covariance between channels, and its density around each line.
+# Residual of a fit: its sums, its covariance between channels, and its density around each line.
 
 _DEPENDENT = 1e-12  # smallest eigenvalue of a correlation matrix that counts, for channels that depend on others
 
@@ -445,9 +457,10 @@ def noise_at_lines(
     whitening: FloatArray,
     time_s: FloatArray | None,
 ) -> LineNoise | None:
-    """Return the noise of the whitened series at each line and, last, at the lowest bin for the offset.
+    """Return the noise of the whitened series at each line and the offset.
 
-    `time_s` are the times of a record whose residual is stored. None where times lie on no grid or are too few.
+    The offset is last and is represented by the lowest bin. `time_s` are the times of a record whose residual is
+    stored. None where times lie on no grid or are too few.
     """
     if remainder.transform is not None and remainder.bins is not None and remainder.line_bin is not None:
         ordinates = remainder.transform @ whitening.T / np.sqrt(samples.count)
@@ -468,7 +481,7 @@ def noise_at_lines(
 
 
 def line_bins(columns: SineColumns, length: int, rate: float) -> FloatArray:
-    """Return the positions of all lines in bins of a record, and half a bin for the offset."""
+    """Return the bins of all lines of a record, last the offset."""
     return np.append(alias_frequency(columns.frequency_hz, rate) * length / rate, 0.5)
 
 
@@ -488,7 +501,7 @@ def factor_of(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.asarray(factor), np.asarray(inverse)
 
 
-# Samples that stand out of the noise of a fit.
+# Outlying samples of a fit.
 
 _FALSE_ALARM = 0.01  # samples of a whole record that Gaussian noise may lose
 _SCATTER = 1.16  # relative standard deviation of a median absolute deviation, times the root of the samples
@@ -528,7 +541,10 @@ def find_spikes(samples: SineSamples, frequency_hz: FloatArray, model: SineModel
 
 
 def _scale(samples: SineSamples, columns: SineColumns, coefficients: FloatArray) -> FloatArray:
-    """Return the standard deviation (C,) of the weighted residual from its median over evenly spaced rows."""
+    """Return the standard deviation (C,) of the weighted residual from its median.
+
+    Evenly spaced rows are used.
+    """
     step = -(-samples.timeline.samples // _SAMPLE)
     chosen = []
     for chunk, _, residual in residuals(samples, columns, coefficients):

@@ -12,7 +12,7 @@ from shaker.arrays import BoolArray, FloatArray, IntArray, check_shape, check_sh
 EdgeKind = Literal["sampled", "resolved"]
 
 _HYSTERESIS = 0.1  # of the distance from the threshold to the nearer level
-_ON_RISE = 0.12  # of the step: samples beside the crossings further than this from their level lie on the rise
+_ON_RISE = 0.12  # of the step: samples next to a crossing further than this from their level lie on the rise
 _SHORT_PAUSE = 0.25  # of the usual pause between pulses: after a shorter one, a pulse is a bounce of the one before
 _EQUAL_PAUSE, _USUAL = 0.1, 0.45  # how much equal pauses may differ; pauses over the commonest ones that are usual
 _BOUNCES = 0.2  # of all edges from which on bounces are no single strays
@@ -62,11 +62,15 @@ def find_edges(
 
     Parameters
     ----------
-    samples : (S,), finite samples.
-    sample_rate_hz : sampling rate in Hz.
-    threshold : level; default midway between the 5 % and 95 % quantiles, or between the smallest and largest sample
-        where pulses are shorter than 5 % of the record.
-    edge : "rising" (default) or "falling".
+    samples
+        (S,), finite samples.
+    sample_rate_hz
+        Sampling rate in Hz.
+    threshold
+        Level; default midway between the 5 % and 95 % quantiles, or between the smallest and largest sample where
+        pulses are shorter than 5 % of the record.
+    edge
+        "rising" (default) or "falling".
 
     Returns
     -------
@@ -74,7 +78,8 @@ def find_edges(
 
     Raises
     ------
-    ValueError : samples are not finite, or the signal does not cross the threshold.
+    ValueError
+        Samples are not finite, or the signal does not cross the threshold.
 
     Notes
     -----
@@ -184,7 +189,7 @@ def _interpolate(local: FloatArray, tap: IntArray, position: FloatArray) -> Floa
 # Numbers of the edges of a periodic trigger: which edge is which period, and which are none.
 
 _ALTERNATING, _MOSTLY = 0.1, 0.8  # of two distances by which they alternate; of all that do
-_CAPTURE = 0.2  # of a period: an edge further from its place is spurious
+_CAPTURE = 0.2  # of a period: an edge further from its expected time is spurious
 
 
 @dataclass(frozen=True)
@@ -221,7 +226,9 @@ def number_edges(edges: Edges) -> Numbering:
         number = np.round(position).astype(np.int64)
         distance = np.abs(position - number)
         accepted = distance <= _CAPTURE
-        order = np.lexsort((distance, number))  # of several edges with one number the nearest to its place stays
+        order = np.lexsort(
+            (distance, number)
+        )  # of several edges with one number the nearest to the expected time is accepted
         accepted[order[1:][np.diff(number[order]) == 0]] = False
         accepted = _without_outliers(number, edges, accepted)
         count = int(np.count_nonzero(accepted))
@@ -266,7 +273,10 @@ def _period(time: FloatArray, width: FloatArray) -> float:
 
 
 def _without_outliers(number: IntArray, edges: Edges, accepted: BoolArray) -> BoolArray:
-    """Reject edges at 6 robust standard deviations or more from a straight line through the others."""
+    """Reject edges far from a straight line through the others.
+
+    The limit is 6 robust standard deviations.
+    """
     resolution = (1.5 if edges.kind == "sampled" else 0.1) * float(np.median(edges.upper_s - edges.lower_s))
     for _ in range(10):
         if np.count_nonzero(accepted) < 3:
@@ -284,7 +294,7 @@ def _without_outliers(number: IntArray, edges: Edges, accepted: BoolArray) -> Bo
 # A sampled signal read at other times: band-limited interpolation.
 
 PASS_BAND = 0.4
-"""Share of the lower of the two rates below which a resampled signal is what it was."""
+"""Share of the lower of the two rates below which a resampled signal is unchanged."""
 _BETA = 10.06  # Kaiser window of -100 dB
 _BLOCK = 1 << 14  # times interpolated at once
 _PHASES = 1 << 11  # rows of the kernel's table per sample; linear in between errs by less than 1e-6
@@ -318,7 +328,7 @@ def resample(samples: FloatArray, position: FloatArray, share: float = 1.0) -> F
         raise ValueError(
             f"position: expected {reach - 1} to {len(samples) - reach} samples, found {low:.1f} to {high:.1f}"
         )
-    # Weights of the samples around a time, by its place between two samples.
+    # Weights of the samples around a time, by its phase between two samples.
     distance = np.arange(1 - reach, reach + 1) - np.linspace(0.0, 1.0, _PHASES + 1)[:, None]
     table = np.sinc(share * distance) * np.i0(_BETA * np.sqrt(np.maximum(0.0, 1.0 - (distance / reach) ** 2)))
     table /= table.sum(axis=1, keepdims=True)

@@ -20,10 +20,10 @@ _STRAY = 1e-6  # probability of an edge that the model does not explain
 _STEP = 1.0  # in the logarithm of the jitter
 _STEEP = 2.0  # change of the log-likelihood from step to step above which a step is halved
 _MIN_STEP = 0.02
-_NEGLIGIBLE_JITTER = 0.1  # of the line's smallest standard deviation: jitter below it changes nothing any more
+_NEGLIGIBLE_JITTER = 0.1  # of the line's smallest standard deviation: smaller jitter has no effect
 _NEGLIGIBLE_SHARE = 1e-4  # share of the whole below which a step of the jitter does not count
 _NODES, _WIDE_NODES, _FARTHEST = 512, 64, 9.0  # of Φ and of ln ΔΦ: how many for one standard deviation, up to where
-_AT_ONCE = 16384  # values of Φ: what they need stays in the processor's cache
+_AT_ONCE = 16384  # values of Φ: their memory stays in the processor's cache
 _EQUAL_WIDTH = 1e-6  # relative difference between the widths of intervals that one record reads
 
 
@@ -76,14 +76,14 @@ def line_posterior(
     min_jitter_s: float,
     slopes: Slopes | None = None,
 ) -> Posterior:
-    """Return the posterior of one line of instants per record from intervals (R, E) in R records.
+    """Return the posterior of one line of instants per record.
 
-    Record r has edge e, with jitter ε_e common to all records, at m_r + h_r·position_e + ε_e, which lies in (lower_re,
-    upper_re]. Infinite bounds mark an edge that a record has not seen. Parameters: m_1 h_1 m_2 h_2 …. The likelihood of
-    an edge is Φ(b/σ) - Φ(a/σ) with a the largest lower and b the smallest upper bound minus its line. The jitter is
-    Gaussian with unknown σ, log-uniform above `min_jitter_s`. The posterior tends to the polygon of all intervals as
-    the jitter vanishes and to the paired differences as it grows. `start` need only be roughly right. `slopes` is
-    external information, a further factor of the likelihood.
+    The input are intervals (R, E) in R records. Record r has edge e, with jitter ε_e common to all records, at m_r +
+    h_r·position_e + ε_e, which lies in (lower_re, upper_re]. Infinite bounds mark an edge that a record has not seen.
+    Parameters: m_1 h_1 m_2 h_2 …. The likelihood of an edge is Φ(b/σ) - Φ(a/σ) with a the largest lower and b the
+    smallest upper bound minus its line. The jitter is Gaussian with unknown σ, log-uniform above `min_jitter_s`. The
+    posterior tends to the polygon of all intervals as the jitter vanishes and to the paired differences as it grows.
+    `start` need only be roughly right. `slopes` is external information, a further factor of the likelihood.
 
     The lines are sampled for one jitter after another, from the largest down to where it no longer matters, with
     smaller steps where the likelihood is steep, and averaged. Lines and jitter together fill a funnel that no Gaussian
@@ -224,7 +224,7 @@ def _log_likelihood(points: FloatArray, jitter: float, intervals: _Intervals) ->
         line = points[first : first + rows].T[:, :, None]
         lines = line[::2] + line[1::2] * position
         below, above = (lower[:, None] - lines).max(axis=0), (upper[:, None] - lines).min(axis=0)
-        # Edges whose intervals hold every line with room to spare say nothing.
+        # Edges whose intervals include every line with a margin contribute no information.
         telling = (below.max(axis=0) > -6.0 * jitter) | (above.min(axis=0) < 6.0 * jitter)
         below, above = below[:, telling] / jitter, above[:, telling] / jitter
         if chance is not None:
@@ -237,9 +237,10 @@ def _log_likelihood(points: FloatArray, jitter: float, intervals: _Intervals) ->
 
 @lru_cache(4)  # proposals of one jitter follow each other
 def _log_chance(width: float) -> FloatArray:
-    """Return Taylor's series (3, N) of ln(Φ(v) - Φ(v - width) + a stray's), to 10⁻⁶.
+    """Return Taylor's series (3, N) of an interval's log-likelihood, to 10⁻⁶.
 
-    Units: the jitter. v is the distance of lines inside the nearer bound of intervals of one width.
+    It is ln(Φ(v) - Φ(v - width) + a stray's). Units: the jitter. v is the distance of lines inside the nearer bound of
+    intervals of one width.
     """
     node = np.arange(2.0 * _WIDE_NODES * _FARTHEST + 1.0) / _WIDE_NODES - _FARTHEST
     share = normal_cdf(node) - normal_cdf(node - width) + _STRAY
@@ -250,17 +251,17 @@ def _log_chance(width: float) -> FloatArray:
 
 
 def normal_cdf(x: FloatArray) -> FloatArray:
-    """Return Φ(x) to 2·10⁻¹⁴: Taylor's series to third order about the nearest of nodes 1/512 apart.
+    """Return Φ(x) to 2·10⁻¹⁴ by Taylor's series of third order.
 
-    SciPy's function takes a fifth of a second to import.
+    Its nodes are 1/512 apart. SciPy's function takes a fifth of a second to import.
     """
     return _series(x, _normal_series(), _NODES)
 
 
 def _series(x: FloatArray, coefficients: FloatArray, nodes: int) -> FloatArray:
-    """Return Taylor's series (K, N) about nodes from -9 to 9 at x of any shape.
+    """Return Taylor's series (K, N) at x of any shape.
 
-    `nodes` is their number per standard deviation.
+    Its nodes are from -9 to 9. `nodes` is their number per standard deviation.
     """
     flat, found = x.ravel(), np.empty(x.size)
     for first in range(0, x.size, _AT_ONCE):

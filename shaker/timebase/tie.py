@@ -20,7 +20,7 @@ from shaker.timebase.trigger import (
 from shaker.timebase.trigger_notices import CONTRADICTORY_CLOCK_RATE, START_TIMES_DISAGREE
 from shakercal._common.notices import Notice, Value
 
-# Which edges of two records belong together: the whole-period shift and what decides it.
+# Matching edges of two records: the whole-period shift and its evidence.
 
 _GAP_MATCH = 0.8  # share of the missing edges that must be missing in both records for gaps to decide the shift
 _GAP_CHANCE = 1e-3  # probability of as many coincidences at any shift by chance, where gaps lie outside the overlap
@@ -28,7 +28,7 @@ _START_MATCH = 0.25  # of a period: how well start times must agree with a whole
 _JITTER_EDGES = 20
 _JITTER_SHARE = 0.4  # of an edge's interval: jitter that rises above the pattern which sampling makes
 _JITTER_RESOLVED = 0.1  # of a sample: the interval that the unknown shape of a resolved rise may leave
-_JITTER_SCORE = 6.0  # standard deviations by which one shift's correlation of the jitter must stand out
+_JITTER_SCORE = 6.0  # standard deviations by which one shift's correlation of the jitter must exceed zero
 _JITTER_RIVAL = 0.6  # of the best shift's correlation: largest that any other shift may reach
 
 
@@ -61,12 +61,12 @@ def decide_shift(base: TriggerFit, other: TriggerFit, start_difference_s: float 
         if shift is not None and between[0] <= shift <= between[1]:
             return Shift(shift, name)
     if low > high:
-        found = f"{base.edges} and {other.edges} edges whose ends of the burst say {low} and {high}"
+        found = f"{base.edges} and {other.edges} edges with shifts from the ends of the burst of {low} and {high}"
     else:
         found = f"{high - low + 1} whole-period shifts from {low} to {high}"
         found += f" that fit {base.edges} and {other.edges} edges"
     raise ValueError(
-        f"shift: expected burst start, burst end, gaps or start times to say which edges belong together, found "
+        f"shift: expected burst start, burst end, gaps or start times that determine the matching edges, found "
         f"{found}; give first_edge"
     )
 
@@ -115,7 +115,10 @@ def _by_gaps(base: TriggerFit, other: TriggerFit, low: int, high: int) -> int | 
 
 
 def _by_jitter(base: TriggerFit, other: TriggerFit, low: int, high: int) -> int | None:
-    """Return the only shift in the range at which deviations from the period agree, else None."""
+    """Return the only shift in the range with equal deviations, else None.
+
+    The deviations are those from the period.
+    """
     if not (_jitters(base) and _jitters(other)):
         return None
     base_index, other_index = _deviations(base), _deviations(other)
@@ -222,7 +225,7 @@ def clock_line(base: TriggerFit, other: TriggerFit, shift: int, rate: tuple[floa
         line = _from_one_resolved(base, other, base_index, other_index).inverse()
     else:
         line = _from_one_resolved(other, base, other_index, base_index)
-    # As in `fit_trigger`: what is open between samples is the least, what is open of a rise comes on top.
+    # As in `fit_trigger`: the gap between samples is a lower limit, the uncertainty of a rise is added.
     fits = base, other
     gaps = sum(f.open_s**2 for f in fits if f.kind == "sampled") / 12.0
     if base.kind == other.kind:  # the shapes of both rises are in the line
@@ -262,7 +265,7 @@ def _from_pairs(base: TriggerFit, other: TriggerFit, base_index: IntArray, other
     rises = [replace(rise, phase=rise.phase[at]) for rise, at in ((base.rise, base_index), (other.rise, other_index))]
     read = (base.resolution_s**2 + other.resolution_s**2) / 12.0
     found = fit_resolved(base.crossing_s[base_index], position, rises, float(np.sqrt(read)))
-    # What edges scatter by beyond the samples' noise may be of the rise.
+    # Scatter of the edges beyond the samples' noise may be caused by the rise.
     share = min(read / max(found.line.jitter_s**2, 1e-30), 1.0)
     noise = unscale(replace(found.line, covariance=share * found.noise)).covariance
     return replace(unscale(found.line), noise=noise)
@@ -318,7 +321,7 @@ def _from_intervals(
     jacobian = np.array([[1.0, (start.offset_s - line[0]) / line[1]], [0.0, start.rate / line[1]]])
     into_line = jacobian @ _DIFFERENCE
     covariance = into_line @ both.covariance @ into_line.T
-    # By regression: the base trigger's own line is among what was estimated.
+    # By regression: the line of the base trigger is among the estimates.
     on_base = np.linalg.solve(both.covariance[:2, :2], both.covariance[:2]).T
     rest = both.covariance - on_base @ both.covariance[:2]
     return ClockLine(
@@ -342,7 +345,7 @@ def _slopes(half: float, base: TriggerFit, ratio: float, u_ratio: float) -> Slop
 
 
 def _scaled(time: FloatArray) -> tuple[FloatArray, Callable[[Posterior], ClockLine]]:
-    """Return times as positions within ±1, and the conversion of a line over positions to one over times."""
+    """Return times as positions within ±1, and the inverse scaling of lines."""
     centre, half = (time[0] + time[-1]) / 2.0, (time[-1] - time[0]) / 2.0
     jacobian = np.array([[1.0, -centre / half], [0.0, 1.0 / half]])
 
@@ -360,7 +363,9 @@ _SAME_PERIOD = 0.01  # relative: clocks differ by less, two triggers by more
 
 @dataclass(frozen=True)
 class ClockTie(ClockLine):
-    """A clock tied to another: t_base = offset_s + rate·t_other, both from their record's first sample.
+    """A clock tied to another: t_base = offset_s + rate·t_other.
+
+    Both count from their record's first sample.
 
     Attributes
     ----------
@@ -418,11 +423,14 @@ def tie_clocks(
 
     Parameters
     ----------
-    base, other : fits of the trigger in both records.
-    shift : base edge that is the other record's edge 0; None determines it (`decide_shift`).
-    start_difference_s : how much later the other record started, in s; None if unknown.
-    rate : rate of the clocks with its standard uncertainty from another source that agrees with the edges; None
-        without.
+    base, other
+        Fits of the trigger in both records.
+    shift
+        Base edge that is the other record's edge 0; None determines it (`decide_shift`).
+    start_difference_s
+        How much later the other record started, in s; None if unknown.
+    rate
+        Rate of the clocks with its standard uncertainty from another source that agrees with the edges; None without.
 
     Returns
     -------
@@ -430,7 +438,8 @@ def tie_clocks(
 
     Raises
     ------
-    ValueError : the periods differ, or no evidence determines the shift.
+    ValueError
+        The periods differ, or no evidence determines the shift.
 
     Examples
     --------
@@ -479,14 +488,15 @@ def tie_clocks(
     )
 
 
-# Instants of single trigger edges from all records that saw them: the periodic model and each edge's own deviation.
+# Instants of single trigger edges from all records: the periodic model and each edge's deviation.
 
 
 @dataclass(frozen=True)
 class EdgeInstants:
-    """Times (F,) of edges on the base clock with standard uncertainty (F,), including model and ties.
+    """Times (F,) of edges on the base clock with standard uncertainty (F,).
 
-    `model_share` (F,) is their response to an error of the periodic model, 1 for an edge that no record shows.
+    The uncertainty includes model and ties. `model_share` (F,) is their response to an error of the periodic model, 1
+    for an edge that no record shows.
     """
 
     time_s: FloatArray
@@ -501,12 +511,12 @@ class EdgeInstants:
 def edge_instants(
     base: TriggerFit, number: IntArray, others: Sequence[tuple[TriggerFit, ClockTie]] = ()
 ) -> EdgeInstants:
-    """Return the instants of the base record's edges `number` (F,) from all records that show them.
+    """Return the instants of the base record's edges `number` (F,).
 
-    An edge is the model's time plus a Gaussian deviation of the size of the jitter. Resolved crossings update it as
-    readings with their noise; intervals truncate the remaining distribution. Edges without jitter thus follow the
-    model, and those with much jitter follow their readings. An edge that no record shows keeps the model's time, with
-    the jitter as uncertainty.
+    All records that show them are used. An edge is the model's time plus a Gaussian deviation of the size of the
+    jitter. Resolved crossings update it as readings with their noise; intervals truncate the remaining distribution.
+    Edges without jitter thus follow the model, and those with much jitter follow their readings. An edge that no record
+    shows keeps the model's time, with the jitter as uncertainty.
 
     Single edges also reduce the uncertainty of the model, but not where that is common to all of them, or where
     external information has entered the model. There the jitter alone moves them, less where the shape of a rise may
@@ -515,7 +525,7 @@ def edge_instants(
     records = [(base, base.number, None), *((fit, fit.number + tie.shift, tie) for fit, tie in others)]
     common_error = base.locked or base.known_period_s is not None
     u_model = base.u_time_s(number)
-    shape = min(base.u_shape_s, base.jitter_s) ** 2  # of what edges scatter by
+    shape = min(base.u_shape_s, base.jitter_s) ** 2  # of the scatter of the edges
     first = base.jitter_s**2 - shape + (0.0 if common_error else u_model**2)
     mean, variance = np.zeros(len(number)), np.full(len(number), first)
     below, above = np.full(len(number), -np.inf), np.full(len(number), np.inf)
@@ -535,7 +545,7 @@ def edge_instants(
         else:
             below[at], above[at] = np.maximum(below[at], lower), np.minimum(above[at], upper)
     mean, variance = _truncated(mean, variance, below, above)
-    # A prior's mean moves that of the posterior by the ratio of their variances, for readings and for bounds alike.
+    # A prior's mean shifts that of the posterior by the ratio of their variances, for readings and for bounds.
     share = np.divide(variance, first, out=np.ones_like(variance), where=np.asarray(first) > 0.0)
     return EdgeInstants(model + mean, np.sqrt(variance + shape + (share * u_model) ** 2 * common_error), share)
 
@@ -547,7 +557,7 @@ def _truncated(
     deviation = np.sqrt(np.maximum(variance, 1e-30))
     low, high = np.clip((below - mean) / deviation, -40.0, 40.0), np.clip((above - mean) / deviation, -40.0, 40.0)
     share = normal_cdf(high) - normal_cdf(low)
-    # An interval that the model misses by more than the jitter explains says nothing about the jitter.
+    # An interval that the model misses by more than the jitter explains is ignored.
     inside = share > 1e-6
     share = np.where(inside, share, 1.0)
     density_low, density_high = np.exp(-0.5 * low**2), np.exp(-0.5 * high**2)

@@ -23,7 +23,7 @@ from shaker.timebase.trigger_notices import (
 )
 from shakercal._common.notices import Notice
 
-# Crossings of a resolved rise: what its shape adds to the reconstruction, learnt from all edges.
+# Crossings of a resolved rise: the effect of its shape on the reconstruction, estimated from all edges.
 
 _TERMS = 16
 _ORDER = np.arange(1.0, _TERMS + 1)
@@ -33,7 +33,10 @@ _SMALLEST, _LARGEST = (
     0.15,
 )  # of a sample: first sine's standard deviation, from filters to RC inputs of half a one
 _RATIO = 3.0  # from one size of the sines to the next
-_LOCKED_SINES = 0.12, 1.5  # of a sample, and power: standard deviations of sines at places too few to learn them
+_LOCKED_SINES = (
+    0.12,
+    1.5,
+)  # of a sample, and power: standard deviations of sines where phases are too few to estimate them
 
 
 def straight_line(position: FloatArray, time_s: FloatArray, min_scatter_s: float = 0.0) -> Posterior:
@@ -51,9 +54,9 @@ def straight_line(position: FloatArray, time_s: FloatArray, min_scatter_s: float
 
 @dataclass(frozen=True)
 class Rise:
-    """Phases (E,) from 0 to 1 of resolved edges between two samples, and the sampling interval.
+    """Phases (E,) of resolved edges between two samples, and the interval.
 
-    `locked`: the phases are too few for estimating the shape of the rise.
+    Phases range from 0 to 1. `locked`: the phases are too few for estimating the shape of the rise.
     """
 
     phase: FloatArray
@@ -62,13 +65,13 @@ class Rise:
 
     @property
     def sines(self) -> FloatArray:
-        """Shift of the edges (E, J) in s by a shape term of one sample's size."""
+        """Shift of the edges (E, J) in s by unit shape terms."""
         return np.asarray(self.sample_s * np.sin(np.pi * _ORDER * self.phase[:, None]))
 
 
 @dataclass(frozen=True)
 class ResolvedLine:
-    """Line through resolved edges, with the shifts of the edges (E,) by the shapes of the rises.
+    """Line through resolved edges, with the edge shifts (E,) by rise shapes.
 
     `noise` (2, 2) is the part of its covariance from the individual scatter of the edges.
     """
@@ -85,14 +88,15 @@ class ResolvedLine:
 def fit_resolved(
     time_s: FloatArray, position: FloatArray, rises: Sequence[Rise], min_scatter_s: float = 0.0
 ) -> ResolvedLine:
-    """Fit time_s (E,) = m + h·position + e_1(φ_1) - e_2(φ_2) with phases φ (E,) of crossings.
+    """Fit a line to resolved edges, with the shapes of the rises.
 
-    A rise that is not band-limited (a ramp, an exponential) leaves the reconstruction with an error e that depends only
-    on the phase of the crossing between two samples (the idea is that of the effective point-spread function: Anderson
-    & King, PASP 112, 2000). It vanishes where a sample is the crossing, hence e = Σ a_j sin(π j φ). The a_j are
-    Gaussian about 0 with a standard deviation that falls as a power of j. Its size and the power are unknown and
-    averaged by the restricted likelihood of the edges (Patterson & Thompson, Biometrika 58, 1971). The covariance thus
-    includes the uncertainty of a shape that few or unevenly spread edges do not determine.
+    The model is time_s (E,) = m + h·position + e_1(φ_1) - e_2(φ_2) with phases φ (E,) of the crossings. A rise that is
+    not band-limited (a ramp, an exponential) leaves the reconstruction with an error e that depends only on the phase
+    of the crossing between two samples (the idea is that of the effective point-spread function: Anderson & King, PASP
+    112, 2000). It vanishes where a sample is the crossing, hence e = Σ a_j sin(π j φ). The a_j are Gaussian about 0
+    with a standard deviation that falls as a power of j. Its size and the power are unknown and averaged by the
+    restricted likelihood of the edges (Patterson & Thompson, Biometrika 58, 1971). The covariance thus includes the
+    uncertainty of a shape that few or unevenly spread edges do not determine.
 
     A phase is the time read, not the true one: dφ_true/dφ = 1 - e' enters the likelihood. Without it, edges that drift
     slowly past the samples would attribute all of their drift to the shape. A locked rise is not estimated; the
@@ -147,16 +151,20 @@ def fit_resolved(
 
 # The periodic model of a camera trigger: start, period, jitter, missing, doubled and spurious edges.
 
-MIN_JITTER = 5e-6  # of a sample: 0.1 ns at 51.2 kHz, what a logic output that a quartz drives has at least
-_IDLE = 1.05  # periods without an edge at an end of the record that show the burst to begin or end there
-_LOCKED = 0.15  # of a sample: no edge over this range of phases once there are enough of them
-MAX_DISAGREEMENT_SIGMAS = 5.0  # standard uncertainties by which two answers to one question may differ
-RINGING = 1e-3  # of a sample: interval that the ringing of the pulse's other edge leaves open of a resolved one
+MIN_JITTER = 5e-6  # of a sample: 0.1 ns at 51.2 kHz, the least jitter of a logic output driven by a quartz
+_IDLE = 1.05  # periods without an edge at an end of the record that show the begin or end of the burst
+_LOCKED = 0.15  # of a sample: gap in the phases of many edges that marks them as locked
+MAX_DISAGREEMENT_SIGMAS = (
+    5.0  # standard uncertainties by which two values of one quantity may differ; chosen for few false alarms
+)
+RINGING = 1e-3  # of a sample: timing uncertainty of a resolved edge from the ringing of the pulse's other edge
 
 
 @dataclass(frozen=True)
 class TriggerFit:
-    """Periodic model t_k = start_s + k·period_s of a trigger, in seconds from the record's first sample.
+    """Periodic model t_k = start_s + k·period_s of a trigger.
+
+    Times count in seconds from the record's first sample.
 
     Attributes
     ----------
@@ -249,11 +257,14 @@ class TriggerFit:
         return self.sample_s * size * float(np.sqrt(0.5 * np.sum(_ORDER ** (-2.0 * power))))
 
     def time_s(self, number: IntArray) -> FloatArray:
-        """Return the modelled times of the edges `number` (any shape) in s from the first sample."""
+        """Return the modelled times of edges `number` in s.
+
+        They count from the first sample; `number` has any shape.
+        """
         return np.asarray(self.start_s + self.period_s * np.asarray(number, dtype=np.float64))
 
     def u_time_s(self, number: IntArray) -> FloatArray:
-        """Return the standard uncertainty of `time_s` from the fit, without the jitter of a single edge."""
+        """Return the standard uncertainty of `time_s` without single-edge jitter."""
         k = np.asarray(number, dtype=np.float64)
         c = self.covariance
         return np.asarray(np.sqrt(c[0, 0] + 2.0 * k * c[0, 1] + k**2 * c[1, 1]))
@@ -314,11 +325,12 @@ class TriggerFit:
 
 
 def fit_trigger(edges: Edges) -> TriggerFit:
-    """Fit t_k = start + k·period to the edges of a periodic trigger and number them.
+    """Fit the periodic model t_k = start + k·period to trigger edges.
 
     Parameters
     ----------
-    edges : at least three edges of the trigger.
+    edges
+        At least three edges of the trigger.
 
     Returns
     -------
@@ -326,7 +338,8 @@ def fit_trigger(edges: Edges) -> TriggerFit:
 
     Raises
     ------
-    ValueError : fewer than three edges, or fewer than half of them, share a period.
+    ValueError
+        Fewer than three edges, or fewer than half of them, share a period.
 
     Notes
     -----
@@ -365,13 +378,13 @@ def fit_trigger(edges: Edges) -> TriggerFit:
         line, shape = found.line, found.correction_s
         line = replace(line, jitter_s=float(np.sqrt(max(line.jitter_s**2 - edges.u_reading_s**2, 0.0))))
         kind, edge, correction, resolution = "resolved", estimate - shape, shape, np.sqrt(12.0) * edges.u_reading_s
-        # What the rise's shape and the ringing of other flanks leave open is the same in all edges.
+        # The uncertainty from the rise's shape and the ringing of other flanks is common to all edges.
         more = (RINGING * sample) ** 2 / 12.0
         open_s = float(np.sqrt(12.0 * (more + max(line.covariance[0, 0] - found.noise[0, 0], 0.0))))
     else:
         line, resolution = line_posterior(position, lower[None], upper[None], rough, MIN_JITTER * sample), sample
-        # A gap is open in all instants alike where the period is a simple multiple of the sampling interval. Intervals
-        # take any period for as likely: of the two answers the larger one counts.
+        # A gap is common to all instants where the period is a simple multiple of the sampling interval. Intervals
+        # treat all periods as equally likely: the larger of the two uncertainties counts.
         open_s = sample * _locked(n, line.mean[1] / half / sample, line.jitter_s / sample)
         more = max(open_s**2 / 12.0 - line.covariance[0, 0], 0.0)
     line = replace(line, covariance=line.covariance + np.diag([more, 0.0]))
@@ -438,7 +451,7 @@ def _notices(fit: TriggerFit) -> tuple[Notice, ...]:
 
 _MIN_WIDTH = 1.5  # samples: pulses shorter than one fall between the samples, and those seen seem one long
 _MIN_RISES = 5.0  # of the rise: shorter pulses do not settle at their level
-_NEAR = 16  # samples beside a flank on which its rise is looked for
+_NEAR = 16  # samples on either side of a flank in which its rise is searched for
 _FLANKS = 0.2  # u in samples² over the width: crossings of one flank on the ringing of the other
 
 
@@ -495,8 +508,8 @@ def pulse_width(
     min_width = max(_MIN_WIDTH, _MIN_RISES * float(rising / len(flanks)))
     if width * sample_rate_hz < min_width:
         raise ValueError(
-            f"samples: expected pulses of at least {min_width:.2g} samples, {1e6 * min_width / sample_rate_hz:.3g} us, found "
-            f"some of {1e6 * width:.3g} us"
+            f"samples: expected pulses of at least {min_width:.2g} samples, {1e6 * min_width / sample_rate_hz:.3g} µs, "
+            f"found pulses of {1e6 * width:.3g} µs"
         )
     u = float(np.hypot(begin.u_time_s(middle), end.u_time_s(partner)))
     if "resolved" in (begin.kind, end.kind):

@@ -63,8 +63,8 @@ LOCKED_EDGES = DeclaredNotice(
 CONTRADICTORY_CLOCK_RATE = DeclaredNotice(
     "SC-317",
     "warning",
-    "The lines of the record are {relative_difference:.2g} (relative) {direction} than the trigger edges predict, with a "
-    "standard uncertainty of {u_relative:.2g}.",
+    "The lines of the record are {relative_difference:.2g} (relative) {direction} than the trigger edges predict, "
+    "with a standard uncertainty of {u_relative:.2g}.",
     effect="The clock rate of the edges is used.",
     remedy="Check the edges, and whether the same excitation drove both records.",
     link="clocks.md",

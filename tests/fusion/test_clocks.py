@@ -27,6 +27,7 @@ from fusion.sensitivity.analyse import with_estimates
 from fusion.simulate.preset import Preset, read_preset
 from fusion.simulate.violations import violations
 from fusion.simulate.world import Draws, make_world
+from shaker.timebase.trigger_notices import CONTRADICTORY_PERIOD
 
 
 @pytest.fixture(scope="module")
@@ -162,8 +163,9 @@ def test_a_motion_that_contradicts_the_edges_is_told_and_changes_nothing(benchma
     assert after.time_s(number) == pytest.approx(before.time_s(number), abs=0.0)
     assert motion.sight.time_s == pytest.approx(sight.time_s, abs=0.0)
     assert base.ties["bridge"].rate == pytest.approx(one.base.ties["bridge"].rate, abs=1e-5)
-    (text,) = (n.text for n in after.notices if n.severity == "warning")
-    assert "its period is 0.0001 of itself longer than its edges do" in text
+    (notice,) = (n for n in after.notices if n.severity == "warning")
+    assert (notice.code, notice.values["direction"]) == (CONTRADICTORY_PERIOD.code, "longer")
+    assert notice.values["relative_difference"] == pytest.approx(1e-4, rel=0.05)
 
 
 def test_less_than_two_beats_tell_no_period(benchmark: ModuleType, locked: Any) -> None:

@@ -284,7 +284,7 @@ def test_selection_keeps_values_and_covariances_together():
     np.testing.assert_array_equal(picked.value, phasors.value[:, [2, 0]])
     np.testing.assert_array_equal(picked.covariance[:, 1, 2], phasors.covariance[:, 0, 5])
     np.testing.assert_array_equal(picked.u_im[:, 0] ** 2, phasors.covariance[:, 5, 5])
-    refused(r"channels: expected some of a, b, c, found d", phasors.select, ["d"])
+    refused("^channels: .*a, b, c.* d$", phasors.select, ["d"])
     line = phasors.at_lines(np.array([False, True]))
     assert line.frequency_hz.tolist() == [425.0]
     np.testing.assert_array_equal(line.value[0], phasors.value[1])
@@ -294,9 +294,9 @@ def test_selection_keeps_values_and_covariances_together():
     np.testing.assert_array_equal(joined.value, phasors.value)
     np.testing.assert_array_equal(joined.select(["a", "b"]).covariance, phasors.select(["a", "b"]).covariance)
     np.testing.assert_array_equal(joined.covariance[:, 0, 2], 0.0)
-    wrong = r"covariance: expected an array of shape \(2, 6, 6\), found \(1, 6, 6\)"
+    wrong = r"^covariance: .*\(2, 6, 6\).*\(1, 6, 6\)"
     refused(wrong, replace, phasors, covariance=phasors.covariance[:1])
-    refused("unit: expected 3 units", replace, phasors, unit=("m",))
+    refused("^unit: .*3", replace, phasors, unit=("m",))
 
 
 @settings(max_examples=25, deadline=None)
@@ -322,5 +322,5 @@ def test_what_would_fold_is_taken_out_samples_are_met_and_positions_beyond_the_r
     reach = kernel_reach(1.0)
     place = np.arange(reach, 200 - reach).astype(float)
     np.testing.assert_allclose(resample(samples, place), samples[reach : 200 - reach], atol=1e-12)
-    refused("position: expected", resample, samples, np.array([199.0]))
-    refused("share: expected a number above 0", resample, samples, place, 1.5)
+    refused("^position: ", resample, samples, np.array([199.0]))
+    refused("^share: .*1.5", resample, samples, place, 1.5)

@@ -55,11 +55,11 @@ def test_csv_channels_answer_to_their_names_without_units(tmp_path):
     assert list(read_channels(path, sample_rate_hz=1.0)) == ["Fz [N]", "Fz [kN]", "a, top (g)"]
     assert read_channels(path, ["a, top"], 1.0)["a, top"].unit == "g"
     np.testing.assert_array_equal(read_channels(path, ["Fz [kN]"], 1.0)["Fz [kN]"].samples, [2.0, 5.0])
-    refused(r'a\.csv: expected a channel "Fz", found', read_channels, path, ["Fz"], 1.0)
+    refused(r'a\.csv: .*"Fz"', read_channels, path, ["Fz"], 1.0)
     # Columns of text do not matter to others.
     path.write_text("clock;Fz;state\n;N;\n12:00:01;1,5;ok\n12:00:02;2,5;late\n")
     np.testing.assert_array_equal(read_channels(path, ["Fz"], 1.0)["Fz"].samples, [1.5, 2.5])
-    refused(r"a\.csv: line 3: expected numbers, found '12:00:01;1,5;ok'", read_channels, path, ["Fz", "state"], 1.0)
+    refused(r"a\.csv: line 3: .*'12:00:01;1,5;ok'", read_channels, path, ["Fz", "state"], 1.0)
 
 
 def test_csv_latin_1_and_the_unit_1(tmp_path):
@@ -71,26 +71,24 @@ def test_csv_latin_1_and_the_unit_1(tmp_path):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("time,Fz\n0,1\n1,OVER\n2,3\n", "line 3: expected numbers, found '1,OVER'"),
-        ("time,Fz\n0,OVER\n1,2\n2,3\n", "line 2: expected numbers, found '0,OVER'"),
+        ("time,Fz\n0,1\n1,OVER\n2,3\n", "line 3: .*'1,OVER'"),
+        ("time,Fz\n0,OVER\n1,2\n2,3\n", "line 2: .*'0,OVER'"),
         ("time,Fz\n0,1\n1,2,3\n", "line 3: expected 2 columns, found 3"),
         ("time,Fz\n0,1\n1,2\n2\n", "line 4: expected 2 columns, found 1"),
-        ("time [V],Fz\n0,1\n1,2\n", "expected a unit of time (s, ms, us, ns, min, h), found 'V'"),
-        ("time,Fz,Fz\n0,1,2\n1,2,3\n", "line 1: expected a header with one name per column"),
-        ("time;Fz\n0,0;1.234,5\n0,1;2\n", "line 2: expected numbers"),
-        ("time,Fz\ns,N\n", "expected rows of numbers, found none"),
-        ("", "expected a header and rows of numbers"),
-        ("time,Fz\n0,1\n2,2\n1,3\n", "expected ascending times, found a step of -1 s after sample 1"),
-        ("1,2\n3,4\n", "line 1: expected a header"),
-        ("Fz\n1\n2\n", "expected a sampling rate"),
+        ("time [V],Fz\n0,1\n1,2\n", "time.* 'V'"),
+        ("time,Fz,Fz\n0,1,2\n1,2,3\n", "line 1: .*header"),
+        ("time;Fz\n0,0;1.234,5\n0,1;2\n", "line 2: .*numbers"),
+        ("time,Fz\ns,N\n", "line 3: .*rows"),
+        ("", "header"),
+        ("time,Fz\n0,1\n2,2\n1,3\n", "-1 s .* 1, 2 s"),
+        ("1,2\n3,4\n", "line 1: .*header"),
+        ("Fz\n1\n2\n", "sample_rate"),
     ],
 )
 @pytest.mark.parametrize("block", [6, 1 << 20])
 def test_csv_errors(tmp_path, monkeypatch, content, message, block):
     monkeypatch.setattr(text, "BLOCK", block)
-    with pytest.raises(ValueError, match=r"a\.csv: ") as caught:
-        read(tmp_path, content)
-    assert message in str(caught.value)
+    refused(rf"a\.csv: .*{message}", read, tmp_path, content)
 
 
 @settings(max_examples=60, deadline=None)
@@ -164,7 +162,7 @@ def test_lvm_in_blocks(tmp_path, monkeypatch, block):
     np.testing.assert_array_equal(read(tmp_path, between, ".lvm")["U"].samples, [1, 2, 3, 4, 1, 2, 3, 4])
     wrong = content[:-4] + "\tx\n"
     line = wrong.count("\n")
-    refused(rf"a\.lvm: line {line}: expected numbers, found 'x'", read, tmp_path, wrong, ".lvm")
+    refused(rf"a\.lvm: line {line}: .*'x'", read, tmp_path, wrong, ".lvm")
 
 
 STAMPED = (
@@ -186,15 +184,15 @@ def test_lvm_segments_are_joined_and_pauses_stay(tmp_path, point):
     assert (channel.sample_rate_hz, channel.unit, channel.gap) == (2.0, "Volts", None)
     paused = read(tmp_path, segments("15.25", point), ".lvm")["U"]
     np.testing.assert_allclose(paused.time_s, [0.0, 0.5, 1.0, 1.5, 5.0, 5.5, 6.0], rtol=1e-12)
-    assert str(paused.gap).startswith("3.5 s between samples 3 and 4")
-    refused(r"a\.lvm: .*before the last one has ended", read, tmp_path, segments("11.25", point), ".lvm")
+    assert re.match(r"3\.5 s .* 3 and 4,", str(paused.gap))
+    refused(r"a\.lvm: .* 2\.0+ s.* 1\.0+ s", read, tmp_path, segments("11.25", point), ".lvm")
 
 
 def test_lvm_column_of_a_decimated_file_rules_its_header(tmp_path):
     channels = STAMPED.format(n=100, second="10", step="0.001")
     body = "X_Value\tU\n" + "".join(f"{0.016 * i:.3f}\t{i}\n" for i in range(7))
     assert read(tmp_path, lvm(body, channels, "One"), ".lvm")["U"].sample_rate_hz == pytest.approx(62.5, rel=1e-12)
-    with pytest.raises(ValueError, match="expected 100 samples as the header says, found 2"):
+    with pytest.raises(ValueError, match=r" 100 .* 2$"):
         read(tmp_path, lvm("X_Value\tU\n\t1\n\t2\n", channels), ".lvm")
 
 
@@ -224,7 +222,7 @@ def test_scanning_vibrometer_text(tmp_path, by_rows, count):
     np.testing.assert_array_equal(take["2"].samples, scan.samples[1, count - 1])
     np.testing.assert_array_equal(read_channels(path, [f"3/{count}"])[f"3/{count}"].samples, scan.samples[2, -1])
     path.write_text("\n".join(path.read_text().splitlines()[:-3]))
-    torn = rf"Scan_time\.asc: expected whole blocks of {count} points with 50 samples \({50 * count} numbers\)"
+    torn = rf"Scan_time\.asc: .* {count} .* 50 .*{50 * count} "
     refused(torn, read_channels, path)
 
 
@@ -289,10 +287,10 @@ def test_end_mark_and_line_ends_among_the_numbers_count_and_foreign_or_too_few_n
     content = uff.binary_function(4, X, Y.real, True, "<")
     for number, name in ((b"3", "IBM 5/370"), (b"1", "DEC VMS")):
         path.write_bytes(content.replace(b"1     2", b"1     " + number, 1))
-        refused(rf"a\.uff: line 2: expected .* IEEE 754 numbers, found .*{name}", read_channels, path)
+        refused(rf"a\.uff: line 2: .* IEEE 754 .*{name}", read_channels, path)
     lines = uff.text_function(1, 2, X, Y.real, True).split(b"\n")
     path.write_bytes(b"\n".join(lines[:14] + lines[15:]))
-    refused(r"a\.uff: line 2: expected 50 numbers, found 44", read_channels, path)
+    refused(r"a\.uff: line 2: .* 50 .* 44", read_channels, path)
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # pyuff leaves files open

@@ -93,7 +93,7 @@ def test_delay_and_the_rest_of_the_structure_come_back():
     np.testing.assert_allclose(fit.model(FREQUENCY), value, rtol=1e-6)
     assert len(fit.parameters) == 9
     assert fit.u("delay_s") > 0.0
-    refused("expected one of frequency_hz", fit.u, "mass_kg")
+    refused("frequency_hz", fit.u, "mass_kg")
 
 
 def test_errors_are_those_of_the_bound_and_intervals_hold():
@@ -143,8 +143,8 @@ def test_a_misfit_enlarges_the_uncertainty():
 
 def test_what_cannot_be_fitted_is_refused_with_a_reason():
     few = MeasuredCurve(FREQUENCY[:2], ONE[:2], even(ONE[:2], 1e-3))
-    refused("more than 2 lines", fit_resonance, few, "receptance")
-    refused("covariance: expected positive definite", fitted, ONE, 0.0 * even(ONE, 1e-3))
+    refused("more than 2 ", fit_resonance, few, "receptance")
+    refused("^covariance: ", fitted, ONE, 0.0 * even(ONE, 1e-3))
     refused("covariance", MeasuredCurve, FREQUENCY, ONE, np.zeros((3, 2, 2)))
     refused("dof", fitted, ONE, even(ONE, 1e-3), dof=np.ones(3))
 
@@ -385,15 +385,15 @@ def test_of_two_peaks_the_higher_is_read():
 
 def test_wrong_curves_are_refused_by_name():
     frequency, ones = np.arange(10.0) + 1.0, np.ones(10, dtype=np.complex128)
-    refused("at least 5 lines, found 3", read, frequency[:3], frequency[:3] + 0j, 0.1)
-    refused("ascending positive", read, np.arange(10.0), frequency + 0j, 0.1)
+    refused(r"\b5\b.*\b3\b", read, frequency[:3], frequency[:3] + 0j, 0.1)
+    refused("ascending", read, np.arange(10.0), frequency + 0j, 0.1)
 
     def reading(value: ComplexArray, covariance: FloatArray) -> PeakReadings:
         return peak_readings(MeasuredCurve(frequency, value, covariance))
 
-    refused("value: expected finite", reading, np.nan * ones, even(ones, 0.1))
-    refused("covariance: expected an array of shape", reading, frequency + 0j, np.ones((10, 2)))
-    refused("covariance: expected positive definite", reading, frequency + 0j, np.zeros((10, 2, 2)))
+    refused("^value: ", reading, np.nan * ones, even(ones, 0.1))
+    refused("^covariance: ", reading, frequency + 0j, np.ones((10, 2)))
+    refused("^covariance: ", reading, frequency + 0j, np.zeros((10, 2, 2)))
 
 
 TIME, RULES = np.linspace(0.0, 4.0, 60), LMOptions(predicted_decrease_share=1e-14)
@@ -491,5 +491,5 @@ def test_dependent_columns_share_and_the_root_is_that_of_the_covariance():
 
 
 def test_a_start_without_a_loss_is_refused():
-    with pytest.raises(ValueError, match="start: expected parameters"):
+    with pytest.raises(ValueError, match=r"^start: "):
         levenberg_marquardt(lambda x: None, WhitenedResiduals(np.zeros(1), np.array([np.inf]), np.ones((1, 1))), RULES)

@@ -13,6 +13,7 @@ from scipy.stats import f as f_distribution
 from shaker.sine.noise import neighbour_bins
 from shaker.sine.normal_equations import LONG, Demodulator, SineSums, UniformTimes, timeline
 from shaker.sine.sine_fit import fit_sines
+from shaker.sine.sine_fit_notices import MISSING_SAMPLES, SPIKES_REJECTED
 from shaker.sine.solve import SineModel
 
 CAMERA_HZ, RATE_HZ = 52.874, 51_200.0
@@ -64,7 +65,7 @@ def test_drift_is_separated_from_the_lines_and_missing_samples_are_dropped_and_c
     residual = fit.residual_of(time, values)
     assert np.isnan(residual[7]).all()
     assert np.isfinite(np.delete(residual, 7, axis=0)).all()
-    assert fit.notices[0].text == "1 of 211 samples are missing"
+    assert (fit.notices[0].code, fit.notices[0].values) == (MISSING_SAMPLES.code, {"missing": 1, "samples": 211})
 
 
 @settings(max_examples=25, deadline=None)
@@ -139,13 +140,12 @@ def test_stated_covariance_crosses_channels():
 
 def test_folded_lines_are_refused_with_the_remedy():
     time = np.arange(300) / 200.0
-    refused(r"frequency_hz: .*drop those that usable_lines names", _fit, time, np.ones((300, 1)), np.array([100.0]))
-    refused("time_s: expected more than 3 complete samples, found 3", _fit, time[:3], np.ones((3, 1)), np.array([30.0]))
-    refused("unit: expected 1 units", fit_sines, time, np.ones((300, 1)), np.array([30.0]), ["a"], [])
+    refused("^frequency_hz: .*usable_lines", _fit, time, np.ones((300, 1)), np.array([100.0]))
+    refused(r"^time_s: .* 3 .* 3$", _fit, time[:3], np.ones((3, 1)), np.array([30.0]))
+    refused("^unit: .*1", fit_sines, time, np.ones((300, 1)), np.array([30.0]), ["a"], [])
     two, one = SineModel(free=(0, 1)), np.array([80.0])
-    refused("free: expected 1 labels, one per line, found 2", _fit, time, np.ones((300, 1)), one, two)
-    untold = "frequency_hz: expected lines whose frequencies and decays the record tells"
-    refused(untold, _fit, time, np.zeros((300, 1)), one, FREE)
+    refused("^free: .*1 .*2$", _fit, time, np.ones((300, 1)), one, two)
+    refused("^frequency_hz: ", _fit, time, np.zeros((300, 1)), one, FREE)
 
 
 def ieee_1057(time: np.ndarray, y: np.ndarray, frequency: float, steps: int = 12) -> tuple[float, complex]:
@@ -338,7 +338,7 @@ def test_blocks_give_what_a_design_matrix_gives():
     residual = data[kept] - columns[kept] @ found
     np.testing.assert_allclose(fit.residual_rms, np.sqrt(np.mean(residual**2, axis=0)), rtol=1e-10)
     np.testing.assert_allclose(fit.residual_of(time, data)[kept], residual, atol=1e-9)
-    assert fit.notices[0].text == f"1 of {len(time)} samples are missing"
+    assert fit.notices[0].values == {"missing": 1, "samples": len(time)}
 
 
 def test_long_and_short_ways_agree_and_many_channels_are_as_certain_as_they_should_be():
@@ -394,9 +394,9 @@ def test_weights_make_the_best_of_samples_of_unequal_noise(each):
         exact = np.linalg.inv(weighted.T @ weighted)
         stated = np.sqrt(fit.phasors.covariance[:, c, c] / exact.diagonal()[:2])
         np.testing.assert_allclose(stated, 1.0, atol=0.5)
-    with pytest.raises(ValueError, match=r"variance: expected an array of shape \(240,\) or \(240, 2\)"):
+    with pytest.raises(ValueError, match=r"^variance: .*\(240,\).*\(240, 2\)"):
         _fit(time, data, frequency, variance=np.ones(3))
-    refused("variance: expected positive numbers", _fit, time, data, frequency, variance=np.zeros(240))
+    refused("^variance: ", _fit, time, data, frequency, variance=np.zeros(240))
 
 
 @settings(max_examples=15, deadline=None)
@@ -447,8 +447,10 @@ def test_spikes_are_left_out_and_named_in_long_records_too():
     np.testing.assert_allclose(fit.phasors.value, expected.phasors.value, atol=1e-12)
     np.testing.assert_allclose(fit.phasors.covariance, expected.phasors.covariance, rtol=1e-4, atol=1e-12)
     assert fit.notices[0].severity == "warning"
-    assert fit.notices[0].text.startswith("4 of 400 samples stand out of the noise by more than 4.")
-    assert fit.notices[0].text.endswith("left out, the first at 0.003 s")
+    assert fit.notices[0].code == SPIKES_REJECTED.code
+    assert (fit.notices[0].values["spikes"], fit.notices[0].values["samples"]) == (4, 400)
+    assert 4.0 < fit.notices[0].values["limit_sigmas"] < 5.0
+    assert fit.notices[0].values["first_s"] == pytest.approx(0.003)
     time, data = _record(LONG + 999, 1, 7)
     rows = np.arange(5, len(time), 997)
     data[rows] += 50.0

@@ -18,6 +18,14 @@ from shaker.timebase.edges import Edges, find_edges
 from shaker.timebase.intervals import Posterior, Slopes, _log_likelihood, line_posterior, normal_cdf
 from shaker.timebase.tie import ClockTie, decide_shift, edge_instants, tie_clocks
 from shaker.timebase.trigger import TriggerFit, fit_trigger, pulse_width
+from shaker.timebase.trigger_notices import (
+    CONTRADICTORY_PERIOD,
+    DOUBLED_EDGES,
+    LOCKED_EDGES,
+    MISSING_EDGES,
+    START_TIMES_DISAGREE,
+    STRAY_EDGES,
+)
 
 PERIOD_S = 1.0 / 52.874
 EDGES, FEW = 211, 80
@@ -90,9 +98,9 @@ def test_noise_at_the_threshold_counts_once_and_one_out_of_reach_is_refused():
     ramp = np.clip(np.sin(2 * np.pi * 10.0 * np.arange(20_000) / 20_000.0) * 3.0, -1.0, 1.0)
     edges = find_edges(ramp + 0.03 * rng.normal(size=len(ramp)), 20_000.0)
     assert len(edges.estimate_s) == 9  # the one at the very start has no low sample before it
-    with pytest.raises(ValueError, match="threshold: expected a level that the signal crosses, found 7"):
+    with pytest.raises(ValueError, match=r"^threshold: .* 7 "):
         find_edges(_pulses(np.array([0.1, 0.2]), 1e4, 0.3), 1e4, threshold=7.0)
-    refused("samples: expected numbers, found 1 NaN", find_edges, np.array([0.0, np.nan, 1.0]), 1e4)
+    refused("^samples: .* 1 ", find_edges, np.array([0.0, np.nan, 1.0]), 1e4)
 
 
 def test_band_limited_edges_have_no_bias():
@@ -126,8 +134,10 @@ def test_missing_doubled_and_stray_edges_are_survived():
         fit = fit_trigger(find_edges(_pulses(all_edges, 51_200.0, 4.3, 2e-4), 51_200.0))
         assert (fit.edges, set(fit.missing)) == (EDGES, set(np.flatnonzero(~keep)))
         assert fit.spurious > 0
-        assert any("missing" in n.text for n in fit.notices)
-        assert fit.doubled == 0 or any(n.text == f"{fit.doubled} doubled edges were dropped" for n in fit.notices)
+        values = {notice.code: notice.values for notice in fit.notices}
+        assert values[MISSING_EDGES.code]["missing"] == len(fit.missing)
+        assert values[STRAY_EDGES.code]["stray"] == fit.spurious
+        assert values.get(DOUBLED_EDGES.code, {"doubled": 0})["doubled"] == fit.doubled
         errors.append(fit.time_s(np.array(105)) - instants[105])
     assert np.sqrt(np.mean(np.square(errors))) < 0.2e-6
 
@@ -215,12 +225,12 @@ def test_whole_period_shift_is_decided(base, other, shift):
 def test_undecided_shift_is_refused_and_start_times_decide_it():
     base = _fit(0.010, 100, before=False, after=False)
     other = _fit(0.004, 90, before=False, after=False)
-    refused(r"shift: expected .*189 whole-period shifts from -89 to 99", tie_clocks, base, other)
+    refused("^shift: .*189 .*-89 to 99", tie_clocks, base, other)
     assert (tie_clocks(base, other, start_difference_s=0.126).shift, tie_clocks(base, other, shift=3).shift) == (6, 3)
-    refused("whole-period shifts", tie_clocks, base, other, start_difference_s=0.117)
+    refused("^shift: ", tie_clocks, base, other, start_difference_s=0.117)
     slow = fit_trigger(find_edges(_pulses(0.1 + 0.03 * np.arange(20), 1e4, 0.8), 1e4))
     refused(
-        r"other: expected the trigger period of the base clock, 0\.02 s, found 0\.0",
+        r"^other: .* 0\.02 s, found 0\.0",
         tie_clocks,
         replace(base, period_s=0.02),
         slow,
@@ -228,10 +238,8 @@ def test_undecided_shift_is_refused_and_start_times_decide_it():
 
 
 def test_edges_without_a_period_are_refused():
-    words = "edges: expected at least 3 edges of one period and half of all, found 2 of 3"
-    refused(words, fit_trigger, find_edges(_pulses([0.05, 0.1, 0.73], 1e4, 1.0), 1e4))
-    words = "edges: expected at least 3 edges, found 2"
-    refused(words, fit_trigger, find_edges(_pulses([0.1, 0.2], 1e4, 1.0), 1e4))
+    refused("^edges: .* 3 .*2 of 3$", fit_trigger, find_edges(_pulses([0.05, 0.1, 0.73], 1e4, 1.0), 1e4))
+    refused("^edges: .* 3 .* 2$", fit_trigger, find_edges(_pulses([0.1, 0.2], 1e4, 1.0), 1e4))
 
 
 @settings(max_examples=15, deadline=None)
@@ -356,7 +364,9 @@ def test_a_known_period_tells_where_edges_pass_a_sample():
         assert float(alone.u_time_s(np.array(40))) > 4.0 * drift / RATE_HZ
     wrong = alone.with_period((968.0 + drift) / RATE_HZ * (1.0 + 1e-4), 1e-8 / RATE_HZ)
     assert wrong.time_s(np.array(40)) == alone.time_s(np.array(40))
-    assert "its period is 0.0001 of itself longer than its edges do" in wrong.notices[-1].text
+    assert wrong.notices[-1].code == CONTRADICTORY_PERIOD.code
+    assert wrong.notices[-1].values["direction"] == "longer"
+    assert wrong.notices[-1].values["relative_difference"] == pytest.approx(1e-4, rel=0.05)
 
 
 def test_the_shape_of_a_locked_rise_moves_no_exposure():
@@ -407,7 +417,7 @@ def test_what_edges_cannot_tell_of_a_rise_is_in_the_uncertainty(rise, noise, tie
 
 @pytest.mark.parametrize("samples", [968.0, 968.002, 968.5])
 @pytest.mark.parametrize("rise", [_ramp, _charging, _half_band])
-def test_a_rise_that_locked_edges_show_at_one_place_is_covered_and_told(rise, samples):
+def test_a_rise_that_locked_edges_show_at_one_place_is_covered_and_reported(rise, samples):
     """Slowly drifting edges (968.002 samples) do not put their drift down to the shape of the rise."""
     rng = np.random.default_rng(42)
     for _ in range(3):
@@ -416,7 +426,7 @@ def test_a_rise_that_locked_edges_show_at_one_place_is_covered_and_told(rise, sa
         for edge in (0, FEW // 2, FEW - 1):
             deviation = float(fit.time_s(np.array(edge))) - instants[edge]
             assert abs(deviation) < 2.0 * float(fit.u_time_s(np.array(edge)))
-        assert any("same places between two samples" in notice.text for notice in fit.notices)
+        assert LOCKED_EDGES.code in [notice.code for notice in fit.notices]
 
 
 def _deviations(seed: int, draws: int, jitter_s: float) -> np.ndarray:
@@ -482,7 +492,7 @@ def test_resolved_edges_stand_for_the_period_of_the_others():
     assert (tie.pairs, tie.decided_by) == (FEW, "burst start and end")
 
 
-def test_locked_sampling_is_covered_and_told():
+def test_locked_sampling_is_covered_and_reported():
     period = 968.0 / RATE_HZ
     for place in (0.02, 0.5, 0.97):
         instants = (5000.0 + place) / RATE_HZ + period * np.arange(FEW)
@@ -490,7 +500,7 @@ def test_locked_sampling_is_covered_and_told():
         deviation = float(fit.time_s(np.array(40))) - instants[40]
         assert abs(deviation) < 2.0 * float(fit.u_time_s(np.array(40)))
         assert float(fit.u_time_s(np.array(40))) > 5e-6
-        assert any("same places between two samples" in notice.text for notice in fit.notices)
+        assert LOCKED_EDGES.code in [notice.code for notice in fit.notices]
 
 
 def test_jitter_decides_what_nothing_else_does():
@@ -507,12 +517,13 @@ def test_contradicting_ends_are_refused_by_name():
     first, second = _instants(np.random.default_rng(27))
     base = fit_trigger(_latched(first, RATE_HZ))
     other = fit_trigger(_latched(second[2:], OTHER_HZ))  # two edges lost at its start, though it was recording
-    refused(r"shift: .*80 and 78 edges whose ends of the burst say 2 and 0; give first_edge", tie_clocks, base, other)
+    refused("^shift: .*80 and 78 .*2 and 0; .*first_edge", tie_clocks, base, other)
     tie = tie_clocks(base, other, start_difference_s=LATER_S)
     assert (tie.shift, tie.decided_by) == (2, "start times")
     assert not tie.notices
-    told = tie_clocks(base, other, shift=0, start_difference_s=LATER_S).notices
-    assert "start times put edge 0 at edge 2 of the first clock, first_edge at 0" in told[0].text
+    (notice,) = tie_clocks(base, other, shift=0, start_difference_s=LATER_S).notices
+    assert notice.code == START_TIMES_DISAGREE.code
+    assert notice.values == {"start_time_edge": 2, "evidence": "first_edge", "used_edge": 0}
 
 
 def test_single_gaps_that_coincide_by_chance_decide_nothing():
@@ -520,7 +531,7 @@ def test_single_gaps_that_coincide_by_chance_decide_nothing():
     place = first - first[0] + 0.5 * PERIOD_S
     base = fit_trigger(_latched(np.delete(place[:70], [20, 41, 60]), RATE_HZ, 69.6 * PERIOD_S))
     other = fit_trigger(_latched(np.delete(place[:70], [9, 15, 33]), OTHER_HZ, 69.6 * PERIOD_S))
-    refused("whole-period shifts", decide_shift, base, other)
+    refused("^shift: ", decide_shift, base, other)
 
 
 def _jump(x: np.ndarray) -> np.ndarray:
@@ -557,7 +568,7 @@ def test_short_pulses_are_as_uncertain_as_stated(rise, samples):
 def test_pulses_that_do_not_settle_are_refused(rise, samples):
     rng = np.random.default_rng(33)
     signal = _shaped(rise, _instants(rng)[0], rng, samples / RATE_HZ)
-    refused(r"samples: expected pulses of at least [\d.]+ samples, .* found some of", pulse_width, signal, RATE_HZ)
+    refused(r"^samples: .*[\d.]+ samples", pulse_width, signal, RATE_HZ)
 
 
 @pytest.mark.parametrize("rise", [_jump, _half_band])

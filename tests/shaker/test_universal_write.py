@@ -79,9 +79,9 @@ def test_nodes_and_shapes_come_back(tmp_path):
 
 
 def test_what_a_universal_file_cannot_hold_is_refused_and_texts_fit_their_fields(tmp_path):
-    refused("response, reference: expected node", universal_function, replace(function(EVEN), response="top"))
+    refused("^response, reference: .*top", universal_function, replace(function(EVEN), response="top"))
     shape = UniversalShape(np.array([1]), np.zeros((1, 2), complex), "normal mode", "displacement", 1.0, 0.0, 0.0, ())
-    refused("shape: expected normal mode", universal_shape, shape, 1)
+    refused("^shape: ", universal_shape, shape, 1)
     long = replace(function(EVEN), titles=("Kraftaufnehmer Größe 7 " + "x" * 90,), name="a name of many letters")
     (seen,) = read(tmp_path / "c.uff", universal_function(long))
     assert seen["id1"].startswith("Kraftaufnehmer Gr??e 7 x")
