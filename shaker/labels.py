@@ -1,7 +1,4 @@
-"""Names and units of axes, loads and motions, in the order in which every array of six components has them.
-
-Units are written in ASCII, as in result files (`N.m/rad`, `m/s^2`), and `typeset` where a reader sees them.
-"""
+"""Names and units of axes, motions and loads, and their typography."""
 
 from __future__ import annotations
 

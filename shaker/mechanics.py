@@ -262,7 +262,7 @@ class MassChain:
 
     @property
     def matrices(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """M, B, K (N, N) of M ẍ + B ẋ + K x = 0, the base at rest."""
+        """Matrices M, B, K (N, N) of M ẍ + B ẋ + K x = 0 on a fixed base."""
         mass, damping, stiffness = fixed_base_chain(len(self.stages)).at(self._weights)[0]
         return mass, damping, stiffness
 

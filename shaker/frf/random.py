@@ -200,17 +200,17 @@ class LineSpectra:
 def local_spectra(record: TransferRecord, length: int, frequency_hz: FloatArray) -> LineSpectra:
     """Return spectra [reference, responses] at lines (K,) in Hz by local polynomials.
 
-    The lines are a `length`-th of the sample rate apart. In a window of five lines of the record's DFT, r bins from the
-    line, Y(r) = Σ g_s rˢ·X(r) + Σ t_s rˢ, s = 0 … 6, by least squares. t is the transient of the record's begin and end
-    (leakage), smooth in frequency. g₀ is the transfer function at the line (Pintelon and Schoukens, System
-    Identification, 2nd ed., 2012, sec. 7.2; Schoukens, Vandersteen, Barbé and Pintelon, Eur. J. Control 15, 2009). The
-    residual per degree of freedom is the noise S_ee.
+    The lines are a `length`-th of the sample rate apart. The model in a window of five lines of the record's DFT, r
+    bins from the line, is Y(r) = Σ g_s rˢ·X(r) + Σ t_s rˢ, s = 0 … 6. It is fitted by least squares. The transient t of
+    the record's begin and end (leakage) is smooth in frequency. The transfer function at the line is g₀ (Pintelon and
+    Schoukens, System Identification, 2nd ed., 2012, sec. 7.2; Schoukens et al., Eur. J. Control 15, 2009). The residual
+    per degree of freedom is the noise S_ee.
 
-    The result is S_xx = mean |X|², S_yx = g₀ S_xx, S_yy = |g₀|² S_xx + S_ee, worth n + 1 averages. n = (X*QX)/S_xx,
-    with the projection Q orthogonal to the other unknowns. Then var g₀ = S_ee/(n S_xx), and noise on the reference
-    lowers g₀ as it lowers H1. H2 and Hv therefore follow from these spectra as from averaged ones. Errors of two lines
-    correlate as far as their windows overlap. A resonance that is too narrow for these polynomials is even more so for
-    those of order 4. Their difference, where it exceeds the noise, bounds the bias.
+    The result is S_xx = mean |X|², S_yx = g₀ S_xx, S_yy = |g₀|² S_xx + S_ee, worth n + 1 averages. Here n =
+    (X*QX)/S_xx, with the projection Q orthogonal to the other unknowns. Then var g₀ = S_ee/(n S_xx), and noise on the
+    reference lowers g₀ as it lowers H1. `H2` and Hv therefore follow from these spectra as from averaged ones. Errors
+    of two lines correlate as far as their windows overlap. A resonance that is too narrow for these polynomials is even
+    more so for those of order 4. The difference, where it exceeds the noise, bounds the bias.
     """
     samples = len(record.reference)
     if samples < LEAST_SEGMENTS * length:

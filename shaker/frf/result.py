@@ -114,7 +114,10 @@ class TransferFunction:
 
     @property
     def coherence_bias(self) -> FloatArray:
-        """Bias (1 - γ²)²/n of the estimated coherence, (K, C); Bendat and Piersol, Random Data, 4th ed., eq. 9.76."""
+        """Bias (1 - γ²)²/n of the estimated coherence, (K, C).
+
+        Bendat and Piersol, Random Data, 4th ed., eq. 9.76.
+        """
         return np.asarray((1.0 - self.coherence) ** 2 / self.averages[:, None])
 
     def at_lines(self, lines: NDArray[Any]) -> TransferFunction:

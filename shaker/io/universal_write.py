@@ -134,7 +134,7 @@ def _node_and_direction(point: str) -> tuple[int, int]:
 
 
 def _titles(titles: Sequence[str]) -> list[str]:
-    """Return the five title records."""
+    """Return the title records."""
     return [_ascii(title, 80) or "NONE" for title in (*titles, *[""] * 5)[:5]]
 
 

@@ -112,10 +112,10 @@ def name_lines(lines: DetectedLines, fundamental_hz: FloatArray | None = None) -
     """Return the explanation of each line, with given fundamentals or those that explain most.
 
     Without given fundamentals, lines are examined in the order of their strength. A line that no fundamental explains
-    becomes a fundamental. If there is a line at its half, third, … and a further multiple of that which it does not
-    explain, it becomes a harmonic of that line: the strongest line may be the second harmonic, but a single
-    sub-harmonic is not the fundamental. Mains and pairs of side bands are named first. An unexplained line weaker than
-    a hundredth of the strongest one is no fundamental.
+    becomes a fundamental. With a line at its half, third, … and a further multiple of that which it does not explain,
+    it becomes a harmonic instead. The strongest line may thus be the second harmonic, but a single sub-harmonic is not
+    the fundamental. Mains and pairs of side bands are named first. An unexplained line weaker than a hundredth of the
+    strongest one is no fundamental.
     """
     state, strongest_first = _Naming(lines), np.argsort(-lines.strength, kind="stable").tolist()
     for f in () if fundamental_hz is None else fundamental_hz:

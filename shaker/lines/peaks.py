@@ -116,9 +116,9 @@ def find_peaks(
 
     Half of the chance is for peaks anywhere, half for those at `expected_bins` (E,), where less height is enough. Each
     line is fitted and subtracted from the spectrum with its leakage before the floor is estimated again. A line must
-    also exceed the remainder next to it (by at least the height that the square root of its chance gives for so few
-    bins), which the skirts of a stronger line and a resonance do not. `fitted_bins` (T,) are lines fitted already, with
-    these samples as residual. `min_amplitude` is the amplitude below which a peak is rounding.
+    also exceed the remainder next to it, which the skirts of a stronger line and a resonance do not. The height needed
+    there follows from the square root of the chance, at least, for so few bins. `fitted_bins` (T,) are lines fitted
+    already, with these samples as residual. `min_amplitude` is the amplitude below which a peak is rounding.
     """
     floored = samples if isinstance(samples, FloorSpectrum) else FloorSpectrum(samples)
     state = _Search(floored, fitted_bins, expected_bins, chance, min_amplitude**2)

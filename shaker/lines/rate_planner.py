@@ -29,11 +29,11 @@ def amplitude_covariance(
 ) -> tuple[FloatArray, float]:
     """Return the covariance (K, 2, 2) of fitted amplitudes, and the condition number.
 
-    It is that of an ordinary least-squares fit of the lines and an offset to `frames` uniform samples, disturbed by
-    noise of spectral density S(f) = (2/rate)·(1 + corner/f): white with unit variance per frame, and 1/f noise that is
-    as strong at `corner_hz`. With C = (XᵀX)⁻¹Xᵀ the covariance is (XᵀX)⁻¹ + ∫(corner/|f|)·C(f)·C(f)ᴴ df/rate, with the
-    Fourier transforms C(f) of the rows of C. For well separated lines both quadratures have (2/frames)·(1 +
-    corner/alias). The integral is finite because the fitted offset removes constants.
+    The amplitudes are those of cosine and sine in an ordinary least-squares fit of the lines and an offset to `frames`
+    uniform samples. The noise has the spectral density S(f) = (2/rate)·(1 + corner/f): white with unit variance per
+    frame, and 1/f noise that is as strong at `corner_hz`. With C = (XᵀX)⁻¹Xᵀ the covariance is (XᵀX)⁻¹ +
+    ∫(corner/|f|)·C(f)·C(f)ᴴ df/rate, with the Fourier transforms C(f) of the rows of C. For well separated lines both
+    quadratures have (2/frames)·(1 + corner/alias). The integral is finite because the fitted offset removes constants.
     """
     check_shape("frequency_hz", frequency_hz, (None,))
     lines = len(frequency_hz)
@@ -58,7 +58,10 @@ def amplitude_covariance(
 
 
 def rms_uncertainty(covariance: FloatArray) -> FloatArray:
-    """Return √(trace/2) of covariances (K, 2, 2): the standard uncertainty of an amplitude, over all phases (K,)."""
+    """Return √(trace/2) of covariances (K, 2, 2).
+
+    It is the standard uncertainty of an amplitude, averaged over all phases (K,).
+    """
     return np.asarray(np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2.0))
 
 
@@ -426,13 +429,16 @@ def condition_over_rate(lines: PlannedLines, rate_hz: FloatArray, frames: int) -
 
 
 def _best_of(allowed: BoolArray, penalty: FloatArray, margin: FloatArray) -> int:
-    """Return the index of the widest margin among the allowed rates with nearly the smallest penalty."""
+    """Return the allowed rate of widest margin with nearly the smallest penalty."""
     near = allowed & (penalty <= _NEAR_BEST * penalty[allowed].min())
     return int(np.argmax(np.where(near, margin, -np.inf)))
 
 
 def _margin_bins(difference: FloatArray, slack: FloatArray, rate_hz: FloatArray, sampling: Sampling) -> FloatArray:
-    """Return the smallest distance of any two exponentials at each rate, less the tolerance's share, in bins."""
+    """Return the smallest distance of two exponentials at each rate in bins.
+
+    It is reduced by the share of the tolerance.
+    """
     smallest = np.full(len(rate_hz), 0.5)
     # Each pair once: harmonics of one fundamental repeat them.
     for distance, loose in np.unique(np.round(np.column_stack([difference, slack]), 9), axis=0):

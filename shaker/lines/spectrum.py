@@ -32,7 +32,7 @@ class Spectrum:
 
 
 def hann_window(samples: int) -> FloatArray:
-    """Return a periodic Hann window (S,) with mean 1, so that a sine keeps its amplitude."""
+    """Return a periodic Hann window (S,) of mean 1, which preserves a sine's amplitude."""
     return np.asarray(1.0 - np.cos(2.0 * np.pi * np.arange(samples) / samples))
 
 

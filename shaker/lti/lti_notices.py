@@ -1,4 +1,4 @@
-"""Notices of the figures of a linear system: doubtful poles, and figures that do not change linearly."""
+"""Notices of doubtful poles and of figures that do not change linearly."""
 
 from __future__ import annotations
 

@@ -124,7 +124,7 @@ class LinearSystem(Brief):
         return np.asarray(np.where(hit, np.inf + 0j, value))
 
     def response(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return H (K,) at frequencies (K,) in Hz: at s = jω, or at z = exp(jω/fs)."""
+        """Return H (K,) at frequencies (K,) in Hz: s = jω or z = exp(jω/fs)."""
         s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)
         return self.at(np.asarray(s if self.sample_rate_hz is None else np.exp(s / self.sample_rate_hz)))
 
@@ -153,7 +153,7 @@ class LinearSystem(Brief):
         return self.gain if len(self.zeros) == len(self.poles) else 0.0
 
     def residues(self) -> ComplexArray:
-        """Return r (P,) of H = direct + Σ r/(x - pole), infinite where poles coincide."""
+        """Return r (P,) of H = direct + Σ r/(x - pole), infinite for coinciding poles."""
         parts = np.full(len(self.poles), self.gain, dtype=np.complex128)
         with np.errstate(divide="ignore", invalid="ignore"):
             for i, pole in enumerate(self.poles):
@@ -420,12 +420,12 @@ class ModalModel(Brief):
         return float(self.response(np.zeros(1))[0].real)
 
     def step(self, time_s: FloatArray) -> FloatArray:
-        """Return the response (N,) to a unit step at t = 0: Σ r/p·(exp(pt) - 1), zero before."""
+        """Return the response (N,) to a unit step: Σ r/p·(exp(pt) - 1)."""
         t = np.maximum(np.asarray(time_s, dtype=np.float64), 0.0)[:, None]
         return np.real(np.expm1(self.poles * t) @ (self._doubled / self.poles))
 
     def impulse(self, time_s: FloatArray) -> FloatArray:
-        """Return the response (N,) to a unit impulse at t = 0: Σ r·exp(pt), zero before."""
+        """Return the response (N,) to a unit impulse: Σ r·exp(pt)."""
         time = np.asarray(time_s, dtype=np.float64)
         t = np.maximum(time, 0.0)[:, None]
         return np.asarray(np.real(np.exp(self.poles * t) @ self._doubled) * (time >= 0))

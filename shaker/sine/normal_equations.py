@@ -48,7 +48,10 @@ Times = FloatArray | UniformTimes
 
 @dataclass(frozen=True)
 class _Grid:
-    """A uniform grid: sample i at `start_s` + i·`interval_s`, both exact; block centres at samples `centre` (B,)."""
+    """A uniform grid: sample i at `start_s` + i·`interval_s`, both exact.
+
+    `centre` (B,) are the samples at the block centres.
+    """
 
     start_s: Fraction
     interval_s: Fraction
@@ -193,7 +196,10 @@ class Demodulator:
         return np.asarray((self.bins.min(axis=1) + self.bins.max(axis=1)) // 2)
 
     def columns(self) -> FloatArray:
-        """Return the columns (L, 2·K·4) of a full block: cosine and sine, times powers of time from -1 to 1."""
+        """Return the columns (L, 2·K·4) of a full block.
+
+        They are cosine and sine, times powers of time from -1 to 1.
+        """
         length = int(self.timeline.edges[1])
         index = np.arange(length) - length // 2
         angle = 2.0 * np.pi * np.mod(np.multiply.outer(index, self.centre) / self.timeline.samples, 1.0)
@@ -202,7 +208,10 @@ class Demodulator:
         return np.asfortranarray((turn[..., None] * powers[:, None, None, :]).reshape(length, -1))
 
     def transform(self, moments: FloatArray) -> ComplexArray:
-        """Return the transform (K, M, C) from the blocks' sums (B, 2·K·4, C) of columns times samples."""
+        """Return the transform (K, M, C) from the sums of the blocks.
+
+        `moments` (B, 2·K·4, C) are the sums of columns times samples.
+        """
         blocks, _, channels = moments.shape
         groups, samples = self.bins.shape[0], self.timeline.samples
         parts = moments.reshape(blocks, 2, groups, _ORDERS, channels)
@@ -211,7 +220,10 @@ class Demodulator:
         offsets, inverse_index = np.unique(self.bins - self.centre[:, None], return_inverse=True)
 
         def turns(bins: IntArray) -> ComplexArray:
-            """Return exp(-2πj·j·n/N) of bins (M,) at the blocks' centres, j·n mod N in whole numbers: exact phases."""
+            """Return exp(-2πj·j·n/N) of bins (M,) at the block centres.
+
+            j·n mod N is computed in whole numbers, which gives exact phases.
+            """
             angle = 2.0 * np.pi * (np.multiply.outer(bins, centre) % samples) / samples
             return np.asarray(np.cos(angle) - 1j * np.sin(angle))
 

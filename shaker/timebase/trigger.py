@@ -91,8 +91,8 @@ def fit_resolved(
     """Fit a line to resolved edges, with the shapes of the rises.
 
     The model is time_s (E,) = m + h·position + e_1(φ_1) - e_2(φ_2) with phases φ (E,) of the crossings. A rise that is
-    not band-limited (a ramp, an exponential) leaves the reconstruction with an error e that depends only on the phase
-    of the crossing between two samples (the idea is that of the effective point-spread function: Anderson & King, PASP
+    not band-limited (a ramp, an exponential) leaves the reconstruction with an error e. It depends only on the phase of
+    the crossing between two samples (the idea is that of the effective point-spread function: Anderson & King, PASP
     112, 2000). It vanishes where a sample is the crossing, hence e = Σ a_j sin(π j φ). The a_j are Gaussian about 0
     with a standard deviation that falls as a power of j. Its size and the power are unknown and averaged by the
     restricted likelihood of the edges (Patterson & Thompson, Biometrika 58, 1971). The covariance thus includes the
