@@ -262,7 +262,10 @@ class MassChain:
 
     @property
     def matrices(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Matrices M, B, K (N, N) of M ẍ + B ẋ + K x = 0 on a fixed base."""
+        """Matrices M, B, K (N, N) of the chain on a fixed base.
+
+        They belong to M ẍ + B ẋ + K x = 0.
+        """
         mass, damping, stiffness = fixed_base_chain(len(self.stages)).at(self._weights)[0]
         return mass, damping, stiffness
 

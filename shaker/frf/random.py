@@ -208,9 +208,9 @@ def local_spectra(record: TransferRecord, length: int, frequency_hz: FloatArray)
 
     The result is S_xx = mean |X|², S_yx = g₀ S_xx, S_yy = |g₀|² S_xx + S_ee, worth n + 1 averages. Here n =
     (X*QX)/S_xx, with the projection Q orthogonal to the other unknowns. Then var g₀ = S_ee/(n S_xx), and noise on the
-    reference lowers g₀ as it lowers H1. `H2` and Hv therefore follow from these spectra as from averaged ones. Errors
-    of two lines correlate as far as their windows overlap. A resonance that is too narrow for these polynomials is even
-    more so for those of order 4. The difference, where it exceeds the noise, bounds the bias.
+    reference lowers g₀ as it lowers H1. Both H2 and Hv therefore follow from these spectra as from averaged ones.
+    Errors of two lines correlate as far as their windows overlap. A resonance that is too narrow for these polynomials
+    is even more so for those of order 4. The difference, where it exceeds the noise, bounds the bias.
     """
     samples = len(record.reference)
     if samples < LEAST_SEGMENTS * length:

@@ -224,7 +224,7 @@ def resolution_notices(
 
 _NEIGHBOURS = 8  # lines on either side that share one estimate of the noise
 _BLOCK = 64  # lines over which the shares of the noise are steady
-_SHAPE_STEPS = 60
+_SHAPE_STEPS = 60  # multiplicative steps of the noise shape; chosen
 _OUTLIER_PROBABILITY = 1e-5  # probability below which a line counts as noisier than its neighbours
 
 

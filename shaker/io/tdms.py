@@ -345,7 +345,7 @@ def _card_regions(path: Path, chunk: Mapping[str, _Raw], position: int, size: in
 
 _SCALES = ("Polynomial", "Linear", "RTD", "Strain", "Table", "Thermistor", "Thermocouple", "Add", "Subtract")
 _SCALE_KEY = re.compile(r"NI_Scale\[(\d+)\]_Scale_Type")
-_MOST_SCALES = 1000
+_MOST_SCALES = 1000  # of a channel: more are treated as damage
 _SOURCES = ("input_source", "left_input_source", "right_input_source")
 _SCALE_BLOCK = 1 << 14  # samples scaled at a time: their intermediate results stay in the cache
 

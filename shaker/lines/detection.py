@@ -28,10 +28,10 @@ Kind = Literal[
     "side band",
     "unexplained",
 ]
-MAINS_HZ = (50.0, 60.0)
-MAINS_MULTIPLES = 20
+MAINS_HZ = (50.0, 60.0)  # nominal frequencies of public grids
+MAINS_MULTIPLES = 20  # highest harmonic of the mains that is named; chosen
 _MAINS_ALONE = 7  # highest multiple taken for mains without another mains line to prove it
-MAX_MULTIPLE = 40
+MAX_MULTIPLE = 40  # highest harmonic that is named; chosen
 _LOW_MULTIPLE = 10  # highest multiple of an aliased harmonic that is mentioned in addition to another explanation
 _MAINS_TOLERANCE = 2e-3  # relative: how far a grid strays
 _TOLERANCE_U = 4.0  # standard uncertainties within which two frequencies agree
@@ -43,7 +43,7 @@ _PROOF = 1e-3  # of the line that is to be a harmonic: smallest further multiple
 _HUM = 0.2  # of the strongest line: the largest mains line that is not taken for a fundamental
 _SMALLER = 0.5  # of the fundamental: the largest side band, combination, part of it or aliased harmonic
 _PAIR_RATIO = 2.0  # ratio up to which two side bands are a pair
-_DIVISORS = (2, 3)
+_DIVISORS = (2, 3)  # of the sub-harmonics that are named
 _PERHAPS = 0.1  # expected number of chance coincidences from which a name is doubtful
 
 
@@ -325,11 +325,11 @@ def _side_band(state: _Naming, i: int) -> LineOrigin | None:
 
 FALSE_ALARM = 1e-3  # probability that noise alone adds any line to the list
 _SAME_BINS = 0.75  # lines of two channels closer than this are one
-_EXPECTED_MULTIPLE = 20
-_EXPECTED_MAINS = 7
+_EXPECTED_MULTIPLE = 20  # highest multiple of a fundamental that is expected; chosen
+_EXPECTED_MAINS = 7  # highest multiple of the mains that is expected; chosen
 _FEWEST = 32  # samples
 _MOST_COMBINED = 6  # fundamentals whose sums and differences are expected
-_FLOOR_POINTS = 400
+_FLOOR_POINTS = 400  # of the decimated noise floor, enough for a figure
 _MAX_STORED_BINS = 1 << 24  # bins of spectra that are stored from the first search for the second: 256 MiB
 _PER_LINE = ("frequency_hz", "u_frequency_hz", "amplitude", "u_amplitude", "snr")
 _HANN_NOISE = 3.0  # noise power in a Hann bin over the variance of a fitted quadrature: 6 σ²/N over 2 σ²/N

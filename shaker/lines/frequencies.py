@@ -42,7 +42,7 @@ _SMALLEST = 1e-9  # of the strongest line: below it, rounding looks like lines
 _ROUNDS = 4  # of fitting and searching the residual, where gaps let lines leak
 _FINER = 8  # grid points per interval for the search, where samples lie on no grid
 _LEAK = 0.1  # of a line's uncertainty: leakage of another line above which that is fitted too
-_MOST_NUISANCES = 12
+_MOST_NUISANCES = 12  # other lines fitted at most; chosen to limit the fit
 _NAMED = 4  # aliased harmonics named in one notice
 _STRANGERS = 3  # other lines named in one notice
 

@@ -25,17 +25,17 @@ from shaker.lines.spectrum import (
     split_bins,
 )
 
-MOST_LINES = 200
+MOST_LINES = 200  # of one record; more are left out with a notice
 MIN_SEPARATION_BINS = 2.5  # lines closer than this count as one; a line's change of amplitude lies within it
-_ROUNDS = 12
-_SWEEPS = 3
+_ROUNDS = 12  # searches of one spectrum at most
+_SWEEPS = 3  # refinements of neighbouring lines
 _INTERACT = 12.0  # bins within which lines are refitted when another is found
 _LEAKAGE = 2.0  # times the leakage of a stronger line: a lower peak waits until that line is subtracted
 _SMALLEST = 1e-9  # of the strongest line: below it, rounding looks like lines
 _NEIGHBOURHOOD = 16  # bins on either side that a line must exceed too, fewer next to a stronger one
-_RAMP_BINS = 256
+_RAMP_BINS = 256  # bins in which a straight line is subtracted
 _LOOKED_AT = 1 << 14  # bins among which the noise level differs little
-_REMEMBERED = 1 << 10
+_REMEMBERED = 1 << 10  # bins stored at a time before they change
 _EXPECTED_BINS = 1.0  # largest distance of a line from an expected position
 
 

@@ -268,7 +268,7 @@ def plan_at(lines: PlannedLines, rate_hz: float, sampling: Sampling) -> RatePlan
 PREFERRED = (0.1, 0.4)
 """Share of the camera rate between which fundamentals are best seen: above 1/f noise, below the Nyquist frequency."""
 _NEAR_BEST = 1.05  # uncertainties this close are equal, and the distance between lines decides
-_CHOICES = 3
+_CHOICES = 3  # rates proposed at most
 _CHOICE_DISTANCE = 0.02  # of the range of rates: choices closer than this are one choice
 _POINTS_PER_INTERVAL = 4  # rates tried within the narrowest interval in which two lines meet
 _MAX_ENTRIES = 4_000_000  # points times rates stored at a time

@@ -67,12 +67,12 @@ def amplitude_spectrum(samples: FloatArray | Stacked, sample_rate_hz: float, mos
 # Hann spectra whose lines can be fitted and taken out bin by bin.
 
 _SPAN = 3  # bins on either side from which a line is fitted
-_STEPS = 10
+_STEPS = 10  # Gauss-Newton steps of a line at most
 _CONVERGED = 1e-6  # of the variance of the position: the square of the last step
 _BIN_CORRELATION = (1.0, 2.0 / 3.0, 1.0 / 6.0)  # of white noise in Hann bins at distances 0, 1, 2
 _DRIFT_FROM = 1e4  # power over noise from which a line's slow change of amplitude is subtracted with it
 _NEGLIGIBLE = 0.05  # of the noise amplitude: rest of a line outside the bins from which it is subtracted
-_WIDEST = 20_000
+_WIDEST = 20_000  # bins on either side of a line at most
 _SERIES_BELOW = 1e-5  # bins: nearer to its centre the kernel is taken from its series
 
 
@@ -106,7 +106,7 @@ def centred_spectrum(samples: FloatArray) -> ComplexArray:
 
 _LONG = 1 << 22  # samples from which a transform is combined from shorter ones, to save memory
 _PART = 1 << 18  # bins worked on at a time
-_FEWEST_PARTS, _MOST_PARTS = 16, 64
+_FEWEST_PARTS, _MOST_PARTS = 16, 64  # of a transform that is combined from shorter ones
 _RETURNED = 1 << 26  # bytes of an array whose memory the system has back at once
 
 
@@ -256,7 +256,7 @@ FIRST_BIN = 3  # the lowest bin used: fewer periods are drift
 _BLOCKS = (64, 256)  # bins per median, narrow and wide
 _LOW_BINS = 256  # in which a slope of the noise towards zero is taken off first
 _CAPPED = 4.0  # times the floor: limit of the power in the fit of the slope
-_FIT_STEPS = 60
+_FIT_STEPS = 60  # of the slope of the noise; chosen
 _ROUNDING = 1e-9  # by which an interpolated level may fall short of its neighbours, with a wide margin
 BINS_PER_INDEPENDENT = 1.94  # 1 + 2·(4/9 + 1/36): Hann bins share their noise
 

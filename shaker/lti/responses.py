@@ -15,7 +15,7 @@ import numpy as np
 from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray
 from shaker.lti.system import LinearSystem, exponentials_between
 
-STEPS = 120
+STEPS = 120  # of a root search; bisection alone needs fewer than 64 for the last digit
 TINY = 2.0 * float(np.finfo(np.float64).eps)
 """Share of a root to which it is found."""
 
@@ -232,7 +232,7 @@ PER_PERIOD = 48
 """Points per period, or per time constant, of the fastest pole that still matters."""
 SAMPLES = 1 << 22
 """Longest response of a sampled system that is computed."""
-BLOCK = 1024
+BLOCK = 1024  # points of a response computed at a time
 SHORT = 0.01
 """Share by which a turning point may lie beyond the points around it: 1 - cos(π/48) is a fifth of that."""
 FORGOTTEN = 1e-8

@@ -13,7 +13,7 @@ from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape, check_sh
 from shaker.lti.roots import hold_factor, logarithms, pair_conjugates, tustin_constant
 
 Method = Literal["tustin", "zoh", "matched"]
-MIN_LAG, MAX_DAMPING = 0.02, 0.999
+MIN_LAG, MAX_DAMPING = 0.02, 0.999  # smallest share of a shifted lag or frequency; largest |ζ| of a shifted mode; chosen
 MAX_TERM_RATIO = 1e5
 """How much larger than their sum the parts of a response may be; beyond, poles count as coinciding."""
 
@@ -153,7 +153,10 @@ class LinearSystem(Brief):
         return self.gain if len(self.zeros) == len(self.poles) else 0.0
 
     def residues(self) -> ComplexArray:
-        """Return r (P,) of H = direct + Σ r/(x - pole), infinite for coinciding poles."""
+        """Return the residues r (P,) of H = direct + Σ r/(x - pole).
+
+        They are infinite where poles coincide.
+        """
         parts = np.full(len(self.poles), self.gain, dtype=np.complex128)
         with np.errstate(divide="ignore", invalid="ignore"):
             for i, pole in enumerate(self.poles):

@@ -188,7 +188,7 @@ MAX_CONDITION = 10.0  # above it, the standard uncertainty of a line is several 
 CLEAR_BINS = 1.25
 """Distance, in bins of rate/frames, of lines that are clear of each other: the condition number is then at most 3."""
 _MAX_CHANGE = 0.2  # of the rate: a larger change would be another measurement
-_RATE_STEP_HZ = 1e-3
+_RATE_STEP_HZ = 1e-3  # resolution of proposed camera rates
 
 
 def usable_lines(time_s: FloatArray, frequency_hz: FloatArray) -> tuple[BoolArray, tuple[Notice, ...]]:

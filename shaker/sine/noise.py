@@ -126,7 +126,7 @@ def _ramp_kernel(distance: FloatArray, length: int) -> ComplexArray:
 # The noise that disturbs a line: spectral density of the residual around it.
 
 _NEIGHBOURS = 96  # bins from which the noise around a line is estimated
-_MIN_NEIGHBOURS = 12
+_MIN_NEIGHBOURS = 12  # bins below which no noise is estimated; chosen
 _CLEARANCE = 0.75  # bins from a line that its fit has emptied
 # Shapes that the noise may have: S(j) = s·(1 + (corner/j)^exponent), the corner in bins.
 # With a corner below four bins a steep shape differs from white noise in the first ordinates only: too few to decide.
@@ -137,7 +137,7 @@ _PRIOR = np.concatenate(
 )
 _BLOCK_BINS = 4  # ordinates nearest to a line, which show the scatter between blocks of the record
 _BLOCK_LIMIT = 3.27  # their mean over the level: exceeded by pure noise once in 1000 lines
-_NEWTON_STEPS = 30
+_NEWTON_STEPS = 30  # of the radius of a 95 % region at most
 _NO_POWER = 1e-77  # power of an ordinate without noise
 
 

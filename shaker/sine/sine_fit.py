@@ -233,7 +233,7 @@ def _check_arguments(
 
 # Whether amplitude and phase of lines stay the same through a record, from blocks of whole periods.
 
-MAX_BLOCKS = 10
+MAX_BLOCKS = 10  # of a record in the test for drift; chosen
 _FULL, _FEWEST = 0.5, 2  # of the mean number of samples in a block that it must have; blocks that show a drift
 _UNUSED = 0.02  # of the record may be left over for the sake of more blocks
 _DRIFT_SEPARATION = 8.0  # bins between lines from which on a drift can be taken off without touching their noise

@@ -25,12 +25,12 @@ from shaker.sine.normal_equations import (
 from shaker.sine.phasor import Phasors
 from shakercal._common.notices import Notice
 
-_STEPS = 40
+_STEPS = 40  # Gauss-Newton steps at most
 _CONVERGED = 1e-3  # of the standard uncertainty: the last step is taken on the exact residual
 _MIN_ROTATION = 1e-9  # rad: a step that turns the ends of the record by less is the last, too
 _FARTHEST = 2.0  # rad by which one step may turn the ends of the record against its middle
 _ROUNDING = 1e-14  # of a channel's power: below it, differences of sums are rounding
-_SINGULAR = 1e-12
+_SINGULAR = 1e-12  # smallest eigenvalue of a scaled Hessian, near rounding
 
 
 @dataclass(frozen=True)
@@ -507,7 +507,7 @@ _FALSE_ALARM = 0.01  # samples of a whole record that Gaussian noise may lose
 _SCATTER = 1.16  # relative standard deviation of a median absolute deviation, times the root of the samples
 _SAMPLE = 1 << 16  # residuals from which the scale of a long record is read
 _NORMAL_MEDIAN = 0.6744897501960817  # of |x| for a standard normal x
-_ROUNDS = 20
+_ROUNDS = 20  # of fitting and rejecting spikes at most
 _FINEST = 1e-12  # of the largest coefficient: no residual is judged more finely
 _MOST = 0.25  # of the samples: more are no spikes
 

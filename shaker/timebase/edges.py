@@ -17,7 +17,7 @@ _SHORT_PAUSE = 0.25  # of the usual pause between pulses: after a shorter one, a
 _EQUAL_PAUSE, _USUAL = 0.1, 0.45  # how much equal pauses may differ; pauses over the commonest ones that are usual
 _BOUNCES = 0.2  # of all edges from which on bounces are no single strays
 _HALF_WIDTH = 24  # samples of the interpolation kernel on each side
-_KAISER = 8.0
+_KAISER = 8.0  # parameter of the Kaiser window: side lobes below -80 dB
 
 
 @dataclass(frozen=True)

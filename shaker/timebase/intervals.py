@@ -14,12 +14,12 @@ from shaker.arrays import FloatArray, check_shape
 
 _POINTS, _LAST_POINTS = 250, 1000  # while the proposals settle, and afterwards
 _WIDER = 1.35  # of the standard deviation: proposals reach over the corners of a polygon
-_ROUNDS = 30
+_ROUNDS = 30  # of fitting a proposal at most
 _SETTLED = 0.15  # relative change of the standard deviations below which the sampling has settled
 _STRAY = 1e-6  # probability of an edge that the model does not explain
 _STEP = 1.0  # in the logarithm of the jitter
 _STEEP = 2.0  # change of the log-likelihood from step to step above which a step is halved
-_MIN_STEP = 0.02
+_MIN_STEP = 0.02  # in the logarithm of the jitter; chosen
 _NEGLIGIBLE_JITTER = 0.1  # of the line's smallest standard deviation: smaller jitter has no effect
 _NEGLIGIBLE_SHARE = 1e-4  # share of the whole below which a step of the jitter does not count
 _NODES, _WIDE_NODES, _FARTHEST = 512, 64, 9.0  # of Φ and of ln ΔΦ: how many for one standard deviation, up to where

@@ -25,7 +25,7 @@ from shakercal._common.notices import Notice, Value
 _GAP_MATCH = 0.8  # share of the missing edges that must be missing in both records for gaps to decide the shift
 _GAP_CHANCE = 1e-3  # probability of as many coincidences at any shift by chance, where gaps lie outside the overlap
 _START_MATCH = 0.25  # of a period: how well start times must agree with a whole number of periods
-_JITTER_EDGES = 20
+_JITTER_EDGES = 20  # common edges below which jitter decides no shift; chosen
 _JITTER_SHARE = 0.4  # of an edge's interval: jitter that rises above the pattern which sampling makes
 _JITTER_RESOLVED = 0.1  # of a sample: the interval that the unknown shape of a resolved rise may leave
 _JITTER_SCORE = 6.0  # standard deviations by which one shift's correlation of the jitter must exceed zero
@@ -151,7 +151,7 @@ def _deviations(fit: TriggerFit) -> FloatArray:
 
 # The straight line from one clock to another, from the edges that both have seen.
 
-_MIN_PAIRS = 4
+_MIN_PAIRS = 4  # common edges below which two models are compared
 _DIFFERENCE = np.array([[1.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, -1.0]])
 
 

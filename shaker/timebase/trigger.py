@@ -25,7 +25,7 @@ from shakercal._common.notices import Notice
 
 # Crossings of a resolved rise: the effect of its shape on the reconstruction, estimated from all edges.
 
-_TERMS = 16
+_TERMS = 16  # sines of the shape of a rise; chosen
 _ORDER = np.arange(1.0, _TERMS + 1)
 _DECAYS = (1.5, 2.5)  # powers of the order by which the sines fall off: kinks of the rise near the crossing, and far
 _SMALLEST, _LARGEST = (
