@@ -21,7 +21,7 @@ from shakercal._common.notices import Notice
 # Phasors of every period of a periodic signal, also where the period is no whole number of samples.
 
 _SOFT_SAMPLES = 128  # length of the seam of two soft windows, at most
-_SOFT_ORDER = 8  # derivatives of a soft window that vanish at its ends; chosen for the leakage stated at `period_phasors`
+_SOFT_ORDER = 8  # derivatives of a soft window that vanish at its ends; chosen for low leakage
 _WHOLE = 1e-7  # distance from a whole number of samples that no record notices
 _STEPS = 8  # largest number of corrections of a period
 _TOLERANCE = 1e-3  # error of a stated period that is put right

@@ -15,7 +15,7 @@ import numpy as np
 from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray
 from shaker.lti.system import LinearSystem, exponentials_between
 
-STEPS = 120  # of a root search; bisection alone needs fewer than 64 for the last digit
+STEPS = 120  # of a root search at most; chosen
 TINY = 2.0 * float(np.finfo(np.float64).eps)
 """Share of a root to which it is found."""
 

@@ -13,7 +13,7 @@ from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape, check_sh
 from shaker.lti.roots import hold_factor, logarithms, pair_conjugates, tustin_constant
 
 Method = Literal["tustin", "zoh", "matched"]
-MIN_LAG, MAX_DAMPING = 0.02, 0.999  # smallest share of a shifted lag or frequency; largest |ζ| of a shifted mode; chosen
+MIN_LAG, MAX_DAMPING = 0.02, 0.999  # smallest share of a shifted lag or frequency; largest |ζ|; chosen
 MAX_TERM_RATIO = 1e5
 """How much larger than their sum the parts of a response may be; beyond, poles count as coinciding."""
 

@@ -151,7 +151,7 @@ def _deviations(fit: TriggerFit) -> FloatArray:
 
 # The straight line from one clock to another, from the edges that both have seen.
 
-_MIN_PAIRS = 4  # common edges below which two models are compared
+_MIN_PAIRS = 4  # common edges below which only the two models are compared
 _DIFFERENCE = np.array([[1.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, -1.0]])
 
 
