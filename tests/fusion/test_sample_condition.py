@@ -62,7 +62,7 @@ def _filtered_after_clipping(samples: FloatArray) -> FloatArray:
 
 
 @pytest.mark.parametrize(
-    ("change", "told", "widest"),
+    ("change", "expected", "widest"),
     [
         (lambda samples: samples, "", 3e-4),
         (_within(-40.0, 40.0), "clipped at -40 and 40", 1e-3),
@@ -78,10 +78,12 @@ def _filtered_after_clipping(samples: FloatArray) -> FloatArray:
         (lambda samples: 2e-3 * np.rint(samples / 2e-3), "", 3e-4),
     ],
 )
-def test_what_is_wrong_with_samples_is_told_and_in_u(tmp_path: Path, change: Change, told: str, widest: float) -> None:
+def test_defects_of_samples_are_reported_and_included_in_u(
+    tmp_path: Path, change: Change, expected: str, widest: float
+) -> None:
     found = _evaluated(tmp_path, change)
     warned = [notice.text for notice in found.notices if notice.severity == "warning" and "acc" in notice.text]
-    assert any(told in text for text in warned) if told else not warned
+    assert any(expected in text for text in warned) if expected else not warned
     assert found.sensitivity is not None
     line = int(np.argmin(np.abs(found.sensitivity.frequency_hz - LINE_HZ)))
     value = complex(found.sensitivity.value[line, 0, 2])

@@ -99,7 +99,7 @@ def test_sensitivity_at_the_stamped_times(tmp_path, pattern):
 
 
 @pytest.mark.parametrize("kind", ["chirp", "noise"])
-def test_what_needs_uniform_samples_names_the_first_gap(tmp_path, kind):
+def test_evaluations_of_uniform_samples_name_the_first_gap(tmp_path, kind):
     rng = np.random.default_rng(4)
     more = 'band = [50.0, 400.0], response = ["Fz"], reference = ["acc"]'
     path = write(tmp_path, times("paused", rng), rng, kind, more)

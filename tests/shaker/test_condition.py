@@ -64,7 +64,7 @@ def test_few_steps_are_counted(step: float, steps: float) -> None:
     assert f"{step:g} V" in text
 
 
-def test_a_step_is_seen_through_noise_and_scale_and_none_where_there_is_none() -> None:
+def test_converter_steps_are_visible_in_scaled_noise_and_absent_otherwise() -> None:
     assert converter_step(_sine()) == 0.0
     noisy = _read(_sine(noise=0.5), 1.0)
     assert converter_step((noisy * 0.0137).astype(np.float32).astype(np.float64)) == pytest.approx(0.0137, rel=1e-4)

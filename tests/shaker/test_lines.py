@@ -28,7 +28,7 @@ from shaker.lines.spectrum import (
 from shaker.sine.sine_fit import fit_sines
 from shaker.sine.solve import SineModel
 
-NOTHING, RATE = np.empty(0), 6400.0
+NO_LINES, RATE = np.empty(0), 6400.0
 
 
 def _sum(rng: np.random.Generator, time: np.ndarray, tones: dict[float, float], noise: float) -> np.ndarray:
@@ -85,13 +85,13 @@ def test_a_record_is_transformed_once_for_both_looks(monkeypatch):
         return centred_spectrum(samples)
 
     monkeypatch.setattr(peaks, "centred_spectrum", counted)
-    kept = survey_lines(values, RATE)
+    stored = survey_lines(values, RATE)
     assert len(transformed) == 3
     monkeypatch.setattr(detection, "_MAX_STORED_BINS", 2 * (len(values) // 2 + 1))  # room for two of the three
     some = survey_lines(values, RATE)
     assert len(transformed) == 3 + 4
     for name in ("frequency_hz", "u_frequency_hz", "amplitude", "u_amplitude", "snr", "floor"):
-        np.testing.assert_array_equal(getattr(some, name), getattr(kept, name))
+        np.testing.assert_array_equal(getattr(some, name), getattr(stored, name))
 
 
 def test_chance_height_is_that_of_exponential_values():
@@ -105,14 +105,14 @@ def test_chance_height_is_that_of_exponential_values():
 
 def test_fitted_line_is_near_the_bound_and_covered():
     rng = np.random.default_rng(1)
-    samples, amplitude, noise, place = 1000, 2.0, 0.5, 123.37
+    samples, amplitude, noise, position = 1000, 2.0, 0.5, 123.37
     half = np.arange(samples) - (samples - 1) / 2.0
-    sine = amplitude * np.cos(2 * np.pi * place * half / samples + 0.7)
+    sine = amplitude * np.cos(2 * np.pi * position * half / samples + 0.7)
     lines = [
         fit_line(centred_spectrum(sine + noise * rng.normal(size=samples)), samples, 123.0, 6.0 * noise**2 / samples)
         for _ in range(800)
     ]
-    error = np.array([line.bin_position for line in lines]) - place
+    error = np.array([line.bin_position for line in lines]) - position
     # Rife and Boorstyn 1974, in bins.
     bound = np.sqrt(6.0 * noise**2 / (np.pi**2 * amplitude**2 * samples))
     assert 1.0 < np.std(error) / bound < 1.4
@@ -131,13 +131,13 @@ EXPECTED = np.array([17.3, 34.6, 51.9])
     [
         (211, EXPECTED, 0.2, 150, 46),  # 30 and three standard deviations
         (2000, EXPECTED, 0.2, 150, 46),
-        pytest.param(4000, NOTHING, 0.02, 1500, 48, marks=pytest.mark.slow),  # a right chance passes with 99.9 %
+        pytest.param(4000, NO_LINES, 0.02, 1500, 48, marks=pytest.mark.slow),  # a right chance passes with 99.9 %
     ],
 )
 def test_noise_alone_makes_no_more_lines_than_stated(samples, expected, chance, trials, most, exponent):
     rng = np.random.default_rng(2)
-    found = (find_peaks(_pink(rng, samples, exponent), chance, expected, NOTHING) for _ in range(trials))
-    assert sum(len(own.bin_position) > 0 for own in found) <= most
+    found = (find_peaks(_pink(rng, samples, exponent), chance, expected, NO_LINES) for _ in range(trials))
+    assert sum(len(peaks.bin_position) > 0 for peaks in found) <= most
 
 
 def test_noise_through_a_resonance_is_no_line():
@@ -205,10 +205,10 @@ def test_a_combination_is_the_first_that_trying_all_pairs_finds(seed):
     def tried(line: float, orders: range, folded: bool) -> tuple[float, float] | None:
         for order, (f, g) in itertools.product(orders, itertools.combinations(fundamentals.tolist(), 2)):
             for m, sign in itertools.product(range(1, order), (1, -1)):
-                wanted = abs(m * f + sign * (order - m) * g)
-                seen = abs(wanted - rate_hz * round(wanted / rate_hz))
-                if (wanted >= rate_hz / 2.0) == folded and abs(seen - line) <= 0.2 * resolution_hz:
-                    return wanted, f
+                frequency = abs(m * f + sign * (order - m) * g)
+                seen = abs(frequency - rate_hz * round(frequency / rate_hz))
+                if (frequency >= rate_hz / 2.0) == folded and abs(seen - line) <= 0.2 * resolution_hz:
+                    return frequency, f
         return None
 
     assert sum("combination" in origin.kind for origin in named) >= 2
@@ -362,7 +362,7 @@ def test_published_excitation_is_found():
 
 
 @pytest.mark.parametrize(("amplitudes", "noise"), [({1: 100.0, 2: 0.01, 5: 0.012}, 0.1), ({1: 190.0}, 0.0)])
-def test_harmonics_of_a_ten_thousandth_are_found_and_nothing_else_nor_rounding(amplitudes, noise):
+def test_only_harmonics_of_a_ten_thousandth_are_found_and_no_rounding(amplitudes, noise):
     for seed in range(3):
         time, values = _record(np.random.default_rng(seed), amplitudes, noise)
         assert find_lines(time, values, [106.25]).multiple.tolist() == list(amplitudes)
@@ -431,7 +431,7 @@ def test_listed_harmonics_are_taken_as_they_are():
     refused("^harmonics: .* 0$", find_lines, time, values, [106.25], [0])
 
 
-def test_mains_is_told_and_is_no_line():
+def test_mains_is_reported_and_is_no_line():
     time, values = _record(np.random.default_rng(8), {1: 100.0})
     lines = find_lines(time, values + 0.5 * np.sin(2 * np.pi * 50.01 * time), [106.25])
     assert lines.multiple.tolist() == [1]

@@ -158,7 +158,7 @@ def test_separation_is_that_of_the_aliases(lines, rate, frames, data):
     )
 
 
-def test_the_present_rate_is_kept_where_it_is_clear_and_a_line_below_the_resolution_of_any_near_rate_has_no_cure():
+def test_a_clear_rate_is_returned_unchanged_and_an_unresolvable_line_has_no_better_rate():
     refused("^rate_hz, step_hz: .*-1", nearest_clear_rate, np.array([100.0]), -1.0, 211)
     assert nearest_clear_rate(106.25 * np.arange(1, 6), 52.874, 211) == 52.874
     assert nearest_clear_rate(np.array([100.0, 100.01]), 53.0, 211) is None
@@ -237,13 +237,13 @@ def test_published_case():
 
 @settings(max_examples=40, deadline=None)
 @given(st.floats(20.0, 400.0), st.floats(40.0, 82.0), st.integers(1, 12))
-def test_multiples_of_the_rate_change_nothing(frequency, rate, turns):
+def test_multiples_of_the_rate_have_no_effect(frequency, rate, turns):
     sampling = Sampling(211, harmonics=1)
-    here, there = (plan_at(lines_of([f], 1), rate, sampling) for f in (frequency, frequency + turns * rate))
-    np.testing.assert_allclose(there.alias_hz, here.alias_hz, atol=1e-8)
-    np.testing.assert_allclose(there.distance_hz, here.distance_hz, atol=1e-8)
-    if here.condition < 100.0:
-        np.testing.assert_allclose(there.u_amplitude, here.u_amplitude, rtol=1e-5)
+    first, shifted = (plan_at(lines_of([f], 1), rate, sampling) for f in (frequency, frequency + turns * rate))
+    np.testing.assert_allclose(shifted.alias_hz, first.alias_hz, atol=1e-8)
+    np.testing.assert_allclose(shifted.distance_hz, first.distance_hz, atol=1e-8)
+    if first.condition < 100.0:
+        np.testing.assert_allclose(shifted.u_amplitude, first.u_amplitude, rtol=1e-5)
 
 
 @settings(max_examples=40, deadline=None)
@@ -255,7 +255,7 @@ def test_more_coloured_noise_is_never_better(corner, more, rate):
     assert np.all(rms_uncertainty(greater) >= rms_uncertainty(less) * (1.0 - 1e-12))
 
 
-def test_lines_that_meet_are_infinitely_uncertain_and_exposure_costs_what_it_takes():
+def test_coinciding_lines_are_infinitely_uncertain_and_exposure_reduces_gain():
     plan = plan_at(lines_of([100.0], 1), 50.0, Sampling(211))
     assert np.isinf(plan.u_amplitude).all()
     assert np.isinf(plan.condition)
@@ -296,7 +296,7 @@ def test_margins_are_separations_less_the_tolerance():
             assert separation_bins(lines.frequency_hz * (1.0 + shift), RATES[i], 211) >= CLEAR_BINS - 1e-9
 
 
-def test_best_rates_are_clear_well_placed_and_apart():
+def test_best_rates_are_clear_preferred_and_distinct():
     lines, sampling = lines_of([106.25], 5), Sampling(211, tolerance=1e-4)
     scan = scan_rates(lines, RATES, sampling)
     chosen = best_rates(scan)
@@ -367,7 +367,7 @@ def test_wrong_calls_are_refused_by_name():
         *(pytest.param(rate, 5_000, 0.03, marks=pytest.mark.slow) for rate in (CAMERA_HZ, 57.565, 43.901)),
     ],
 )
-def test_simulated_scatter_is_what_was_planned(rate, trials, close):
+def test_simulated_scatter_equals_the_planned_one(rate, trials, close):
     """Standard deviation of the fundamental's amplitude over fits of simulated frames."""
     rng = np.random.default_rng(1 if trials == 800 else 2)
     plan = plan_at(lines_of([106.25], 5), rate, PUBLISHED)

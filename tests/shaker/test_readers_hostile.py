@@ -96,7 +96,7 @@ def test_matlab_structures_inside_one_another_and_bombs_are_refused(tmp_path, mo
 
 @pytest.mark.parametrize("order", ["<", ">"])
 @pytest.mark.parametrize(
-    ("own", "data", "found"),
+    ("array_class", "data", "found"),
     [
         (6, (0, 8), "type 0 with 8 bytes"),  # each of these ends SciPy's process
         (6, (14, 8), "type 14"),
@@ -107,12 +107,12 @@ def test_matlab_structures_inside_one_another_and_bombs_are_refused(tmp_path, mo
         (1, (14, 8), "1000000 .*16 bytes"),
     ],
 )
-def test_matlab_tags_that_the_reader_would_trust_are_refused(tmp_path, order, own, data, found):
+def test_matlab_tags_that_the_reader_would_trust_are_refused(tmp_path, order, array_class, data, found):
     def words(*numbers: int) -> bytes:
         return struct.pack(f"{order}{len(numbers)}I", *numbers)
 
-    shape = (1000, 1000) if own == 1 else (1, 1)
-    content = words(6, 8, own, 0, 5, 8, *shape, 1, 1) + b"a".ljust(8, b"\0") + words(*data) + bytes(8)
+    shape = (1000, 1000) if array_class == 1 else (1, 1)
+    content = words(6, 8, array_class, 0, 5, 8, *shape, 1, 1) + b"a".ljust(8, b"\0") + words(*data) + bytes(8)
     head = b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack(f"{order}2H", 0x0100, 0x4D49)
     (tmp_path / "a.mat").write_bytes(head + words(14, len(content)) + content)
     refused(rf"a\.mat: .*{found}", read_channels, tmp_path / "a.mat", None, 1.0)
@@ -176,7 +176,7 @@ def test_thousands_of_columns_do_not_take_minutes(tmp_path):
     assert len(table_units(path)) == 50_000
 
 
-def test_what_is_no_file_is_refused_before_it_is_opened(tmp_path):
+def test_a_path_that_is_no_file_is_refused_before_opening(tmp_path):
     os.mkfifo(tmp_path / "pipe.csv")
     (tmp_path / "folder.h5").mkdir()
     (tmp_path / "self.mat").symlink_to("self.mat")
@@ -203,6 +203,6 @@ def test_long_transforms_put_together_are_those_of_the_whole(monkeypatch, count)
     k = np.arange(len(found))
     expected = np.fft.rfft(flat) * np.exp(1j * np.pi * k * (count - 1) / count) * 2.0 / count
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-12)
-    for own in (1, 77, len(found) - 1):
-        direct = 2.0 / count * (flat @ np.exp(-2j * np.pi * own * (n - (count - 1) / 2.0) / count))
-        assert abs(found[own] - direct) < 1e-12
+    for bin_number in (1, 77, len(found) - 1):
+        direct = 2.0 / count * (flat @ np.exp(-2j * np.pi * bin_number * (n - (count - 1) / 2.0) / count))
+        assert abs(found[bin_number] - direct) < 1e-12

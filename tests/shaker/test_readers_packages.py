@@ -45,9 +45,9 @@ def test_mdf_records_larger_than_the_file_are_not_made(tmp_path):
         path = Path(file.save(tmp_path / "a.mf4", overwrite=True, compression=2))
     assert len(read_channels(path, ["Fz"])["Fz"].samples) == 9
     content = bytearray(path.read_bytes())
-    place = content.index(b"##CG") + 96
-    assert content[place : place + 4] == (16).to_bytes(4, "little")
-    content[place : place + 4] = (1 << 30).to_bytes(4, "little")
+    position = content.index(b"##CG") + 96
+    assert content[position : position + 4] == (16).to_bytes(4, "little")
+    content[position : position + 4] = (1 << 30).to_bytes(4, "little")
     path.write_bytes(content)
     refused("group 0: .*537 MB.*9664 MB", read_channels, path, ["Fz"])
 
@@ -117,8 +117,8 @@ def test_damaged_mdf_files_are_refused_or_read(tmp_path: Path, data_dir: Path, c
     path = tmp_path / "damaged.mf4"
     for trial in range(30):
         data = bytearray(whole[: len(whole) // 2] if trial < 3 else whole)
-        for place in rng.integers(0, min(len(data), 4000), 1 + trial % 5):
-            data[place] = rng.integers(256)
+        for index in rng.integers(0, min(len(data), 4000), 1 + trial % 5):
+            data[index] = rng.integers(256)
         path.write_bytes(data)
         try:
             read_channels(path)

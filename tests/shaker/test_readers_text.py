@@ -173,7 +173,9 @@ STAMPED = (
 def segments(second: str, point: str = ".") -> str:
     """Four samples from second 10.25 on, three from another second on."""
     parts = [STAMPED.format(n=n, second=s, step=f"0{point}500000") for n, s in ((4, "10.25"), (3, second))]
-    rows = ["X_Value\tU\tComment\n" + "".join(f"\t{k}{point}25\t\n" for k in own) for own in (range(4), range(4, 7))]
+    rows = [
+        "X_Value\tU\tComment\n" + "".join(f"\t{k}{point}25\t\n" for k in samples) for samples in (range(4), range(4, 7))
+    ]
     return lvm(rows[0] + "\n", parts[0], point=point) + parts[1] + END + rows[1]
 
 
@@ -265,7 +267,7 @@ def test_binary_functions_of_all_eight_cases(path, kind, even, order, after):
     assert last.name == "after"
 
 
-def test_the_number_of_bytes_tells_the_precision_of_the_abscissa_and_counts_whatever_the_header_says(path):
+def test_the_number_of_bytes_determines_the_precision_of_the_abscissa(path):
     """The description says that the abscissa is single in the text form and leaves the binary open: both occur."""
     for kind in (4, 6):
         path.write_bytes(uff.binary_function(kind, X, VALUES[kind], False, "<", abscissa="f8"))
@@ -277,7 +279,7 @@ def test_the_number_of_bytes_tells_the_precision_of_the_abscissa_and_counts_what
     np.testing.assert_array_equal(read_universal_functions(path)[0].value, Y.real)
 
 
-def test_end_mark_and_line_ends_among_the_numbers_count_and_foreign_or_too_few_numbers_are_refused(path):
+def test_marks_within_numbers_are_numbers_and_foreign_or_missing_numbers_are_refused(path):
     """Bytes that look like an end mark or a line end belong to the numbers: their count decides."""
     looks_like = np.frombuffer(b"\n    -1\n    -1\r\n  \n\n" + b"    -1\n\n    -1\n 123 ", "<f4")
     path.write_bytes(uff.binary_function(2, X, looks_like, True, "<") + uff.text_function(1, 2, X, X, True, "after"))
@@ -358,9 +360,9 @@ def test_shapes(path):
 def test_shapes_are_as_pyuff_reads_them_and_damaged_ones_refused(path):
     value = RNG.normal(size=(5, 3)) + 1j * RNG.normal(size=(5, 3))
     path.write_bytes(uff.shape(5, [53.7], [1, 2, 3, 4, 5], value))
-    own, other = read_universal_shapes(path)[0], pyuff.UFF(str(path)).read_sets()
-    np.testing.assert_array_equal(own.node, other["node_nums"])
-    np.testing.assert_array_equal(own.value[:, [0, 2]], np.stack([other["r1"], other["r3"]], axis=1))
+    shape, other = read_universal_shapes(path)[0], pyuff.UFF(str(path)).read_sets()
+    np.testing.assert_array_equal(shape.node, other["node_nums"])
+    np.testing.assert_array_equal(shape.value[:, [0, 2]], np.stack([other["r1"], other["r3"]], axis=1))
     lines = uff.shape(5, [53.7], [1, 2, 3], np.ones((3, 3), dtype=complex)).split(b"\n")
     for damaged in (lines[:-4] + lines[-3:], [*lines[:8], *lines[-2:]], [*lines[:11], b" x", *lines[12:]]):
         path.write_bytes(b"\n".join(damaged))

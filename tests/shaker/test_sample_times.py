@@ -102,8 +102,8 @@ def first_gap(channel: RawChannel) -> tuple[float, int] | None:
 def test_time_stamps_and_durations(tmp_path, kind):
     """At 1 kHz stamps of a millisecond are exact; of lost samples the gap is."""
     pyarrow = pytest.importorskip("pyarrow")
-    kept = np.delete(np.arange(COUNT), 100)
-    since = [timedelta(milliseconds=int(k)) for k in kept]
+    sample_numbers = np.delete(np.arange(COUNT), 100)
+    since = [timedelta(milliseconds=int(k)) for k in sample_numbers]
     stamps = since if kind.startswith("d") else [datetime(2024, 5, 6, 10) + step for step in since]
     unit = kind.partition("[")[2][:-1]
     typed = pyarrow.duration(unit) if kind.startswith("d") else pyarrow.timestamp(unit)
@@ -113,7 +113,7 @@ def test_time_stamps_and_durations(tmp_path, kind):
         refused(r" 0\.001 s .*sample_rate", read_channels, tmp_path / "a.parquet")
         return
     channel = read_channels(tmp_path / "a.parquet")["a"]
-    np.testing.assert_allclose(channel.time_s, kept * 1e-3, atol=1e-9)
+    np.testing.assert_allclose(channel.time_s, sample_numbers * 1e-3, atol=1e-9)
     assert first_gap(channel) == (0.002, 99)
 
 
@@ -157,7 +157,7 @@ def test_digits_that_would_hide_lost_samples_need_a_rate(tmp_path):
         (np.where(TIME_S > 0.02, np.nan, TIME_S), None, {}, "times in .* 239 "),
     ],
 )
-def test_times_that_say_nothing_or_contradict_are_refused(tmp_path, time, units, attributes, expected):
+def test_undefined_or_contradictory_times_are_refused(tmp_path, time, units, attributes, expected):
     refused(expected, hdf5, tmp_path / "a.h5", time, units, **attributes)
 
 
@@ -287,7 +287,7 @@ def lvm(path: Path, delta: str, x: str = "No", units: str = "V\tN\tg", samples: 
         ("Multi", "V", ["V", "", ""]),
     ],
 )
-def test_units_of_a_labview_file_stand_over_their_channels(tmp_path, x, units, expected):
+def test_units_of_a_labview_file_are_above_their_channels(tmp_path, x, units, expected):
     found = read_channels(lvm(tmp_path / "a.lvm", "9.765625E-5", x, units))
     assert [channel.unit for channel in found.values()] == expected
 
