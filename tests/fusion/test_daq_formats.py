@@ -186,5 +186,5 @@ def test_a_channel_too_slow_for_every_line_is_named(tmp_path):
             file[name] = wave[::step]
             file[name].attrs["sample_rate"] = RATE_HZ / step
     block = 'file = "daq.h5"\n' + acceleration("fast")
-    with pytest.raises(InputError, match="slow: expected a sampling rate above 200"):
+    with pytest.raises(InputError, match=r"slow: .* 200"):
         evaluate(tmp_path, "[100.0]", block + channel("slow", "voltage"))

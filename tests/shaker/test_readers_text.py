@@ -73,8 +73,8 @@ def test_csv_latin_1_and_the_unit_1(tmp_path):
     [
         ("time,Fz\n0,1\n1,OVER\n2,3\n", "line 3: .*'1,OVER'"),
         ("time,Fz\n0,OVER\n1,2\n2,3\n", "line 2: .*'0,OVER'"),
-        ("time,Fz\n0,1\n1,2,3\n", "line 3: expected 2 columns, found 3"),
-        ("time,Fz\n0,1\n1,2\n2\n", "line 4: expected 2 columns, found 1"),
+        ("time,Fz\n0,1\n1,2,3\n", "line 3: .* 2 .* 3$"),
+        ("time,Fz\n0,1\n1,2\n2\n", "line 4: .* 2 .* 1$"),
         ("time [V],Fz\n0,1\n1,2\n", "time.* 'V'"),
         ("time,Fz,Fz\n0,1,2\n1,2,3\n", "line 1: .*header"),
         ("time;Fz\n0,0;1.234,5\n0,1;2\n", "line 2: .*numbers"),
