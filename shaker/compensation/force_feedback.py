@@ -1,7 +1,7 @@
-"""Force feedback through a sensor: a user pushes a haptic handle against a virtual ball, and a loop makes him feel it.
+"""Simulated force feedback: a user pushes a haptic handle with a sensor against a virtual ball.
 
-The check of section VI of the publication on load characteristics of force sensors, on simulated data: applied and
-fed-back force with a sensor as it is, with a compensation made for no load, and with one that knows the load.
+Section VI of the publication on load characteristics of force sensors, on simulated data. Compared are the applied and
+the fed-back force without compensation, with a compensation for no load, and with one for the actual load.
 """
 
 from __future__ import annotations
@@ -25,10 +25,11 @@ GRID = 161
 class HapticLoop:
     """Hand, device, ball and force control.
 
-    The hand holds the handle of mass M at x through a spring and a damper, F_u = k_h(x_h - x) + b_h(v_h - v), and moves
-    its own end x_h; M v' = F_u - F_a - B v. The ball pushes back with F_v = k·depth. Control makes the hand feel it:
-    F_a = F_v + K(F_v - y), y the force that the sensor tells, K = `force_gain`: the handle then feels like one of mass
-    M/(1 + K). The actuator gets each F_a one sample late. Masses in kg, stiffnesses in N/m, dampings in N·s/m.
+    The hand moves the handle of mass M at x through a spring and a damper, F_u = k_h(x_h - x) + b_h(v_h - v), with the
+    motion x_h of the hand. M v' = F_u - F_a - B v. The ball pushes back with F_v = k·depth. The control makes the hand
+    feel it: F_a = F_v + K(F_v - y) with the force y from the sensor and K = `force_gain`. The handle then feels like
+    one of mass M/(1 + K). The actuator receives each F_a one sample late. Masses in kg, stiffnesses in N/m, dampings in
+    N·s/m.
     """
 
     hand_stiffness: float
@@ -50,10 +51,10 @@ class HapticLoop:
 
 @dataclass(frozen=True, repr=False)
 class FeedbackRun(Brief):
-    """What user, sensor and ball did, samples (N,) in N; NaN from where the loop ran away.
+    """Forces of user, sensor and ball, samples (N,) in N; NaN after the loop became unstable.
 
-    `applied` F_u, `told` what the sensor says of it, `fed_back` F_v of the ball. `tracking_error`: rms of F_u - F_v
-    over rms of F_v while the ball is touched, infinite for a run that ran away.
+    `applied` F_u, `indicated`: its value from the sensor, `fed_back` F_v of the ball. `tracking_error`: rms of F_u -
+    F_v over rms of F_v during contact, infinite for an unstable run.
     """
 
     time_s: FloatArray
@@ -66,7 +67,7 @@ class FeedbackRun(Brief):
 
 @dataclass(frozen=True, repr=False)
 class _Matrices(Brief):
-    """z[n+1] = A z[n] + B [x_h, v_h, wall, noise]; rows that read F_u, told force and F_v from z and the inputs."""
+    """z[n+1] = A z[n] + B [x_h, v_h, wall, noise]; rows for F_u, indicated force and F_v."""
 
     a: FloatArray
     b: FloatArray
@@ -75,7 +76,7 @@ class _Matrices(Brief):
 
 
 def push(time_s: FloatArray, depth_m: float, duration_s: float) -> FloatArray:
-    """Return the place of the hand (N,) that pushes to a depth and comes back: depth·(1 - cos 2πt/T)/2."""
+    """Return the position of the hand (N,) for one push: depth·(1 - cos 2πt/T)/2."""
     return np.asarray(0.5 * depth_m * (1.0 - np.cos(2 * np.pi * np.minimum(time_s / duration_s, 1.0))))
 
 
@@ -88,10 +89,10 @@ def simulate_feedback(
     wall_m: float = 0.0,
     noise: FloatArray | None = None,
 ) -> FeedbackRun:
-    """Return what happens as the hand moves along `hand_m` (N,) towards a ball whose surface is at `wall_m`.
+    """Return the forces as the hand moves along `hand_m` (N,) towards a ball at `wall_m`.
 
-    `sensor`: output over force with the load it carries; its output is divided by its static gain. `sections`: the
-    compensation in its static-gain-1 form, None for none. `noise` (N,) in N is added to what the sensor tells.
+    `sensor`: output over force with its load; its output is divided by its static gain. `sections`: the compensation
+    with static gain 1, None without. `noise` (N,) in N is added to the force from the sensor.
     """
     check_shape("hand_m", hand_m, (None,))
     added = np.zeros(len(hand_m)) if noise is None else noise
@@ -118,13 +119,13 @@ def simulate_feedback(
 
 
 def is_stable(loop: HapticLoop, sensor: LinearSystem, sections: Sections | None) -> bool:
-    """Whether every eigenvalue of the sampled loop decays, away from the ball and in it."""
+    """Return whether every eigenvalue of the sampled loop decays, with and without contact."""
     regimes = (_matrices(loop, sensor, sections, contact).a for contact in (False, True))
     return all(float(np.max(np.abs(np.linalg.eigvals(a)))) < 1.0 for a in regimes)
 
 
 def largest_stable_gain(loop: HapticLoop, sensor: LinearSystem, sections: Sections | None) -> float:
-    """Return the force gain at which the loop first loses its stability, 0 where it never has any; at most 10 000."""
+    """Return the force gain at the limit of stability, 0 if it is never stable, at most 10 000."""
 
     def stable(gain: float) -> bool:
         return is_stable(replace(loop, force_gain=gain), sensor, sections)
@@ -143,7 +144,10 @@ def largest_stable_gain(loop: HapticLoop, sensor: LinearSystem, sections: Sectio
 
 
 def _matrices(loop: HapticLoop, sensor: LinearSystem, sections: Sections | None, contact: bool) -> _Matrices:
-    """The loop as one sampled system; z = [x, v, sensor, F_a of the sample before, filter]."""
+    """Return the loop as one sampled system.
+
+    z = [x, v, sensor, F_a of the previous sample, filter].
+    """
     plant, drive, output = _plant(loop, sensor)
     size = len(plant)
     af, bf, cf, df = np.zeros((0, 0)), np.zeros(0), np.zeros(0), 1.0
@@ -169,7 +173,10 @@ def _matrices(loop: HapticLoop, sensor: LinearSystem, sections: Sections | None,
 
 
 def _plant(loop: HapticLoop, sensor: LinearSystem) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Handle and sensor over one sample: state matrix, drive by [x_h, v_h, F_a] held, and the output in N."""
+    """Return handle and sensor over one sample: state matrix, input matrix and output in N.
+
+    The inputs [x_h, v_h, F_a] are constant over the sample.
+    """
     from scipy.linalg import expm
 
     own, into, output = _modal(sensor)
@@ -186,7 +193,7 @@ def _plant(loop: HapticLoop, sensor: LinearSystem) -> tuple[FloatArray, FloatArr
 
 
 def _modal(sensor: LinearSystem) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """A, B, C of a sensor over its static gain as decoupled modes and real poles."""
+    """Return A, B, C of a sensor over its static gain as decoupled modes and real poles."""
     from scipy.linalg import block_diag
 
     if len(sensor.zeros) >= len(sensor.poles):

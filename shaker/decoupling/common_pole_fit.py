@@ -1,4 +1,4 @@
-"""A model of all outputs over all loads from records of releases of every load: the fit and what it shows."""
+"""Model of all outputs over all loads from records of releases of every load."""
 
 from __future__ import annotations
 
@@ -45,12 +45,31 @@ _BEFORE, _AFTER = 0.3, 2.0  # time constants of the slowest mode that the number
 
 
 def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most_reals: int = 2) -> MultiFit:
-    """Return the model with common poles of all outputs over all loads that the records release, with covariance.
+    """Fit a model with common poles of all outputs over all loads to records of releases.
 
-    Output-error least squares over the common poles and every record's release, residues by projection; numbers of
-    modes and real poles by a rule, at most `most_modes` and `most_reals`. All records hold the same channels at one
-    rate. Loads that the outputs do not tell apart are refused with their names.
+    Parameters
+    ----------
+    records : releases of every load; all have the same channels, unit and sampling rate
+    most_modes : highest number of modes, default None: no limit
+    most_reals : highest number of real poles, default 2
 
+    Returns
+    -------
+    MultiFit : the model with its covariance, releases, trials and notices
+
+    Raises
+    ------
+    ValueError : the records differ in channels, unit or rate, do not oscillate, or the outputs do not distinguish loads
+        (named)
+
+    Notes
+    -----
+    Output-error least squares over the common poles and every record's release, residues by projection. Numbers of
+        modes and real poles are
+    selected by the Schwarz criterion.
+
+    Examples
+    --------
     >>> import numpy as np
     >>> from shaker import StepRecord, fit_steps
     >>> time_s, rng = np.arange(1000) / 10e3 - 0.02, np.random.default_rng(0)
@@ -99,7 +118,10 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
 
 
 def _noise(records: Sequence[StepRecord], releases: Sequence[ReleaseTiming]) -> FloatArray:
-    """Standard deviation of a sample (C,) before the releases; a silent output has that of its digits."""
+    """Return the standard deviation of a sample (C,) before the releases.
+
+    A noiseless output has that of its digits.
+    """
     sums, count = np.zeros(len(records[0].channels)), 0
     for record, release in zip(records, releases, strict=True):
         begin_s = release.middle_s - 0.5 * release.duration_s
@@ -113,7 +135,7 @@ def _noise(records: Sequence[StepRecord], releases: Sequence[ReleaseTiming]) -> 
 def _posed(
     records: Sequence[StepRecord], releases: Sequence[ReleaseTiming], noise: FloatArray
 ) -> tuple[StepProblem, Poles]:
-    """The least squares problem of means over blocks, and poles of the decays to start from."""
+    """Return the least-squares problem of block means, and start poles from the decays."""
     rate = records[0].sample_rate_hz
     decays = []
     for record, release in zip(records, releases, strict=True):
@@ -141,7 +163,7 @@ def _posed(
 
 
 def _swings(decays: Sequence[FloatArray], loads: Sequence[str], rate_hz: float) -> ComplexArray:
-    """Poles of all decays together, and those of each load's decays that are not among them."""
+    """Return the poles of all decays together, and additional poles of each load's decays."""
     poles = shared_poles(decays, rate_hz)
     for load in dict.fromkeys(loads):
         for pole in shared_poles([part for part, own in zip(decays, loads, strict=True) if own == load], rate_hz):
@@ -158,9 +180,9 @@ _SCATTERED = 3.0
 
 @dataclass(frozen=True, repr=False)
 class ReleaseFit(Brief):
-    """One release: when (middle) and how long the load changed, in s with standard uncertainties, and how it went.
+    """One release: middle and duration of the load change in s with standard uncertainties, and its shape.
 
-    `gain`: size of the outputs over that of the model of all releases of its load, with `u_gain` of the noise; `misfit`
+    `gain`: size of the outputs over that of the model of all releases of its load, with `u_gain` of the noise. `misfit`
     (C,): standard deviation of the residual of each output over its noise.
     """
 
@@ -179,9 +201,9 @@ class ReleaseFit(Brief):
 
 @dataclass(frozen=True, repr=False)
 class ModeRank(Brief):
-    """Singular values of a mode's residues over their noise, and how many stand out of it.
+    """Singular values of a mode's residues over their noise, and the number of significant ones.
 
-    One is a mode with one shape, which moves outputs and takes up loads in fixed shares; more are modes that coincide.
+    Rank one is a mode with one shape: fixed shares of outputs and loads. A higher rank is several modes that coincide.
     """
 
     singular: FloatArray
@@ -190,13 +212,13 @@ class ModeRank(Brief):
 
 @dataclass(frozen=True, repr=False)
 class MultiFit(Brief):
-    """A model of C outputs over D loads with what it was found from.
+    """A model of C outputs over D loads with the data of its fit.
 
-    `noise` (C,): standard deviation of one sample of every output at `sample_rate_hz`; `amplitude` (D,): the largest
-    change of each load in its records, `u_amplitude` (D,): relative, of its scale, with the scatter between releases in
-    it; `variance_accounted` (D,): 1 - |residual|²/|data|² of each load's records over all outputs in units of their
-    noise; `trials`: numbers of poles that were tried; `losses`: of the last search;
-    `ranks`: of the residues of every mode, then of every real pole.
+    `noise` (C,): standard deviation of one sample of every output at `sample_rate_hz`. `amplitude` (D,): the largest
+    change of each load in its records. `u_amplitude` (D,): relative uncertainty of its scale, including the scatter
+    between releases. `variance_accounted` (D,): 1 - |residual|²/|data|² of each load's records over all outputs in
+    units of their noise. `trials`: numbers of poles that were tried; `losses`: of the last search. `ranks`: of the
+    residues of every mode, then of every real pole.
     """
 
     model: MultiModel
@@ -219,9 +241,10 @@ def multi_fit(
     noise: FloatArray,
     trials: tuple[PoleCountTrial, ...],
 ) -> MultiFit:
-    """Return the result of a fit in the units of the records; `noise` (C,) of a sample weighted the outputs.
+    """Return the result of a fit in the units of the records.
 
-    The first of `fits` is the result; the others, which the records do not refute, lie as far away as `far_away` says.
+    The first of `fits` is the result. The others are not rejected by the records and enter the covariance
+    (`shaker.fitting`). `noise` (C,) of a sample was the weight of the outputs.
     """
     fit, *others = fits
     point, poles = fit.solution.point, fit.poles
@@ -269,14 +292,14 @@ def multi_fit(
 
 
 def _model(records: Sequence[StepRecord], problem: StepProblem, fit: PoleFit, scaled: FloatArray) -> MultiModel:
-    """The model of a fit; `scaled` (C,): noise of a mean, which weighted the outputs."""
+    """Return the model of a fit; `scaled` (C,): noise of a mean, the weight of the outputs."""
     parts = [fit.poles.smooth @ own for own in fit.solution.point.coefficients]
     table = np.stack(parts, axis=2) * scaled[:, None]
     return MultiModel.of_poles(fit.poles, table, (records[0].channels, problem.components), records[0].unit)
 
 
 def misfits(problem: StepProblem, fit: PoleFit) -> FloatArray:
-    """Return the standard deviation of the residual of each output over its weight, all records together."""
+    """Return the standard deviation of each output's residual over its weight, all records together."""
     rests = np.concatenate([rest for _, rest in by_record(problem, fit)])
     free = sum(block.design.shape[1] for block in fit.solution.point.blocks)
     free += (fit.poles.count + 2 * len(fit.releases)) / rests.shape[1]
@@ -286,7 +309,7 @@ def misfits(problem: StepProblem, fit: PoleFit) -> FloatArray:
 def _releases(
     problem: StepProblem, records: Sequence[StepRecord], fit: PoleFit, spread: FloatArray
 ) -> tuple[ReleaseFit, ...]:
-    """What every record shows of its release, in the order of the records."""
+    """Return the fitted release of every record, in the order of the records."""
     times = np.sqrt(np.diag(spread))[fit.poles.count :].reshape(-1, 2).tolist()
     rests, results = dict(by_record(problem, fit)), []
     for i, (record, release) in enumerate(zip(problem.records, fit.releases, strict=True)):
@@ -312,7 +335,10 @@ def _releases(
 
 
 def _scale_share(component: str, records: Sequence[StepRecord], releases: Sequence[ReleaseFit]) -> float:
-    """Relative standard uncertainty of a load's scale: as stated, and what its releases scatter by beyond the noise."""
+    """Return the relative standard uncertainty of a load's scale.
+
+    As stated, and from the scatter of its releases beyond the noise.
+    """
     stated = max(record.u_amplitude for record in records if record.component == component)
     own = [release for release in releases if release.component == component]
     if len(own) < 2:
@@ -322,7 +348,7 @@ def _scale_share(component: str, records: Sequence[StepRecord], releases: Sequen
 
 
 def _notices(model: MultiModel, releases: Sequence[ReleaseFit], fit: PoleFit) -> tuple[Notice, ...]:
-    """What the user should know of the fit."""
+    """Return the notices of a fit."""
     told = []
     if not fit.solution.converged:
         told.append(Notice("warning", "the fit did not come to rest: its poles may be off", "model"))
@@ -371,10 +397,10 @@ def _alike(problem: StepProblem, fit: PoleFit, others: Sequence[PoleFit]) -> Ite
 
 
 def mode_ranks(model: MultiModel, u: FloatArray) -> tuple[ModeRank, ...]:
-    """Return the ranks of the residues of every mode, then of every real pole; `u` (P,) of the model's vector.
+    """Return the ranks of the residues of every mode, then of every real pole; `u` (P,) of the vector.
 
-    Of residues over standard uncertainties that are chance the largest singular value is about √C + √D, for complex
-    ones √2 times that; one that stands out is twice that size.
+    For random residues over standard uncertainties the largest singular value is about √C + √D, for complex ones √2
+    times that. A significant one is at least twice as large.
     """
     spread = model.parts(u)
     pairs: list[tuple[ComplexArray | FloatArray, FloatArray]] = [

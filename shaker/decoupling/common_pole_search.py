@@ -1,4 +1,4 @@
-"""How many poles records of several releases ask for, and which times of the releases explain them alike."""
+"""Number of common poles of several releases, and alternative times of the releases."""
 
 from __future__ import annotations
 
@@ -43,8 +43,11 @@ AlternativeTimes: TypeAlias = tuple[list[int], tuple[ReleaseTiming, ...]]
 
 @dataclass(frozen=True)
 class PoleCountTrial:
-    """One number of poles that was tried: `misfit` is the mean square residual over that of the noise, `criterion`
-    N·ln(misfit) + ln(N)·(number of parameters), of which the least wins (Schwarz, Ann. Statist. 6 (1978) 461)."""
+    """One number of poles that was tried.
+
+    `misfit`: mean square residual over that of the noise. `criterion`: N·ln(misfit) + ln(N)·(number of parameters), the
+    least is selected (Schwarz, Ann. Statist. 6 (1978) 461).
+    """
 
     modes: int
     reals: int
@@ -54,10 +57,10 @@ class PoleCountTrial:
 
 
 def add_first_lag(problem: StepProblem, poles: Poles, releases: tuple[ReleaseTiming, ...]) -> PoleCandidate:
-    """Return poles with a first lag, and releases as much earlier and shorter, that leave least.
+    """Return the best poles with a first lag, and correspondingly earlier and shorter releases.
 
-    A lag is always fitted: one too fast to be told changes amplitudes and phases of what rings all the same, and a
-    model without it states a certainty that the records do not give.
+    A lag is always fitted: even one too fast to be observed changes amplitudes and phases of the ringing. A model
+    without it would claim a certainty that the records do not give.
     """
     offers: list[PoleCandidate] = []
     for share in _LAGS:
@@ -77,11 +80,10 @@ def add_first_lag(problem: StepProblem, poles: Poles, releases: tuple[ReleaseTim
 def select_pole_count(
     problem: StepProblem, start: PoleCandidate, most: int | None, reals: int
 ) -> tuple[PoleFit, list[PoleCountTrial]]:
-    """Return the fit with the number of poles that the criterion favours, and what was tried.
+    """Return the fit with the number of poles that the criterion selects, and all trials.
 
-    Modes that the start offers and the records do not ask for are left out one by one; then modes that the residual
-    shows, and further lags, are added as long as the criterion falls. `most`, `reals`: the highest numbers of modes
-    and of real poles.
+    Unnecessary modes of the start are removed one by one. Then modes of the residual and further lags are added while
+    the criterion falls. `most`, `reals`: highest numbers of modes and of real poles.
     """
     here = fit_poles(problem, drop_weak_modes(problem, *start, most), start[1], *_ALONG_A_VALLEY)
 
@@ -102,9 +104,9 @@ def select_pole_count(
 
 
 def select_release_shape(problem: StepProblem, near: StepProblem, fit: PoleFit) -> PoleFit:
-    """Return the fit in which each release goes along a line or half a cosine, whichever leaves clearly less.
+    """Return the fit with each release as a ramp or half a cosine, by the significantly smaller loss.
 
-    `near`: the same problem with what the records hold about their releases alone, which tells the shape.
+    `near`: the problem restricted to the samples around the releases, which determine the shape.
     """
     releases = tuple(
         _better_shape(near, fit, i) if release.duration_s > _TOLD_SAMPLES * problem.step_s else release
@@ -114,7 +116,7 @@ def select_release_shape(problem: StepProblem, near: StepProblem, fit: PoleFit) 
 
 
 def _better_shape(problem: StepProblem, fit: PoleFit, place: int) -> ReleaseTiming:
-    """One release, or the same in the other shape, with its best duration, where that leaves clearly less."""
+    """Return one release in the better of both shapes, the other with its best duration."""
     near = problem.record_indices(problem.records[place].component)
     part, own = problem.part(near), fit.releases[place]
     other: ReleaseShape = "smooth" if own.shape == "ramp" else "ramp"
@@ -127,10 +129,10 @@ def _better_shape(problem: StepProblem, fit: PoleFit, place: int) -> ReleaseTimi
 
 
 def try_other_durations(problem: StepProblem, fit: PoleFit) -> tuple[PoleFit, list[AlternativeTimes]]:
-    """Return the fit from the releases of each load, as they are or shorter or longer, that leave least, and others.
+    """Return the fit from the best durations of each load's releases, and the alternatives.
 
-    The others leave hardly more with the same poles. A release about as long as the period of a mode hardly drives it,
-    so that large residues of that mode make up for a length that is wrong.
+    The alternatives have the same poles and hardly more loss. A release about as long as the period of a mode hardly
+    excites it. Large residues of this mode then compensate for a wrong duration.
     """
     releases, others = list(fit.releases), list[AlternativeTimes]()
     for component in problem.components:
@@ -155,7 +157,7 @@ def try_other_durations(problem: StepProblem, fit: PoleFit) -> tuple[PoleFit, li
 def equally_likely(
     problem: StepProblem, fit: PoleFit, others: Sequence[AlternativeTimes]
 ) -> tuple[PoleFit, tuple[PoleFit, ...]]:
-    """Return the best fit from these releases and from `others`, and those that the records do not refute beside it."""
+    """Return the best fit from these releases and from `others`, and those that are not rejected."""
     found = [fit]
     for places, times in others:
         releases = list(fit.releases)
@@ -179,13 +181,15 @@ def _apart(problem: StepProblem, one: Sequence[ReleaseTiming], other: Sequence[R
 
 
 def _timed(problem: StepProblem, poles: Poles, releases: Sequence[ReleaseTiming], wanted: float = np.inf) -> PoleFit:
-    """The best times of releases where the poles are known, where they bring the loss down to what is `wanted`."""
+    """Return the best times of releases for fixed poles, if the loss can reach `target_loss`."""
     return fit_poles(problem, poles, releases, _FEW_STEPS, _ROUGH, fixed_count=poles.count, target_loss=wanted)
 
 
 def _begun(part: StepProblem, poles: Poles, release: ReleaseTiming) -> ReleaseTiming:
-    """A release by its record alone, poles held: the best of both shapes, from shorter and longer ones
-    too where the record is not explained."""
+    """Return the best release of one record for fixed poles, of both shapes.
+
+    Shorter and longer durations are tried if the record is not explained.
+    """
     ramp, smooth = replace(release, shape="ramp"), replace(release, shape="smooth")
     tried = [_timed(part, poles, [one]) for one in (ramp, smooth)]
     if min(end.loss for end in tried) >= _UNEXPLAINED * part.values:
@@ -195,20 +199,26 @@ def _begun(part: StepProblem, poles: Poles, release: ReleaseTiming) -> ReleaseTi
 
 
 def criterion(problem: StepProblem, poles: Poles, loss: float) -> float:
-    """Return N·ln(loss/N) + ln(N)·(number of parameters): a lag adds its corner alone, its residues follow."""
+    """Return N·ln(loss/N) + ln(N)·(number of parameters).
+
+    A lag adds its corner only; its residues are determined.
+    """
     count = problem.values
     return float(count * np.log(max(loss / count, 1e-12)) + _charge(problem, poles))
 
 
 def _charge(problem: StepProblem, poles: Poles) -> float:
-    """What the criterion charges for poles."""
+    """Return the charge of the criterion for poles."""
     outputs, loads = problem.records[0].samples.value.shape[1], len(problem.components)
     parameters = 2 * poles.modes * (1 + outputs * loads) + len(poles.real_hz)
     return float(np.log(problem.values) * parameters)
 
 
 def removal_losses(poles: Poles, point: SeparablePoint) -> FloatArray:
-    """Return how much the loss grows without each pole (M + Q,), the others held: b'·[(A'A)⁻¹ of its columns]⁻¹·b."""
+    """Return the growth of the loss without each pole (M + Q,), for fixed other poles.
+
+    b'·[(A'A)⁻¹ of its columns]⁻¹·b.
+    """
     losses = np.zeros(poles.modes + len(poles.real_hz))
     for part in point.solved:
         whole, root = poles.smooth @ part.coefficients, poles.smooth @ part.root
@@ -221,7 +231,7 @@ def removal_losses(poles: Poles, point: SeparablePoint) -> FloatArray:
 
 
 def drop_weak_modes(problem: StepProblem, poles: Poles, releases: Sequence[ReleaseTiming], most: int | None) -> Poles:
-    """Return a start without the modes that the criterion does not ask for, or that are beyond the highest number."""
+    """Return a start without modes that the criterion rejects or that exceed the highest number."""
     while poles.modes > 1:
         point = problem.point(poles, releases)
         losses = removal_losses(poles, point)[: poles.modes]
@@ -235,10 +245,10 @@ def drop_weak_modes(problem: StepProblem, poles: Poles, releases: Sequence[Relea
 
 
 def _smaller(problem: StepProblem, here: PoleFit, most: int | None) -> PoleFit | None:
-    """The fit without the weakest mode, None where the criterion needs all.
+    """Return the fit without the weakest mode, None if the criterion needs all.
 
-    What the other poles and the releases take over shows in a fit alone: a mode that makes up for a release begun
-    elsewhere looks needed as long as that release is held.
+    Only a fit shows how far the other poles and the releases replace the mode. A mode that compensates for a wrong
+    release seems necessary for fixed releases.
     """
     poles = here.poles
     if poles.modes < 2 or (most is not None and poles.modes <= most):
@@ -255,7 +265,7 @@ def _smaller(problem: StepProblem, here: PoleFit, most: int | None) -> PoleFit |
 
 
 def _larger(problem: StepProblem, here: PoleFit, most: int | None, reals: int) -> PoleFit | None:
-    """The fit with the mode or the lag that lowers the loss most, None where the numbers are reached."""
+    """Return the fit with the additional mode or lag of least criterion, None at the limits."""
     tried = []
     if (most is None or here.poles.modes < most) and (mode := _left(problem, here)) is not None:
         tried.append(fit_poles(problem, here.poles.with_mode(mode), here.releases, _FEW_STEPS, _ROUGH))
@@ -280,7 +290,7 @@ def _again(problem: StepProblem, here: PoleFit) -> PoleFit | None:
 
 
 def _left(problem: StepProblem, here: PoleFit) -> complex | None:
-    """The pole, of what the fit leaves of each load after its releases, that takes most of that; None without any."""
+    """Return the pole that explains most of the residual after the releases, None without any."""
     samples = problem.records[0].samples
     rests, most, best = dict(by_record(problem, here)), 0.0, None
     for component in problem.components:

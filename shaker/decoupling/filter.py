@@ -1,4 +1,4 @@
-"""The filter that undoes cross-talk, and the cross-talk before and after it."""
+"""Decoupling filter against cross-talk, and the cross-talk before and after it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from shaker.decoupling.model import MultiModel, Poles, StateSpace, sampled_modes
 
 @dataclass(frozen=True, repr=False)
 class FilterState(Brief):
-    """What a filter keeps between blocks: the last inputs (L, C) and what its poles hold (N,)."""
+    """State of a filter between blocks: the last inputs (L, C) and the states of its poles (N,)."""
 
     inputs: FloatArray
     poles: ComplexArray
@@ -25,11 +25,12 @@ class FilterState(Brief):
 
 @dataclass(frozen=True, repr=False)
 class DecouplingFilter(Brief):
-    """Loads `components` (D,) from outputs `channels` (C,) in `unit`, sampled at `sample_rate_hz`.
+    """Filter for loads `components` (D,) from outputs `channels` (C,) in `unit`, at `sample_rate_hz`.
 
     f[n] = Σ_k `taps`[k]·y[n - k] + Re Σ_i `shown`[:, i]·x_i[n - L], x_i[n + 1] = `poles`[i]·x_i[n] + `driven`[i]·y[n],
-    L = `delay`: taps (L + 1, D, C), poles (N,) within the unit circle, one of each conjugate pair, driven (N, C), shown
-    (D, N). The loads come L samples late, with the dynamics of one oscillator each: `target_hz`, `target_damping` (D,).
+    L = `delay`. Taps (L + 1, D, C); poles (N,) within the unit circle, one of each conjugate pair; driven (N, C); shown
+    (D, N). The loads are delayed by L samples and have the dynamics of one oscillator each: `target_hz`,
+    `target_damping` (D,).
     """
 
     channels: tuple[str, ...]
@@ -55,19 +56,19 @@ class DecouplingFilter(Brief):
 
     @property
     def delay(self) -> int:
-        """By how many samples the loads are late."""
+        """Delay of the loads in samples."""
         return len(self.taps) - 1
 
     def rest(self, outputs: FloatArray | None = None) -> FilterState:
-        """Return the state of a filter whose inputs have been constant (C,) for long, zero where not stated."""
+        """Return the state after constant inputs (C,), default zero."""
         level = np.zeros(len(self.channels)) if outputs is None else np.asarray(outputs, dtype=np.float64)
         check_shape("outputs", level, (len(self.channels),))
         return FilterState(np.tile(level, (self.delay, 1)), self.driven @ level / (1.0 - self.poles))
 
     def process(self, outputs: FloatArray, state: FilterState) -> tuple[FloatArray, FilterState]:
-        """Return the loads (N, D) of the next outputs (N, C), and the state to go on with.
+        """Return the loads (N, D) of the next outputs (N, C), and the new state.
 
-        Sums run in a fixed order sample by sample, so that blocks of any length give the same bits as one record.
+        Sums have a fixed order sample by sample, so that blocks of any length give the same bits as one record.
         """
         from scipy.signal import lfilter
 
@@ -95,7 +96,7 @@ class DecouplingFilter(Brief):
         return loads.T.copy(), FilterState(whole[:, count:].T.copy(), held)
 
     def impulse_response(self, count: int) -> FloatArray:
-        """Return the loads (N, D, C) of N samples from one on in which each output alone is 1, before and after 0."""
+        """Return the loads (N, D, C) of N samples for a unit impulse of each output."""
         rings = np.zeros((count, len(self.poles)), dtype=np.complex128)
         rings[self.delay + 1 :] = self.poles ** np.arange(max(0, count - self.delay - 1))[:, None]
         pairs = self.shown.T[:, :, None] * self.driven[:, None, :]
@@ -104,7 +105,7 @@ class DecouplingFilter(Brief):
         return np.asarray(loads)
 
     def apply(self, outputs: FloatArray) -> FloatArray:
-        """Return the loads (N, D) of a whole record (N, C) that begins at rest at its first sample."""
+        """Return the loads (N, D) of a whole record (N, C) that starts at rest."""
         return self.process(outputs, self.rest(np.asarray(outputs)[0]))[0]
 
     def response(self, frequency_hz: FloatArray) -> ComplexArray:
@@ -120,14 +121,14 @@ class DecouplingFilter(Brief):
         return np.asarray(response)
 
     def target(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return the wanted dynamics (K, D) with the delay: ω²/(s² + 2ζωs + ω²)·exp(-sL/fs)."""
+        """Return the target dynamics (K, D) with the delay: ω²/(s² + 2ζωs + ω²)·exp(-sL/fs)."""
         s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)[:, None]
         omega = 2 * np.pi * self.target_hz
         late = np.exp(-s * self.delay / self.sample_rate_hz)
         return np.asarray(omega**2 / (s**2 + 2 * self.target_damping * omega * s + omega**2) * late)
 
     def noise(self, outputs: FloatArray) -> FloatArray:
-        """Return standard deviations (D,) of the loads for white noise of standard deviations (C,) of the outputs."""
+        """Return standard deviations (D,) of the loads for white noise (C,) of the outputs."""
         spread = np.asarray(outputs, dtype=np.float64)
         check_shape("outputs", spread, (len(self.channels),))
         power = np.einsum("ldc,c->d", self.taps**2, spread**2)
@@ -148,7 +149,10 @@ _REAL = 1e-9
 
 @dataclass(frozen=True, repr=False)
 class DecouplingTarget(Brief):
-    """Wanted dynamics of every load: `frequency_hz` and `damping_ratio` of one oscillator each (D,), static gain 1."""
+    """Target dynamics of every load: one oscillator each, static gain 1.
+
+    `frequency_hz` and `damping_ratio` (D,).
+    """
 
     frequency_hz: FloatArray
     damping_ratio: FloatArray
@@ -163,8 +167,11 @@ class DecouplingTarget(Brief):
 
 @dataclass(frozen=True, repr=False)
 class SignalLevels(Brief):
-    """What a filter is designed for: noise (C,) of a sample of the outputs at `sample_rate_hz`, and loads (D,): the
-    standard deviation of a sample of a white one. Their ratio rules how far the filter goes beyond the resonances."""
+    """Noise and loads for which a filter is designed.
+
+    `noise` (C,): of a sample of the outputs at `sample_rate_hz`. `load` (D,): standard deviation of a sample of a white
+    load. Their ratio determines the bandwidth of the filter beyond the resonances.
+    """
 
     sample_rate_hz: float
     noise: FloatArray
@@ -174,15 +181,35 @@ class SignalLevels(Brief):
 def design_decoupling(
     model: MultiModel, target: DecouplingTarget, recorded: SignalLevels, delay: int | None = None
 ) -> DecouplingFilter:
-    """Return the stable filter D that brings D·H closest to the target T, delayed by `delay` samples.
+    """Design the stable filter D that brings D·H closest to the delayed target T.
 
-    An inverse of H grows without bound above the resonances, and grows in time where H has zeros in the right half
-    plane. Instead the mean square of T·f - D·(H·f + noise) is made least for white loads f: the steady Kalman filter of
-    the states of H and T, which share their load, with smoothing over `delay` samples (Anderson and Moore, Optimal
-    Filtering, 1979, chapters 4 and 7). It is stable whatever H is, and where the load stands clear of the noise and H
-    has no such zeros D·H = T. Its static gain is then made exact. By default the delay is the shortest of up to 32
-    samples whose error is within twice that of the longest, or below 1 % of the load, for every load.
+    Parameters
+    ----------
+    model : stable model of C outputs over D loads
+    target : target dynamics of the D loads
+    recorded : sampling rate, noise of the outputs and size of the loads
+    delay : samples, default None: the shortest of up to 32 with an error within twice that of the longest, or below 1 %
 
+    Returns
+    -------
+    DecouplingFilter : stable filter with exact static gain
+
+    Raises
+    ------
+    ValueError : a pole of the model grows
+
+    Notes
+    -----
+    An inverse of H would grow without bound above the resonances, and in time if H has zeros in the right half plane.
+        Instead the mean square
+    of T·f - D·(H·f + noise) is minimised for white loads f. This is the steady Kalman filter of the states of H and T,
+        which share their load,
+    with smoothing over `delay` samples (Anderson and Moore, Optimal Filtering, 1979, chapters 4 and 7). It is stable
+        for every H. D·H = T if the
+    load is far above the noise and H has no such zeros. The static gain is then made exact.
+
+    Examples
+    --------
     >>> import numpy as np
     >>> from shaker import design_decoupling
     >>> from shaker.decoupling.filter import Recorded, Target
@@ -229,7 +256,10 @@ class _Gains(Brief):
 
 
 def _smoother(plant: StateSpace, wanted: StateSpace, delay: int) -> _Gains:
-    """Steady Kalman filter of both systems with the gains of smoothing over a delay; loads and noise of unit size."""
+    """Return the steady Kalman filter of both systems with smoothing over a delay.
+
+    Loads and noise have unit size.
+    """
     from scipy.linalg import block_diag, solve_discrete_are, solve_discrete_lyapunov
 
     a, b = block_diag(plant.a, wanted.a), np.concatenate([plant.b, wanted.b])
@@ -257,9 +287,10 @@ def _smoother(plant: StateSpace, wanted: StateSpace, delay: int) -> _Gains:
 def _assembled(
     model: MultiModel, target: DecouplingTarget, recorded: SignalLevels, kalman: _Gains, lag: int
 ) -> DecouplingFilter:
-    """The filter as taps and poles: innovations up to the delay are written as outputs and the state before them.
+    """Return the filter as taps and poles.
 
-    f(t) = z·x(t) + Σ_i G_i (y(t + i) - c·x(t + i)), x(t + i) = mⁱ x(t) + Σ_{l < i} m^{i - 1 - l} k y(t + l).
+    Innovations up to the delay are expressed by outputs and the previous state. f(t) = z·x(t) + Σ_i G_i (y(t + i) -
+    c·x(t + i)), x(t + i) = mⁱ x(t) + Σ_{l < i} m^{i - 1 - l} k y(t + l).
     """
     outputs, loads = kalman.c.shape[0], len(kalman.wanted)
     taps, shown = np.zeros((lag + 1, loads, outputs)), kalman.wanted.copy()
@@ -299,12 +330,12 @@ _SHORTENED = 0.05
 
 @dataclass(frozen=True, repr=False)
 class Crosstalk(Brief):
-    """Loads read over loads applied at one stage, in units of the loads: N or N·m per N or N·m.
+    """Loads read over loads applied at one stage, in N or N·m per N or N·m.
 
-    `stage`: "raw" (each load by the output of its name over its own sensitivity), "static" (inverse of the static
-    matrix), "filtered". `value` (K, D, D) complex at `frequency_hz` (K,): reading i for load j, with standard
-    uncertainty `u` (K, D, D) of its modulus by the model. `peak` (D, D): largest reading i in size while load j makes a
-    unit step, with `u_peak`.
+    `stage`: "raw" (each load by the output of its name over its sensitivity), "static" (inverse of the static matrix),
+    "filtered". `value` (K, D, D) complex at `frequency_hz` (K,): reading i for load j, with standard uncertainty `u`
+    (K, D, D) of its modulus by the model. `peak` (D, D): largest |reading| i during a unit step of load j, with
+    `u_peak`.
     """
 
     stage: str
@@ -317,15 +348,15 @@ class Crosstalk(Brief):
 
 
 def static_inverse(model: MultiModel, noise: FloatArray) -> FloatArray:
-    """Return the matrix (D, C) that reads loads from outputs at rest, of more outputs than loads by least squares."""
+    """Return the matrix (D, C) from outputs to loads at rest, weighted least squares if C > D."""
     weight = 1.0 / noise
     return np.asarray(np.linalg.pinv(weight[:, None] * model.static_gain) * weight)
 
 
 def raw_reading(model: MultiModel) -> FloatArray | None:
-    """Return the matrix (D, C) that reads each load from the output of its name, else from the one that it moves most.
+    """Return the matrix (D, C) that reads each load from one output, None if ambiguous.
 
-    None where two loads would be read from one output.
+    The output has the name of the load, else the load moves it most. Two loads must not share an output.
     """
     static = model.static_gain
     size = np.abs(static) / np.linalg.norm(static, axis=1, keepdims=True)
@@ -341,7 +372,7 @@ def raw_reading(model: MultiModel) -> FloatArray | None:
 
 
 def stage_readers(model: MultiModel, decoupler: DecouplingFilter, noise: FloatArray) -> dict[str, Reader]:
-    """Return what reads the loads at every stage that the outputs allow: matrices (D, C), and the filter."""
+    """Return the readers of the possible stages: matrices (D, C), and the filter."""
     raw, static = raw_reading(model), static_inverse(model, noise)
     return {**({} if raw is None else {"raw": raw}), "static": static, "filtered": decoupler}
 
@@ -354,13 +385,12 @@ def crosstalks(
     rng: Generator,
     draws: int,
 ) -> tuple[Crosstalk, ...]:
-    """Return the cross-talk at every stage that the outputs allow.
+    """Return the cross-talk at every possible stage.
 
-    Readings and filter stay those of the model; its uncertainty says how far the sensor may differ: over frequency by
-    its covariance to first order, for the peaks by the slope towards `draws` models drawn from it.
-
-    What a drawn model reads is extrapolated from a model near by: the answers are linear in what the data tell, but not
-    in poles far from the fitted ones, of which only the sum of their effects is known.
+    Readers and filter are those of the model; its uncertainty shows the possible deviation of the sensor. Over
+    frequency the covariance is propagated to first order, for the peaks by the slope towards `draws` sampled models.
+    The reading of a sampled model is extrapolated from a model nearby: outputs are linear in the determined
+    combinations, but not in poles far from the fitted ones.
     """
     if model.covariance is None:
         raise ValueError("model: expected one with covariance, found none")
@@ -385,19 +415,19 @@ def crosstalks(
 
 
 def step_readings(model: MultiModel, reader: Reader, time_s: FloatArray) -> FloatArray:
-    """Return the loads read (N, D, D) at equally spaced times while each load makes a unit step at t = 0."""
+    """Return the loads read (N, D, D) at equally spaced times for unit steps of each load at t = 0."""
     return _reads(reader, len(time_s))(model.step(time_s))
 
 
 def step_times(model: MultiModel, decoupler: DecouplingFilter) -> FloatArray:
-    """Return the times of samples from a step till the slowest mode has decayed."""
+    """Return the times of samples from a step until the slowest mode has decayed."""
     slowest = float(np.min(-model.poles.real))
     count = min(_LONGEST, int(_DECAYS / slowest * decoupler.sample_rate_hz) + 20 * (decoupler.delay + 1))
     return np.arange(count) / decoupler.sample_rate_hz
 
 
 def _u(model: MultiModel, shown: ComplexArray, frequency_hz: FloatArray) -> FloatArray:
-    """Standard uncertainty of every reading in a direction of the complex plane, the mean of all directions."""
+    """Return the standard uncertainty of every reading, averaged over directions in the complex plane."""
     columns = []
     for load in range(len(model.components)):
         slope, covariance = model.column_sensitivity(load, frequency_hz)
@@ -406,7 +436,10 @@ def _u(model: MultiModel, shown: ComplexArray, frequency_hz: FloatArray) -> Floa
 
 
 def _root(covariance: FloatArray) -> FloatArray:
-    """Cholesky's root, of which there is one, so that draws are alike everywhere; eigenvalues are made positive."""
+    """Return the Cholesky root of a covariance, its eigenvalues made positive.
+
+    The root is unique, so that samples are the same on every machine.
+    """
     size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     value, vector = np.linalg.eigh(covariance / np.outer(size, size))
     mended = (vector * np.maximum(value, 1e-12)) @ vector.T
@@ -414,8 +447,10 @@ def _root(covariance: FloatArray) -> FloatArray:
 
 
 def _reads(reader: Reader, count: int) -> Callable[[FloatArray], FloatArray]:
-    """What makes readings (N, D, D) of outputs (N, C, D) of `count` samples: a matrix at once, a filter by its answer
-    to a unit impulse, transformed once for all outputs."""
+    """Return a function from outputs (N, C, D) of `count` samples to readings (N, D, D).
+
+    For a filter its impulse response is transformed once for all outputs.
+    """
     if not isinstance(reader, DecouplingFilter):
         return lambda outputs: np.asarray(reader @ outputs)
     from scipy.fft import irfft, next_fast_len, rfft

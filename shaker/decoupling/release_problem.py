@@ -1,4 +1,4 @@
-"""Records of several releases as one least squares problem of common poles, and what its solution leaves open."""
+"""Records of several releases as one least-squares problem of common poles, and its covariance."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _KEPT = 2  # poles and releases of which a record keeps what they show of it
 
 @dataclass(frozen=True)
 class ReleaseTiming:
-    """When a load changes: middle and duration in s, and how it goes."""
+    """Middle and duration of a load change in s, and its shape."""
 
     middle_s: float
     duration_s: float
@@ -49,9 +49,10 @@ PoleCandidate: TypeAlias = tuple[Poles, tuple[ReleaseTiming, ...]]
 
 
 class ExplainedData(NamedTuple):
-    """What poles and a release show of a record (A, C) less its level: responses (A, B) are `basis` @ `triangle`.
+    """Record (A, C) without its mean, as the poles and a release explain it: `basis` @ `triangle`.
 
-    `basis` (A, B) is orthonormal, `told` (B, C) the data along it, `beside` (A, C) what no residues explain of them.
+    `basis` (A, B) is orthonormal; `along` (B, C): the data along it; `orthogonal` (A, C): the data that no residues
+    explain.
     """
 
     basis: FloatArray
@@ -62,7 +63,7 @@ class ExplainedData(NamedTuple):
 
 @dataclass(frozen=True)
 class WhitenedRecord:
-    """One record ready for a fit: means over blocks of samples (A, C) over their noise, times, load."""
+    """One record prepared for a fit: block means (A, C) over their noise, times, load."""
 
     name: str
     component: str
@@ -70,13 +71,13 @@ class WhitenedRecord:
     samples: BlockMeans
 
     def response_derivatives(self, poles: ComplexArray, release: ReleaseTiming, held: bool) -> BlockResponses:
-        """Return what poles, which may be held, answer to the release, with slopes."""
+        """Return the responses of the poles to the release, with derivatives."""
         load = ReleaseLoad(release.shape, self.amplitude)
         return responses_with_derivatives(load, poles, self.samples, release.middle_s, release.duration_s, held)
 
     @cached_property
     def explained(self) -> Callable[[Poles, ReleaseTiming], ExplainedData]:
-        """What poles and a release show of it, the last ones kept: searches begin where others ended."""
+        """Function from poles and release to `ExplainedData`, with a cache of the last results."""
 
         @lru_cache(_KEPT)
         def found(poles: Poles, release: ReleaseTiming) -> ExplainedData:
@@ -98,12 +99,12 @@ class WhitenedRecord:
 
 @dataclass(frozen=True)
 class StepProblem:
-    """All records by load component: the least squares problem of poles and releases.
+    """Least-squares problem of poles and releases for all records by load component.
 
-    A sensor's outputs follow displacements, so that no load, however sudden, gives them a velocity at once, and every
-    real pole is a lag of the amplifier behind them: H falls as s^-(2 + Q), Σ R·p^k = 0 for k = 0 … Q in every element.
-    This is what tells the beginning of a release from a delay of the outputs; designs have the columns that are left
-    (`Poles.smooth`).
+    The outputs of a sensor follow displacements, so that no load, however sudden, gives them an immediate velocity.
+    Every real pole is a lag of the amplifier behind them. H therefore falls as s^-(2 + Q), and Σ R·p^k = 0 for k = 0 …
+    Q in every element. This distinguishes the onset of a release from a delay of the outputs. The designs have the
+    remaining columns (`Poles.smooth`).
 
     Parameters: those of the poles, then middle and logarithm of the duration of every record in the order of `records`.
     """
@@ -122,11 +123,11 @@ class StepProblem:
         return self.records[0].samples.step_s
 
     def record_indices(self, component: str) -> list[int]:
-        """Return the records of a load."""
+        """Return the indices of the records of a load."""
         return [i for i, record in enumerate(self.records) if record.component == component]
 
     def part(self, indices: Sequence[int]) -> StepProblem:
-        """Return some records of one load alone."""
+        """Return the problem of some records of one load."""
         return StepProblem(tuple(self.records[i] for i in indices), (self.records[indices[0]].component,))
 
     def vector(self, poles: Poles, releases: Sequence[ReleaseTiming]) -> FloatArray:
@@ -135,13 +136,16 @@ class StepProblem:
         return np.concatenate([poles.vector, own])
 
     def prior(self, vector: FloatArray, poles: Poles, held: int) -> ParameterPrior:
-        """Return what a start says of lags and durations, loosely: it leads a search along the valley between them."""
+        """Return a wide prior of lags and durations about a start.
+
+        It guides the search along the valley between them.
+        """
         u = np.full(len(vector), np.inf)
         u[2 * poles.modes : poles.count], u[poles.count + 1 :: 2] = _LOOSE
         return ParameterPrior(vector[held:], u[held:])
 
     def split(self, vector: FloatArray, poles: Poles, releases: Sequence[ReleaseTiming]) -> PoleCandidate | None:
-        """Return poles and releases of a vector, None where they are not allowed."""
+        """Return poles and releases of a vector, None if they are not allowed."""
         still = np.array_equal(vector[: poles.count], poles.vector)  # then all that they are known to make stays known
         there, own = poles if still else poles.with_vector(vector), vector[poles.count :].reshape(-1, 2)
         longest = np.array([float(np.ptp(record.samples.time_s)) for record in self.records])
@@ -155,7 +159,7 @@ class StepProblem:
     def point(self, poles: Poles, releases: Sequence[ReleaseTiming], fixed_count: int = 0) -> SeparablePoint:
         """Return poles and releases as a point of the search, with one block of rows per load component.
 
-        `held`: how many of the first parameters stay and are none of the point's.
+        The first `fixed_count` parameters are fixed and not part of the point.
         """
         blocks = tuple(
             _block(self, poles, releases, self.record_indices(name), fixed_count) for name in self.components
@@ -165,7 +169,7 @@ class StepProblem:
 
 @dataclass(frozen=True)
 class PoleFit:
-    """Poles and releases with the least squares solution they come from."""
+    """Poles and releases with their least-squares solution."""
 
     poles: Poles
     releases: tuple[ReleaseTiming, ...]
@@ -178,8 +182,10 @@ class PoleFit:
 
 
 def search_options(steps: int, min_gain: float, target_loss: float = np.inf) -> LMOptions:
-    """Return when a search ends: after so many steps, or where one gains less than `calm` units of the variance, or
-    where it will not come below the loss that is `wanted`."""
+    """Return the options of a search: `steps`, smallest gain of a step, loss to reach.
+
+    `min_gain` is in units of the variance. A search that cannot reach `target_loss` ends.
+    """
     return LMOptions(
         predicted_decrease=min_gain,
         predicted_decrease_share=0.0,
@@ -201,9 +207,10 @@ def fit_poles(
     fixed_count: int = 0,
     target_loss: float = np.inf,
 ) -> PoleFit:
-    """Return the least squares poles and releases from a start, by at most `steps` steps or till one gains `calm`.
+    """Return the least-squares poles and releases from a start.
 
-    `held`: how many of the first parameters stay as they are; `wanted`: loss without which the fit is of no use.
+    It takes at most `steps` steps, or ends at one that gains less than `min_gain`. The first `fixed_count` parameters
+    are fixed. The fit is useless above `target_loss`.
     """
     start = problem.vector(poles, releases)
 
@@ -229,11 +236,11 @@ def fit_poles(
 def covariances(
     point: SeparablePoint, variances: Sequence[FloatArray], prior_precision: FloatArray
 ) -> tuple[FloatArray, list[list[FloatArray]]]:
-    """Return the covariance (P, P) of the parameters, and for every block and column how its coefficients follow them.
+    """Return the covariance (P, P) of the parameters, and the dependence of all coefficients on them.
 
-    `variances`: of the columns (C,) of every block, in units of the weights; `known` (P,): reciprocal variances of what
-    is known of the parameters beforehand. Element [i][c] (B, P + B): change of the coefficients with the parameters,
-    beside a square root of their covariance where the parameters are known.
+    `variances`: of the columns (C,) of every block, in units of the weights. `prior_precision` (P,): reciprocal prior
+    variances of the parameters. Element [i][c] (B, P + B): change of the coefficients with the parameters, and a square
+    root of their covariance for fixed parameters.
     """
     inverse, count = _inverse(point.normal[0] + np.diag(prior_precision)), len(point.parameters)
     spread, follows = np.diag(prior_precision), []
@@ -251,7 +258,7 @@ def covariances(
 
 
 def _inverse(normal: FloatArray) -> FloatArray:
-    """Inverse of a normal matrix, without the directions that it does not tell."""
+    """Return the inverse of a normal matrix, without undetermined directions."""
     unit = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     scale = np.outer(unit, unit)
     return np.asarray(np.linalg.pinv(normal * scale, rcond=1e-13, hermitian=True) * scale)
@@ -260,11 +267,10 @@ def _inverse(normal: FloatArray) -> FloatArray:
 def model_covariance(
     model: MultiModel, spread: FloatArray, follows: Sequence[FloatArray], scale: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the covariance (P, P) of the model's vector from that of the parameters of a fit, poles first.
+    """Return the covariance (P, P) of the model's vector from that of a fit, poles first.
 
-    `follows`: how the coefficients of each element follow them, as of `covariances`, load after load and in it output
-    after output, and their `scale`. Beside it the standard uncertainties (P,) by the noise of each element alone, 0
-    for the poles.
+    `follows`: dependence of the coefficients of each element as in `covariances`, load by load and output by output,
+    and their `scale`. Returned too: standard uncertainties (P,) from the noise of each element alone, 0 for the poles.
     """
     count, n = len(model.vector), model.shared
     rows, own = np.zeros((count, len(spread))), np.zeros((count, count))
@@ -277,12 +283,11 @@ def model_covariance(
 
 
 def lag_duration_prior(fit: PoleFit) -> FloatArray:
-    """Return the reciprocal variances (P,) of lags and durations by what bounds them.
+    """Return the prior precision (P,) of lags and durations from their bounds.
 
-    A lag 1/(1 + s/a) behind a release that takes the time T acts like a later release to first order, and to second
-    order its 1/a² adds to the release's second moment, T²/12 along a line. The records tell the sum well, and even
-    where they cannot tell the parts apart each of these is positive and at most the sum, as is a time at most its root:
-    rectangular distributions of that half width.
+    To first order a lag 1/(1 + s/a) behind a release of duration T acts like a later release. To second order its 1/a²
+    adds to the release's second moment, T²/12 for a ramp. The records determine the sum well. Each part is positive and
+    at most the sum, and a time is at most its root: rectangular distributions of that half width.
     """
     poles, vector = fit.poles, fit.solution.point.parameters
     lags = np.arange(2 * poles.modes, poles.count)
@@ -307,10 +312,10 @@ def lag_duration_prior(fit: PoleFit) -> FloatArray:
 
 
 def widen_for_lags(fit: PoleFit, spread: FloatArray) -> FloatArray:
-    """Return the covariance (P, P) of the parameters, wide enough for the time 1/a of every lag.
+    """Return the covariance (P, P), enlarged for the time 1/a of every lag.
 
-    Records tell 1/a², of which the time is no linear function where little is known: along with the lag everything is
-    widened so that 1.96 standard uncertainties reach as far as the root of what 1.96 of the square allow.
+    The records determine 1/a², and the time is not a linear function of it at large uncertainties. Along with the lag
+    all parameters are widened so that 1.96 standard uncertainties include the root of the square's 1.96.
     """
     for lag in range(2 * fit.poles.modes, fit.poles.count):
         u = float(np.sqrt(spread[lag, lag]))
@@ -326,7 +331,7 @@ def widen_for_lags(fit: PoleFit, spread: FloatArray) -> FloatArray:
 def _block(
     problem: StepProblem, poles: Poles, releases: Sequence[ReleaseTiming], places: Sequence[int], held: int
 ) -> LinearBlock:
-    """All records of one load, each turned by the basis of its responses."""
+    """Return the block of all records of one load, each rotated to the basis of its responses."""
     records, smooth = [problem.records[i] for i in places], poles.smooth
     shown = [record.explained(poles, releases[i]) for i, record in zip(places, records, strict=True)]
     edges = np.cumsum([0, *(len(part.along) for part in shown)])
@@ -334,7 +339,7 @@ def _block(
     moved = np.concatenate([np.arange(free), *(poles.count + 2 * i + np.arange(2) for i in places)])
 
     def changes(own: FloatArray) -> BlockJacobian:
-        """Poles move the responses and turn the basis; middle and duration move those of their own record."""
+        """Return the changes by poles, which rotate the basis too, and by middle and duration."""
         outputs, count = own.shape[1], len(moved)
         turned = np.tensordot(poles.smooth_slopes[:free], own, axes=1).transpose(1, 0, 2)
         re, im, real = np.split(smooth @ own, [poles.modes, 2 * poles.modes])
@@ -370,9 +375,9 @@ def _block(
 def _moving(
     here: BlockResponses, residues: ComplexArray, poles: Poles | None, duration_s: float
 ) -> tuple[FloatArray, FloatArray]:
-    """What moves one record's rows, (R, A) less their levels, by weights (C, p, R).
+    """Return the derivatives of one record's rows, (R, A) minus their means, with weights (C, p, R).
 
-    Parameters (p,): those of the poles, None where these are held, middle and logarithm of the duration.
+    Parameters (p,): those of the poles, None for fixed ones, middle and logarithm of the duration.
     """
     by_onset, by_length = (residues.T @ here.by_onset.T).real, duration_s * (residues.T @ here.by_length.T).real
     outputs = len(by_onset)
@@ -393,7 +398,7 @@ def _moving(
 
 
 def by_record(problem: StepProblem, fit: PoleFit) -> list[tuple[int, FloatArray]]:
-    """What is left of every record (A, C), load after load."""
+    """Return the residual of every record (A, C), load by load."""
     rests: list[tuple[int, FloatArray]] = []
     for component, rest in zip(problem.components, fit.solution.point.residuals, strict=True):
         start = 0

@@ -1,4 +1,4 @@
-"""A model of all outputs over all loads from frequency responses, such as those of chirps and sines."""
+"""Model of all outputs over all loads from frequency responses, such as those of chirps and sines."""
 
 from __future__ import annotations
 
@@ -22,9 +22,10 @@ Point: TypeAlias = tuple[Poles, SeparablePoint]
 
 @dataclass(frozen=True, repr=False)
 class Responses(Brief):
-    """Measured H (K, C, D) of outputs `channels` (C,) in `unit` over loads `components` (D,) at `frequency_hz` (K,).
+    """Measured H (K, C, D) of outputs `channels` (C,) in `unit` over loads `components` (D,).
 
-    `covariance` (K, C, D, 2, 2) of Re and Im of every element. Elements of one line count as independent.
+    `frequency_hz` (K,). `covariance` (K, C, D, 2, 2) of Re and Im of every element; the elements of a line are
+    independent.
     """
 
     channels: tuple[str, ...]
@@ -41,13 +42,13 @@ class Responses(Brief):
 
     @cached_property
     def whitener(self) -> FloatArray:
-        """What makes the noise of Re and Im (K, C, D, 2, 2) independent and of unit size."""
+        """Matrices (K, C, D, 2, 2) that whiten the noise of Re and Im."""
         return np.asarray(np.linalg.inv(np.linalg.cholesky(self.covariance)))
 
 
 @dataclass(frozen=True)
 class ResponseTrial:
-    """One number of modes that was tried: poles, sum of squares χ², χ² + ln(N)·(number of parameters)."""
+    """One number of modes that was tried: poles, χ², and χ² + ln(N)·(number of parameters)."""
 
     modes: int
     reals: int
@@ -57,7 +58,10 @@ class ResponseTrial:
 
 @dataclass(frozen=True)
 class ResponseFit:
-    """A model fitted to frequency responses: `chi_squared` with `dof` degrees of freedom, what was tried, notices."""
+    """A model fitted to frequency responses.
+
+    `chi_squared` with `dof` degrees of freedom; `trials`: numbers of modes that were tried; `notices`.
+    """
 
     model: MultiModel
     chi_squared: float
@@ -67,13 +71,31 @@ class ResponseFit:
 
 
 def fit_responses(measured: Responses, most_modes: int = 12) -> ResponseFit:
-    """Return the model with common poles of all elements, weighted by their covariance, with covariance.
+    """Fit a model with common poles to all elements, weighted by their covariance.
 
-    Vector fitting gives the poles of 1 … `most_modes` pairs, of which some may turn out real; the number is taken with
-    the least χ² + ln(N)·P, of P parameters. Levenberg and Marquardt's steps lead to the weighted least squares, with
-    the residues projected out, and poles that are not needed then are left out. Where χ² exceeds its degrees of freedom
-    the covariance grows with it. Loads that the outputs do not tell apart are refused with their names.
+    Parameters
+    ----------
+    measured : frequency responses with covariance
+    most_modes : highest number of pole pairs, default 12
 
+    Returns
+    -------
+    ResponseFit : the model with its covariance, χ², trials and notices
+
+    Raises
+    ------
+    ValueError : `most_modes` below 1, or loads that the outputs do not distinguish (named)
+
+    Notes
+    -----
+    Vector fitting gives the poles of 1 … `most_modes` pairs, some of which may be real. The number of least χ² +
+        ln(N)·P for P parameters is
+    selected. Levenberg-Marquardt steps then give the weighted least squares with projected residues, and unnecessary
+        poles are removed. If χ² is
+    above its degrees of freedom, the covariance is enlarged.
+
+    Examples
+    --------
     >>> from shaker import fit_responses
     >>> model = fit_responses(responses).model  # doctest: +SKIP
     """
@@ -103,7 +125,7 @@ def fit_responses(measured: Responses, most_modes: int = 12) -> ResponseFit:
 
 
 def _fitted(measured: Responses, start: Poles) -> Point:
-    """Weighted least squares poles from a start."""
+    """Return the weighted least-squares poles from a start."""
 
     def at(vector: FloatArray) -> SeparablePoint | None:
         poles = start.with_vector(vector)
@@ -117,7 +139,7 @@ def _fitted(measured: Responses, start: Poles) -> Point:
 
 
 def _point(measured: Responses, poles: Poles) -> Point:
-    """Poles as a point of the search, with one block of rows per element, load after load."""
+    """Return poles as a point of the search, with one block of rows per element, load by load."""
     basis, m, blocks = poles.basis(measured.frequency_hz), poles.modes, []
     for d, c in np.ndindex(measured.value.shape[:0:-1]):
         weight = measured.whitener[:, c, d]
@@ -134,13 +156,13 @@ def _point(measured: Responses, poles: Poles) -> Point:
 
 
 def _whitened(whitener: FloatArray, values: ComplexArray) -> FloatArray:
-    """Real rows (2K, B) of unit variance of complex columns (K, B)."""
+    """Return real rows (2K, B) of unit variance of complex columns (K, B)."""
     pairs = np.stack([values.real, values.imag], axis=1)
     return np.asarray((whitener @ pairs).reshape(-1, values.shape[1]))
 
 
 def _trial(measured: Responses, poles: Poles, point: SeparablePoint) -> ResponseTrial:
-    """The entry of some poles, held as they are."""
+    """Return the trial entry of fixed poles."""
     parameters = poles.count * (1 + len(measured.channels) * len(measured.components))
     criterion = point.loss + float(np.log(2 * measured.value.size)) * parameters
     return ResponseTrial(poles.modes, len(poles.real_hz), point.loss, criterion)
@@ -149,7 +171,7 @@ def _trial(measured: Responses, poles: Poles, point: SeparablePoint) -> Response
 def _result(
     measured: Responses, poles: Poles, solution: SeparablePoint, trials: tuple[ResponseTrial, ...]
 ) -> ResponseFit:
-    """The model with covariance."""
+    """Return the model with covariance."""
     shape = (poles.count, len(measured.components), len(measured.channels))
     table = np.concatenate(solution.coefficients, axis=1).reshape(shape).transpose(0, 2, 1)
     model = MultiModel.of_poles(poles, table, (measured.channels, measured.components), measured.unit)
@@ -176,11 +198,11 @@ _START_DAMPING = 0.01
 
 
 def fitted_poles(frequency_hz: FloatArray, responses: ComplexArray, weights: FloatArray, modes: int) -> Poles:
-    """Return poles that responses (R, K) with weights (R, K) share, `modes` pairs to start with.
+    """Return the common poles of responses (R, K) with weights (R, K), from `modes` pairs.
 
-    h·σ = Σ r/(s - a), σ = 1 + Σ d/(s - a) is linear in r and d, and the zeros of σ are better poles than a; repeated
-    (Gustavsen and Semlyen, IEEE Trans. Power Delivery 14 (1999) 1052), with r eliminated response by response
-    (Deschrijver and others, IEEE Microw. Wirel. Compon. Lett. 18 (2008) 383). Poles that would grow are reflected.
+    h·σ = Σ r/(s - a), σ = 1 + Σ d/(s - a) is linear in r and d, and the zeros of σ are better poles than a. This is
+    repeated (Gustavsen and Semlyen, IEEE Trans. Power Delivery 14 (1999) 1052), with r eliminated separately for each
+    response (Deschrijver and others, IEEE Microw. Wirel. Compon. Lett. 18 (2008) 383). Unstable poles are reflected.
     """
     low, high = float(np.min(frequency_hz[frequency_hz > 0])), float(np.max(frequency_hz))
     inside = np.linspace(low, high, modes + 2)[1:-1]
@@ -201,7 +223,10 @@ def fitted_poles(frequency_hz: FloatArray, responses: ComplexArray, weights: Flo
 
 
 def _zeros(poles: Poles, own: FloatArray) -> Poles:
-    """Zeros of 1 + Σ d/(s - a) in the left half plane: eigenvalues of diag(a) - 1·d in real form."""
+    """Return the zeros of 1 + Σ d/(s - a), reflected to the left half plane.
+
+    They are eigenvalues of diag(a) - 1·d in real form.
+    """
     from scipy.linalg import block_diag
 
     m = poles.modes

@@ -1,4 +1,7 @@
-"""The cross-beam element as a frame of Timoshenko beams with a rigid platform: its modes and what changes them."""
+"""Cross-beam element as a frame of Timoshenko beams with a rigid platform.
+
+Its modes, their sensitivities to the dimensions, and platform data that fit measured frequencies.
+"""
 
 from __future__ import annotations
 
@@ -19,9 +22,10 @@ from shakercal._common.notices import Notice
 
 @dataclass(frozen=True, repr=False)
 class RigidPart(Brief):
-    """A rigid body on the axis of the element: `mass_kg`, `height_m` of its centre of mass, `inertia_kgm2` (3,).
+    """A rigid body on the axis of the element.
 
-    Heights count along z from the plane of the beams' axes, moments of inertia Jx, Jy, Jz about the body's own centre.
+    `mass_kg`; `height_m` of its centre of mass along z above the plane of the beams' axes; `inertia_kgm2` (3,): Jx, Jy,
+    Jz about the centre of mass.
     """
 
     mass_kg: float
@@ -43,7 +47,7 @@ class RigidPart(Brief):
 
     @property
     def mass_matrix(self) -> FloatArray:
-        """Mass matrix (6, 6) over (ux uy uz rx ry rz) of the point in the plane of the beams."""
+        """Mass matrix (6, 6) over (ux uy uz rx ry rz) of the origin, in the plane of the beams."""
         m, h = self.mass_kg, self.height_m
         matrix = np.diag(np.concatenate([[m, m, m], self.inertia_kgm2 + m * h**2 * np.array([1.0, 1.0, 0.0])]))
         matrix[0, 4] = matrix[4, 0] = m * h
@@ -52,7 +56,7 @@ class RigidPart(Brief):
 
 
 def block(density_kgm3: float, half_size_m: float, thickness_m: float, height_m: float = 0.0) -> RigidPart:
-    """Return a square block of edge 2p and thickness H, its centre at a height."""
+    """Return a square block of edge 2p and thickness H with its centre at a height."""
     edge = 2.0 * half_size_m
     mass = density_kgm3 * edge**2 * thickness_m
     across = mass * (edge**2 + thickness_m**2) / 12.0
@@ -60,14 +64,14 @@ def block(density_kgm3: float, half_size_m: float, thickness_m: float, height_m:
 
 
 def pillar(density_kgm3: float, radius_m: float, length_m: float, foot_m: float) -> RigidPart:
-    """Return an upright cylinder that stands at a height `foot_m`."""
+    """Return an upright cylinder with its foot at a height `foot_m`."""
     mass = density_kgm3 * np.pi * radius_m**2 * length_m
     across = mass * (3.0 * radius_m**2 + length_m**2) / 12.0
     return RigidPart(mass, foot_m + 0.5 * length_m, np.array([across, across, 0.5 * mass * radius_m**2]))
 
 
 def join_bodies(parts: Sequence[RigidPart]) -> RigidPart:
-    """Return the one body that several make (Steiner's theorem)."""
+    """Return several bodies as one (Steiner's theorem)."""
     mass = sum(part.mass_kg for part in parts)
     if not mass > 0.0:
         raise ValueError("parts: expected a mass above 0, found none")
@@ -84,8 +88,9 @@ def join_bodies(parts: Sequence[RigidPart]) -> RigidPart:
 class BeamFrame(Brief):
     """Beams between nodes: `node_m` (N, 3), `beam` (E, 2) node numbers, `section` of every beam.
 
-    `rigid` (R,): nodes that move with a body whose point of reference is the origin; `clamped` (C,). Local z of every
-    beam is the global one, so no beam may stand upright. `consistent`: mass matrix, else lumped at the ends.
+    `rigid` (R,): nodes that move with a body, whose reference point is the origin; `clamped` (C,). Local z of every
+    beam is the global one, so that no beam may be vertical. `consistent`: consistent mass matrix, else lumped at the
+    ends.
     """
 
     node_m: FloatArray
@@ -106,7 +111,10 @@ class BeamFrame(Brief):
 
     @cached_property
     def reduction(self) -> FloatArray:
-        """T (6N, F): motion of all nodes from the unknowns, the body's (ux uy uz rx ry rz) at the origin first."""
+        """T (6N, F): motion of all nodes per unknown.
+
+        The first unknowns are those of the body (ux uy uz rx ry rz) at the origin.
+        """
         count = len(self.node_m)
         free = np.setdiff1d(np.arange(count), np.concatenate([self.rigid, self.clamped]))
         first = 6 if len(self.rigid) else 0
@@ -138,7 +146,10 @@ class BeamFrame(Brief):
         return elastic, inert
 
     def rigid_motions(self, about_m: FloatArray) -> FloatArray:
-        """Return the unknowns (F, 6) of unit translations and of unit turns about a point (3,), clamps let go."""
+        """Return the unknowns (F, 6) for unit translations and rotations about a point (3,).
+
+        The clamps are released.
+        """
         about_origin = self.reduction.T @ np.concatenate([rigid_motion(node) for node in self.node_m])
         if len(self.rigid):
             about_origin[:6] = np.eye(6)
@@ -146,7 +157,10 @@ class BeamFrame(Brief):
 
 
 def rigid_motion(offset_m: FloatArray) -> FloatArray:
-    """Return the motion (6, 6) of a point at an offset (3,) per motion (ux uy uz rx ry rz) of the origin."""
+    """Return the motion (6, 6) of a point at an offset (3,) per motion of the origin.
+
+    The motion is (ux uy uz rx ry rz).
+    """
     x, y, z = offset_m
     matrix = np.eye(6)
     matrix[:3, 3:] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
@@ -163,11 +177,11 @@ EQUAL = 1e-4
 
 @dataclass(frozen=True, repr=False)
 class NamedModes(Brief):
-    """The six modes that are named, in the order of `NAMES`.
+    """The six named modes, in the order of `MODE_NAMES`.
 
-    `frequency_hz` (6,). `participation` (6, 6): share of each rigid motion's mass that moves in each mode, modes down,
-    `NAMES` across: (φᵀMr)²/(rᵀMr) with φᵀMφ = 1, translations r of all moving parts and turns about their common
-    centre. `shape` (D, 6): the unknowns of every mode. `others_hz`: modes in between that are none of the six.
+    `frequency_hz` (6,). `participation` (6, 6): share of each rigid motion's mass in each mode, modes down,
+    `MODE_NAMES` across: (φᵀMr)²/(rᵀMr) with φᵀMφ = 1. r are translations of all moving parts and rotations about their
+    common centre. `shape` (D, 6): unknowns of every mode. `others_hz`: modes between them.
     """
 
     frequency_hz: FloatArray
@@ -183,7 +197,7 @@ class NamedModes(Brief):
 
 
 def dense_modes(stiffness: FloatArray, mass: FloatArray, count: int = 12) -> tuple[FloatArray, FloatArray]:
-    """Return the lowest frequencies in Hz (K,) and shapes (D, K) with φᵀMφ = 1 of K φ = ω² M φ."""
+    """Return the lowest frequencies in Hz (K,) and shapes (D, K) of K φ = ω² M φ, φᵀMφ = 1."""
     from scipy.linalg import eigh
 
     last = min(count, len(stiffness)) - 1
@@ -194,11 +208,11 @@ def dense_modes(stiffness: FloatArray, mass: FloatArray, count: int = 12) -> tup
 def named_modes(
     frequency_hz: FloatArray, shape: FloatArray, weigh: Callable[[FloatArray], FloatArray], rigid: FloatArray
 ) -> NamedModes:
-    """Return modes (K,), (D, K) with the name each deserves: as a whole the assignment of the most mass.
+    """Return the named modes among modes (K,), (D, K) by the assignment of largest total mass.
 
-    `weigh`: multiplies by the mass matrix. `rigid` (D, 6): translations, and turns about the centre of mass. Modes of
-    one frequency, of which any mixture is one, are mixed so that each follows one axis. The sign is such that the
-    motion a mode is named after is positive.
+    `weigh`: multiplies by the mass matrix. `rigid` (D, 6): translations, and rotations about the centre of mass. Modes
+    of equal frequency are combined so that each follows one axis. The sign is such that the motion that gives a mode
+    its name is positive.
     """
     from scipy.linalg import polar, qr
 
@@ -220,7 +234,10 @@ def named_modes(
 
 
 def assign_names(factor: FloatArray) -> IntArray:
-    """Return which mode deserves each name (N,), given how modes take part (K, N): the most mass as a whole."""
+    """Return the mode of each name (N,) from participation factors (K, N).
+
+    The total mass of the assignment is maximised.
+    """
     from scipy.optimize import linear_sum_assignment
 
     return np.asarray(linear_sum_assignment(-(np.asarray(factor) ** 2).T)[1])
@@ -233,17 +250,17 @@ SAME_M = 1e-9
 
 
 def cross_frame(beams: CrossBeams, half_size_m: float, pieces: int = 6, consistent: bool = True) -> BeamFrame:
-    """Return the frame: arms from the faces of a platform of edge 2p to the axes of the compliant beams.
+    """Return the frame: arms from a platform of edge 2p to the axes of the compliant beams.
 
-    The platform lies within the span: arms are l/2 - p long and begin at its faces, which move with it. `pieces`: into
-    which every arm and every half of a compliant beam is divided.
+    Arms start at the faces of the platform, move with it, and are l/2 - p long. `pieces`: divisions of every arm and of
+    every half of a compliant beam.
     """
     beams.arm_m(half_size_m)
     outer, half = 0.5 * beams.span_m, 0.5 * beams.compliant_length_m
     nodes: list[FloatArray] = []
 
     def numbered(places: list[FloatArray]) -> list[int]:
-        """Numbers of nodes at some places, which are added where no node is yet."""
+        """Return the numbers of the nodes at some points, adding missing nodes."""
         numbers = []
         for place in places:
             near = [i for i, node in enumerate(nodes) if np.linalg.norm(node - place) < SAME_M]
@@ -277,9 +294,9 @@ def cross_frame(beams: CrossBeams, half_size_m: float, pieces: int = 6, consiste
 
 
 def platform_stiffness(frame: BeamFrame) -> FloatArray:
-    """Return 1/C_ii (6,): load per displacement in its own direction, nothing else being held.
+    """Return 1/C_ii (6,): load per displacement in its direction, free in all others.
 
-    Forces in N/m, moments in N·m/rad, at the origin, which is in the plane of the beams' axes.
+    Forces in N/m, moments in N·m/rad, at the origin in the plane of the beams' axes.
     """
     stiffness, _ = frame.matrices
     loads = np.eye(len(stiffness))[:, :6]
@@ -314,8 +331,22 @@ class FrameModel(Brief):
 def solve_frame(
     beams: CrossBeams, half_size_m: float, platform: RigidPart, pieces: int = 6, consistent: bool = True
 ) -> FrameModel:
-    """Return frequencies, shapes and stiffness of an element with a rigid platform of edge 2p (see `cross_frame`).
+    """Solve an element with a rigid platform for frequencies, shapes and stiffness.
 
+    Parameters
+    ----------
+    beams : dimensions and material of the cross
+    half_size_m : half the edge p of the platform, m
+    platform : mass, height and inertia of all rigid parts
+    pieces : divisions per arm, default 6
+    consistent : consistent mass matrix, default True; else lumped
+
+    Returns
+    -------
+    FrameModel : the frame, its named modes and stiffness (see `cross_frame`)
+
+    Examples
+    --------
     >>> from shaker import solve_frame
     >>> from shaker.elastomer.frame import block
     >>> from shaker.elastomer.geometry import CrossBeams, Material
@@ -328,7 +359,7 @@ def solve_frame(
 
 
 def frame_modes(frame: BeamFrame, platform: RigidPart, count: int = 12) -> NamedModes:
-    """Return the named modes, of the `count` lowest, of a frame whose body is a platform."""
+    """Return the named modes among the `count` lowest of a frame with a platform."""
     stiffness, mass = frame.matrices
     mass = mass.copy()
     mass[:6, :6] += platform.mass_matrix
@@ -343,14 +374,14 @@ def frame_modes(frame: BeamFrame, platform: RigidPart, count: int = 12) -> Named
 
 
 def sensitivities(beams: CrossBeams, half_size_m: float, platform: RigidPart) -> dict[str, FloatArray]:
-    """Return d ln f/d ln x (6,) of the six modes by dimension: percent of frequency per percent of x.
+    """Return d ln f/d ln x (6,) of the six modes by dimension x.
 
-    By the dimensions of the beams, the platform's half-size, mass, height and gyration (moments at fixed mass), one at
-    a time; central differences. Young's modulus has 0.5 and is left out.
+    Dimensions are those of the beams, and the platform's half-size, mass, height and gyration (moments at constant
+    mass). Central differences; Young's modulus has 0.5 and is omitted.
     """
 
     def element(name: str, factor: float) -> tuple[CrossBeams, float, RigidPart]:
-        """The element with one quantity larger; moments of inertia grow with the mass."""
+        """Return the element with one quantity changed; moments of inertia grow with the mass."""
         if name in DIMENSIONS:
             return replace(beams, **{name: getattr(beams, name) * factor}), half_size_m, platform
         if name == "half_size_m":
@@ -379,10 +410,10 @@ SMALL = 1e-7
 
 @dataclass(frozen=True, repr=False)
 class PlatformFit(Brief):
-    """The rigid `platform` of a `half_size_m` that gives some frequencies; `frequency_hz` (6,) of `NAMES`.
+    """The rigid `platform` of a `half_size_m` for given frequencies; `frequency_hz` (6,) of `MODE_NAMES`.
 
-    `misfit`: largest relative departure from a wanted frequency, pairs by their mean. The height's sign is not told by
-    frequencies: it is given as positive.
+    `misfit`: largest relative deviation from a target frequency, pairs by their mean. Frequencies do not determine the
+    sign of the height; it is positive.
     """
 
     half_size_m: float
@@ -393,10 +424,11 @@ class PlatformFit(Brief):
 
 
 def fit_platform(beams: CrossBeams, half_size_m: float, target_hz: Mapping[str, float]) -> PlatformFit:
-    """Return mass, height and moments of inertia with which the frame has some frequencies in Hz, by name.
+    """Return mass, height and moments of inertia for which the frame has some frequencies.
 
-    Four unknowns for four distinct frequencies at every half-size: that they are met says nothing for the model, which
-    a notice tells. Jx = Jy. Where no platform meets them, the one nearest in relative least squares.
+    `target_hz`: frequencies in Hz by name. Four unknowns fit four different frequencies at every half-size. Agreement
+    therefore does not validate the model, as a notice states. Jx = Jy. If no platform fits exactly, the result has the
+    least relative squares.
     """
     unknown = [name for name in target_hz if name not in MODE_NAMES]
     if unknown or any(not any(name in target_hz for name in group) for group in NEEDED):
@@ -406,7 +438,7 @@ def fit_platform(beams: CrossBeams, half_size_m: float, target_hz: Mapping[str, 
     targets = np.array([np.mean([target_hz[name] for name in group if name in target_hz]) for group in NEEDED])
 
     def platform(logarithms: FloatArray) -> RigidPart:
-        """The platform of logarithms of mass, height, and two radii of gyration."""
+        """Return the platform from logarithms of mass, height and two radii of gyration."""
         mass, height, across, along = np.exp(np.clip(logarithms, -30.0, 30.0))  # a trial step may go anywhere
         return RigidPart(float(mass), float(height), mass * np.array([across, across, along]) ** 2)
 
@@ -436,12 +468,12 @@ def fit_platform(beams: CrossBeams, half_size_m: float, target_hz: Mapping[str, 
 def platform_family(
     beams: CrossBeams, half_sizes_m: Sequence[float], target_hz: Mapping[str, float]
 ) -> tuple[PlatformFit, ...]:
-    """Return the fit at every half-size: the family between whose members the frequencies do not choose."""
+    """Return the fits at several half-sizes, which the frequencies do not distinguish."""
     return tuple(fit_platform(beams, half_size, target_hz) for half_size in half_sizes_m)
 
 
 def _start(stiffness: FloatArray, targets: FloatArray) -> FloatArray:
-    """Where to begin: a mass for Tz, a height that lowers Tx to where it is, gyrations for Rx and Rz."""
+    """Return start values: a mass for Tz, a height for Tx, gyrations for Rx and Rz."""
     omega = (2.0 * np.pi * targets) ** 2
     mass = stiffness[2] / omega[1]
     turning = stiffness[3] / omega[2] / mass

@@ -1,6 +1,6 @@
-"""The element as an elastic solid of quadratic hexahedra: what the frame leaves out, joints and plates that bend.
+"""Cross-beam element as an elastic solid of quadratic hexahedra, with elastic joints and plates.
 
-Needs scikit-fem (`pip install shakercal[solid]`).
+Requires scikit-fem (`pip install shakercal[solid]`).
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ COUNT = 6
 
 @dataclass(frozen=True)
 class SolidBlock:
-    """The elastic platform: a block of edge 2·`half_size_m`, `thickness_m` high, its centre at `height_m`.
+    """The elastic platform: a block of edge 2·`half_size_m`, `thickness_m` high, centre at `height_m`.
 
-    `density_kgm3` of the block, 0 where `attached` holds its mass too. `attached`: rigid parts that follow the block's
-    mean motion. `stiffening`: factor on the block's modulus; a large one shows what a rigid platform would do.
+    `density_kgm3` of the block, 0 if `attached` includes its mass. `attached`: rigid parts that follow the block's mean
+    motion. `stiffening`: factor on the block's modulus; a large one shows the effect of a rigid platform.
     """
 
     half_size_m: float
@@ -52,10 +52,10 @@ class SolidBlock:
 
 @dataclass(frozen=True, repr=False)
 class SolidModel(Brief):
-    """Solution on one mesh: `frequency_hz`, `stiffness` (6,) in the order of `NAMES`; `unknowns` of the whole element.
+    """Solution on one mesh: `frequency_hz`, `stiffness` (6,) in the order of `MODE_NAMES`.
 
-    `stiffness`: load per mean displacement or turn of the platform in N/m, N·m/rad. `vertex_m` (V, 3), `cell` (C, 8) of
-    the quarter x, y ≥ 0, `motion` (6, V, 3) of its vertices in every mode.
+    `stiffness`: load per mean displacement or rotation of the platform in N/m, N·m/rad. `unknowns` of the whole
+    element. `vertex_m` (V, 3), `cell` (C, 8) of the quarter x, y ≥ 0, `motion` (6, V, 3) of its vertices in every mode.
     """
 
     frequency_hz: FloatArray
@@ -67,10 +67,10 @@ class SolidModel(Brief):
 
 
 def solve_solid(beams: CrossBeams, block: SolidBlock, refinement: int = 2) -> SolidModel:
-    """Return frequencies and stiffness of the solid, edges no longer than 6/`refinement` times the thinnest section.
+    """Return frequencies and stiffness of the solid.
 
-    Two planes of symmetry leave a quarter, solved once for each kind of motion. The sides of the compliant beams'
-    ends are clamped, as welded into rigid rims.
+    Edges are at most 6/`refinement` times the thinnest section. By two planes of symmetry a quarter is solved once for
+    each kind of motion. The sides of the compliant beams' ends are clamped, as if welded to rigid rims.
     """
     quarter = _Quarter(beams, block, refinement)
     frequency, stiffness, motion = {}, {}, {}
@@ -92,7 +92,7 @@ def solve_solid(beams: CrossBeams, block: SolidBlock, refinement: int = 2) -> So
 
 
 def mesh_change(models: tuple[SolidModel, ...]) -> FloatArray:
-    """Return the relative change (6,) of the frequencies from the last mesh but one to the last."""
+    """Return the relative change (6,) of the frequencies between the last two meshes."""
     if len(models) < 2:
         raise ValueError(f"models: expected two meshes or more, found {len(models)}")
     return np.asarray(models[-1].frequency_hz / models[-2].frequency_hz - 1.0)
@@ -131,7 +131,7 @@ class _Quarter:
         return stiffness.tocsc(), mass.tocsr(), geometry.tocsr()
 
     def _assembled(self, local: FloatArray) -> Any:
-        """Sparse matrix of the matrices (C, L, 3, L, 3) of all cells."""
+        """Return the sparse matrix of the matrices (C, L, 3, L, 3) of all cells."""
         from scipy.sparse import coo_matrix
 
         unknown = 3 * self.basis.element_dofs.T[:, :, None] + np.arange(3)
@@ -141,7 +141,7 @@ class _Quarter:
         return coo_matrix((local.ravel(), (row.ravel(), column.ravel())), shape=(size, size))
 
     def solve(self, kind: str) -> tuple[FloatArray, list[FloatArray], FloatArray]:
-        """Return the modes named after the rigid motions of one kind: Hz, motion of vertices (V, 3), stiffness."""
+        """Return the modes of one kind: Hz, motion of vertices (V, 3), stiffness."""
         from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
         stiffness, mass, geometry = self.matrices
@@ -186,7 +186,7 @@ class _Quarter:
         return np.asarray(motion[other][:, [1, 0, 2]])
 
     def _free(self, kind: str) -> IntArray:
-        """Unknowns that neither clamp nor symmetry holds."""
+        """Return the unknowns without clamp or symmetry condition."""
         beams, near = self.beams, 1e-9
         inner, half = 0.5 * (beams.span_m - beams.compliant_thickness_m), 0.5 * beams.compliant_length_m
         x, y, _ = place = np.asarray(self.basis.doflocs)  # node n has the unknowns 3n, 3n + 1, 3n + 2
@@ -200,7 +200,10 @@ class _Quarter:
 
 
 def _elastic(basis: Any, first: float, second: float) -> FloatArray:
-    """Stiffness (C, L, 3, L, 3) of every cell: ∫ λ ∂_a N_i ∂_b N_j + μ (∂_b N_i ∂_a N_j + δ_ab ∇N_i·∇N_j) dV."""
+    """Return the stiffness (C, L, 3, L, 3) of every cell.
+
+    ∫ λ ∂_a N_i ∂_b N_j + μ (∂_b N_i ∂_a N_j + δ_ab ∇N_i·∇N_j) dV.
+    """
     gradient = np.stack([field.grad for (field,) in basis.basis])
     functions, axes, cells, points = gradient.shape
     flat = gradient.reshape(functions * axes, cells, points).transpose(1, 0, 2)
@@ -214,7 +217,7 @@ def _elastic(basis: Any, first: float, second: float) -> FloatArray:
 
 
 def _inert(basis: Any) -> FloatArray:
-    """Mass (C, L, 3, L, 3) of every cell at unit density: ∫ N_i N_j δ_ab dV."""
+    """Return the mass (C, L, 3, L, 3) of every cell at unit density: ∫ N_i N_j δ_ab dV."""
     value = np.stack([np.broadcast_to(np.asarray(field), basis.dx.shape) for (field,) in basis.basis], axis=1)
     product = (value * basis.dx[:, None, :]) @ value.transpose(0, 2, 1)
     local = np.zeros((*product.shape[:2], 3, product.shape[2], 3))
@@ -234,7 +237,7 @@ def _apart(rigid: FloatArray, weigh: Callable[[FloatArray], FloatArray]) -> Floa
 
 
 def _check_mesh(beams: CrossBeams, block: SolidBlock) -> None:
-    """Refuse sizes of which no element can be made: what must meet does, what must not does not."""
+    """Refuse sizes for which parts would not meet or would overlap."""
     clear = beams.span_m - beams.compliant_thickness_m
     if beams.compliant_length_m > clear:
         expected = f"at most {clear} m, where compliant beams meet"
@@ -251,7 +254,10 @@ def _check_mesh(beams: CrossBeams, block: SolidBlock) -> None:
 
 
 def _mesh(beams: CrossBeams, block: SolidBlock, refinement: int) -> tuple[Any, Any]:
-    """Mesh of the quarter, cells of a grid that lie in one of the boxes; which of them (C,) are the platform's."""
+    """Return the mesh of the quarter, and the mask (C,) of the platform's cells.
+
+    Cells are those of a grid that lie in one of the boxes.
+    """
     from skfem import MeshHex
 
     inner, outer = (0.5 * (beams.span_m + sign * beams.compliant_thickness_m) for sign in (-1.0, 1.0))
@@ -274,7 +280,7 @@ def _mesh(beams: CrossBeams, block: SolidBlock, refinement: int) -> tuple[Any, A
 
 
 def _divided(breaks: set[float], longest: float) -> FloatArray:
-    """Grid lines through all breaks and between them, none further apart than `longest`."""
+    """Return grid lines through all breaks, at most `longest` apart."""
     ends = np.unique(np.round(sorted(breaks), 12))
     parts = [ends[:1]]
     for start, stop in pairwise(ends):

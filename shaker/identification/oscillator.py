@@ -1,4 +1,4 @@
-"""One resonance: fitted to a transfer function with covariance, and read from it without a fit."""
+"""One resonance of a transfer function, fitted with covariance or read without a fit."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ _EVEN = 0.01  # relative spread over the lines of what their covariances change 
 class Resonance(Brief):
     """A resonance with its uncertainty.
 
-    `frequency_hz`: f₀ of the undamped oscillator; `damping_ratio` ζ; complex `gain` G; `delay_s`; `residual` (2,)
-    complex: the mass line R₋/s² and the constant R₊ of all other modes; delay and residual are zero where not fitted.
-    `parameters` (P,) names what was fitted, in the order of `covariance` (P, P); `chi_squared` is that of the residuals
-    over the uncertainties given, divided by ν/(ν - 2) where these have ν degrees of freedom, so that noise alone gives
-    `dof` in the mean. The covariance is enlarged by χ²/dof where that exceeds one.
+    `frequency_hz`: f₀ of the undamped oscillator. `damping_ratio` ζ; complex `gain` G; `delay_s`. `residual` (2,)
+    complex: mass line R₋/s² and constant R₊ of all other modes. Delay and residual are zero if they were not fitted.
+    `parameters` (P,): names of the fitted parameters in the order of `covariance` (P, P), which is enlarged by χ²/dof
+    if that is above one. `chi_squared`: of the residuals over the given uncertainties, divided by ν/(ν - 2) for ν
+    degrees of freedom. Its mean is `dof` for noise alone.
     """
 
     kind: ResonanceKind
@@ -86,12 +86,29 @@ def fit_resonance(
 ) -> Resonance:
     """Fit one resonance to a measured curve (K lines).
 
-    With p = s/ω₀, s = a + jω and D = 1 + 2ζp + p²: transmissibility G·(1 + 2ζp)/D (base excitation), receptance G/D,
-    mobility G·s/D, accelerance G·s²/D, so that G = 1/k of an oscillator driven by a force; `residual_terms` adds
-    R₋/s² + R₊ to 1/D's place, `delay` a factor exp(-sτ). Least squares of the residuals whitened by their covariance,
-    started by `rational_poles`; where the covariance has few degrees of freedom, lines weigh by it and by their
-    residuals together (see `seen_noise`). Correlation between lines enters the covariance of the result.
+    Parameters
+    ----------
+    curve : measured frequency response
+    kind : "transmissibility", "receptance", "mobility" or "accelerance"
+    delay : fit a factor exp(-sτ), default False
+    residual_terms : fit the contribution of other modes R₋/s² + R₊, added to the shape, default False
 
+    Raises
+    ------
+    ValueError : too few lines, or no resonance inside the band
+
+    Notes
+    -----
+    With p = s/ω₀, s = a + jω and D = 1 + 2ζp + p²: transmissibility G·(1 + 2ζp)/D (base excitation), receptance G/D,
+        mobility
+    G·s/D, accelerance G·s²/D. G = 1/k for an oscillator driven by a force. The residuals are whitened by their
+        covariance; the
+    fit starts at `rational_poles`. If the covariance has few degrees of freedom, the weights follow from it and the
+        residuals
+    (`estimate_residual_noise`). The correlation between lines enters the covariance of the result.
+
+    Examples
+    --------
     >>> import numpy as np
     >>> from shaker import MeasuredCurve, fit_resonance
     >>> hertz = np.arange(250.0, 350.0, 2.0)
@@ -130,7 +147,7 @@ def fit_resonance(
 def _evaluate(
     kind: ResonanceKind, names: tuple[str, ...], s: ComplexArray, vector: FloatArray
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Return H (K,) and its derivatives (K, P) by the parameters named."""
+    """Return H (K,) and its derivatives (K, P) by the named parameters."""
     fitted = dict(zip(names, vector, strict=True))
     zeta, delay = fitted["damping_ratio"], fitted.get("delay_s", 0.0)
     gain = complex(fitted["gain_re"], fitted["gain_im"])
@@ -157,14 +174,14 @@ def _evaluate(
 
 
 def _real(whitening: FloatArray, columns: ComplexArray) -> FloatArray:
-    """Return complex columns (K, P) as whitened real ones (K, 2, P)."""
+    """Return whitened real columns (K, 2, P) of complex ones (K, P)."""
     return np.asarray(whitening @ np.stack([columns.real, columns.imag], axis=1))
 
 
 def _weighed(
     curve: MeasuredCurve, kind: ResonanceKind, names: tuple[str, ...]
 ) -> tuple[FloatArray, FloatArray, ResidualNoise]:
-    """Return the parameters, the derivatives (K, 2, P) whitened by the noise seen in the lines, and that noise."""
+    """Return parameters, whitened derivatives (K, 2, P) and the noise of the lines."""
     s, whitening = laplace(curve.frequency_hz, curve.added_decay_per_s), whitening_matrices(curve.covariance)
     dof = np.full(len(s), np.inf) if curve.dof is None else curve.dof
     size, noise = np.abs(s ** _ORDER[kind]), np.sqrt(0.5 * np.trace(curve.covariance, axis1=1, axis2=2))
@@ -193,12 +210,12 @@ def _adjusted(
     whitening: FloatArray,
     start: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the parameters of least squares, the whitened residuals (K, 2) and derivatives (K, 2, P) there."""
+    """Return least-squares parameters with whitened residuals (K, 2) and derivatives (K, 2, P)."""
     linear = np.array([name.endswith(("_re", "_im")) for name in names])
     measured = _real(whitening, value[:, None]).reshape(-1, 1)
 
     def point(parameters: FloatArray) -> SeparablePoint | None:
-        """Gain and residual terms are linear and follow frequency, damping and delay."""
+        """Return the gain and the residual terms that follow frequency, damping and delay."""
         if min(parameters[:2]) <= 0.0:
             return None
         vector = np.zeros(len(names))
@@ -233,7 +250,7 @@ _FEWEST_LINES = 5
 
 @dataclass(frozen=True, repr=False)
 class CircleFit(Brief):
-    """Natural frequency f₀ of the undamped oscillator and damping ratio ζ with `covariance` (2, 2) of both.
+    """Frequency f₀ and damping ratio ζ with their `covariance` (2, 2).
 
     `centre`, `radius`: the circle in the plane of H·(jf/f₀)/(1 + 2jζf/f₀).
     """
@@ -246,14 +263,14 @@ class CircleFit(Brief):
 
 
 def fit_circle(curve: MeasuredCurve, frequency_hz: float, damping_ratio: float) -> CircleFit | None:
-    """Return f₀ and ζ of a base-excited oscillator from the angles of its circle, None where no circle is found.
+    """Return f₀ and ζ from the circle of a base-excited oscillator, None without a circle.
 
-    G·(1 + 2jζr)/(1 - r² + 2jζr) times jr/(1 + 2jζr), r = f/f₀, is G/(2ζ + j(r - 1/r)): a circle, whose angle about its
-    centre is θ = α + 2 atan((1/r - r)/(2ζ)), so that f·tan((θ - α)/2) is a straight line over f². The circle: algebraic
-    (Taubin, IEEE Trans. PAMI 13, 1991), then of least weighted distances; the angles: f₀, ζ and α by weighted least
-    squares (Kennedy and Pancoast, J. Aeronaut. Sci. 14, 1947; Ewins, Modal Testing, 2000, 4.3). A constant that other
-    modes add moves the circle and not the angles. `frequency_hz`, `damping_ratio`: start, also of which lines are used:
-    those above half the maximum, at least five.
+    G·(1 + 2jζr)/(1 - r² + 2jζr) with r = f/f₀, multiplied by jr/(1 + 2jζr), is G/(2ζ + j(r - 1/r)). This is a circle.
+    The angle about its centre is θ = α + 2 atan((1/r - r)/(2ζ)), and f·tan((θ - α)/2) is a straight line over f². The
+    circle is fitted algebraically (Taubin, IEEE Trans. PAMI 13, 1991), then by least weighted distances. f₀, ζ and α
+    follow from the angles by weighted least squares (Kennedy and Pancoast, J. Aeronaut. Sci. 14, 1947; Ewins, Modal
+    Testing, 2000, 4.3). The constant contribution of other modes moves the circle but not the angles. `frequency_hz`
+    and `damping_ratio` are the start. They also select the lines: those above half the maximum, at least five.
     """
     f0, zeta = frequency_hz, damping_ratio
     for _ in range(_PASSES):
@@ -280,9 +297,9 @@ def fit_circle(curve: MeasuredCurve, frequency_hz: float, damping_ratio: float) 
 def _geometric(
     points: ComplexArray, curve: MeasuredCurve, factor: ComplexArray
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Return the circle (3,) of least weighted distances, and its change (3, K) with the distance of each point.
+    """Return the circle (3,) of least weighted distances and its derivatives (3, K).
 
-    Started by the algebraic circle, Taubin's normalisation.
+    The fit starts at the algebraic circle with Taubin's normalisation. Derivatives are by the distance of each point.
     """
     middle = points.mean()
     around = points - middle
@@ -312,7 +329,7 @@ def _geometric(
 def _angles(
     points: ComplexArray, curve: MeasuredCurve, factor: ComplexArray, circle: FloatArray, start: tuple[float, float]
 ) -> tuple[tuple[float, float], FloatArray] | None:
-    """Return f₀ and ζ of the angles about the centre, and their change (2, K) with the angle of each point."""
+    """Return f₀ and ζ from the angles about the centre, and their derivatives (2, K) by the angles."""
     frequency = curve.frequency_hz
     out = points - complex(circle[0], circle[1])
     tangent = 1j * out / np.abs(out) ** 2
@@ -335,7 +352,7 @@ def _angles(
 
 
 def _angle_model(frequency_hz: FloatArray, f0: float, zeta: float) -> tuple[FloatArray, FloatArray]:
-    """Return 2 atan((1/r - r)/(2ζ)) (K,) and its derivatives (K, 3) by ln(f₀)/ζ, ln ζ and the angle α."""
+    """Return 2 atan((1/r - r)/(2ζ)) (K,) and its derivatives (K, 3) by ln(f₀)/ζ, ln ζ, α."""
     r = frequency_hz / f0
     tangent = (1.0 / r - r) / (2.0 * zeta)
     by_tangent = 2.0 / (1.0 + tangent**2)
@@ -351,7 +368,10 @@ LEVELS: dict[PeakWidth, float] = {"half_power": 2.0, "half_amplitude": 4.0}  # o
 
 @dataclass(frozen=True, repr=False)
 class PeakPoint(Brief):
-    """A frequency read from a curve, 1/|H|² there, and their gradients (K,) by 1/|H|² of every line; NaN: not found."""
+    """A frequency read from a curve and 1/|H|² at it.
+
+    `by_line`, `inverse_by_line` (K,): their gradients by 1/|H|² of every line. All are NaN if the point was not found.
+    """
 
     frequency_hz: float
     inverse: float
@@ -368,10 +388,10 @@ def _nowhere(curve: MeasuredCurve) -> PeakPoint:
 def read_shape(curve: MeasuredCurve) -> tuple[PeakPoint, dict[PeakWidth, tuple[PeakPoint, PeakPoint]]]:
     """Return the maximum and the crossings below and above it for both widths.
 
-    1/|H|² of one base-excited oscillator is a parabola over f², but for a factor 1 + 4ζ²f²/f₀². The maximum is the
-    vertex of the parabola of the lines above half power, a crossing that of the lines within a quarter width around it.
-    The first look: the line of the maximum and where the lines next to it first fall below 1/√2 of it, mirrored if
-    absent, |H|² averaged over as many lines as make 3 % of its noise at the maximum, a twentieth at most.
+    For one base-excited oscillator 1/|H|² is a parabola over f², except for a factor 1 + 4ζ²f²/f₀². The maximum is the
+    vertex of the parabola through the lines above half power. A crossing is read from the lines within a quarter width
+    around it. The search starts at the line of the maximum and at the nearest lines below 1/√2 of it; a missing side is
+    mirrored. |H|² is averaged until the noise at the maximum is 3 %, over at most a twentieth of the lines.
     """
     magnitude = np.abs(curve.value)
     largest = int(np.argmax(magnitude))
@@ -405,11 +425,12 @@ def read_shape(curve: MeasuredCurve) -> tuple[PeakPoint, dict[PeakWidth, tuple[P
 def _parabola(
     curve: MeasuredCurve, frequency_hz: float, reach_hz: float, fewest: int
 ) -> tuple[FloatArray, FloatArray, Callable[[float, FloatArray], tuple[float, FloatArray]]]:
-    """Return c (3,) of 1/|H|² = c₀ + c₁u + c₂u² near one frequency, its change (3, K) with 1/|H|² of every line, and
-    what gives the frequency at u, with its gradient (K,) by that of u.
+    """Return the parabola 1/|H|² = c₀ + c₁u + c₂u² near a frequency, with derivatives.
 
-    u ∝ f² less that of the frequency. By weights to the lines within reach, the nearest at least. Noise of variances
-    σᵣ², σₜ² along and across H makes 1/|H|² too large by (3σᵣ² - σₜ²)/|H|⁴ on average.
+    Returned are c (3,), its change (3, K) with 1/|H|² of every line, and a function. The function gives the frequency
+    at u with its gradient (K,), from the gradient of u. u is proportional to f² minus the square of the frequency.
+    Lines within reach are used, at least the nearest ones. Noise of variances σᵣ², σₜ² along and across H makes 1/|H|²
+    too large by (3σᵣ² - σₜ²)/|H|⁴ on average.
     """
     distance = np.abs(curve.frequency_hz - frequency_hz)
     reach = max(reach_hz, float(np.sort(distance)[fewest - 1]))
@@ -437,7 +458,7 @@ def _parabola(
 
 
 def _top(curve: MeasuredCurve, frequency_hz: float, reach_hz: float) -> PeakPoint:
-    """Return the vertex of the parabola of the lines around a maximum."""
+    """Return the vertex of the parabola through the lines around a maximum."""
     (c0, c1, c2), by_line, place = _parabola(curve, frequency_hz, reach_hz, 3)
     u = -0.5 * c1 / c2 if c2 > 0.0 else np.nan
     inverse = c0 + 0.5 * c1 * u
@@ -448,7 +469,7 @@ def _top(curve: MeasuredCurve, frequency_hz: float, reach_hz: float) -> PeakPoin
 
 
 def _crossing(curve: MeasuredCurve, top: PeakPoint, level: float, frequency_hz: float, reach_hz: float) -> PeakPoint:
-    """Return where the parabola of the lines around a flank has `level` times the 1/|H|² of the maximum."""
+    """Return the point of a flank where 1/|H|² is `level` times that of the maximum."""
     if not curve.frequency_hz[0] <= frequency_hz <= curve.frequency_hz[-1]:
         return _nowhere(curve)
     (c0, c1, c2), by_line, place = _parabola(curve, frequency_hz, reach_hz, 4)
@@ -463,7 +484,7 @@ def _crossing(curve: MeasuredCurve, top: PeakPoint, level: float, frequency_hz: 
 
 
 def uncertainties(curve: MeasuredCurve, *by_inverse: FloatArray) -> FloatArray:
-    """Return standard uncertainties (P,) of numbers with these gradients (K,) by 1/|H|² of every line."""
+    """Return standard uncertainties (P,) from gradients (K,) by 1/|H|² of every line."""
     square = np.abs(curve.value) ** 2
     gradient = np.stack(by_inverse) * (-2.0 * curve.value / square**2)
     return np.asarray(np.sqrt(np.diag(curve.propagated(gradient))))
@@ -495,9 +516,9 @@ _RESOLVED_LINES = 4.0  # in the half-power width, below which a width read from 
 
 @dataclass(frozen=True)
 class PeakReading:
-    """One reading: frequency, width and damping ratio with standard uncertainties; NaN for what it does not tell.
+    """One reading of a resonance: frequency, width and damping ratio with standard uncertainties.
 
-    `note`: what the reader of these numbers has to know, empty for most.
+    Numbers that the method does not provide are NaN. `note`: a restriction of these numbers, usually empty.
     """
 
     method: str
@@ -514,11 +535,11 @@ class PeakReading:
 class PeakReadings:
     """All readings of one resonance of a base-excited mass.
 
-    `maximum_bin`: the line of the largest |H|; `maximum`: the top between the lines; both are the frequency of the
-    maximum, which lies ζ²f₀ below f₀. `half_power`: f₀ and ζ from the two frequencies where |H| is 1/√2 of its maximum.
-    `half_amplitude`: f₀ = frequency of the maximum and ζ = width/(2f₀) with the width at half the maximum, as equation
-    10 of Nitsche et al. (J. Sens. Sens. Syst. 7, 2018) words it: √3 times the damping there is. `circle`: f₀ and ζ from
-    the angles of the Nyquist circle. `lines_in_width`: half-power width over line spacing.
+    `maximum_bin`: the line of the largest |H|. `maximum`: the maximum between the lines. Both are the frequency of the
+    maximum, ζ²f₀ below f₀. `half_power`: f₀ and ζ from the two frequencies with |H| at 1/√2 of its maximum.
+    `half_amplitude`: equation 10 of Nitsche et al. (J. Sens. Sens. Syst. 7, 2018) as printed, with the width at half
+    the maximum; the damping is √3 times too large. `circle`: f₀ and ζ from the angles of the Nyquist circle.
+    `lines_in_width`: half-power width over line spacing.
     """
 
     maximum_bin: PeakReading
@@ -530,14 +551,14 @@ class PeakReadings:
 
     @property
     def all(self) -> tuple[PeakReading, ...]:
-        """Return the readings in the order of their description."""
+        """All readings in the order of their description."""
         return self.maximum_bin, self.maximum, self.half_power, self.half_amplitude, self.circle
 
 
 def peak_readings(curve: MeasuredCurve) -> PeakReadings:
-    """Read the highest resonance of H = motion of a mass over that of its base.
+    """Read the highest resonance of H, the motion of a mass over that of its base.
 
-    All but `maximum_bin` are free of bias by the line spacing.
+    The line spacing biases `maximum_bin` only.
     """
     if len(curve.frequency_hz) < _FEWEST_LINES:
         raise ValueError(f"frequency_hz: expected at least {_FEWEST_LINES} lines, found {len(curve.frequency_hz)}")
@@ -574,8 +595,10 @@ def peak_readings(curve: MeasuredCurve) -> PeakReadings:
 
 
 def transmissibility_levels(damping_ratio: float, level: float = 2.0) -> tuple[float, float, float]:
-    """Return r = f/f₀ of the maximum of |(1 + 2jζr)/(1 - r² + 2jζr)|, and below and above it where 1/|H|² is `level`
-    times as large, zero where that is nowhere: r² solves y² - (2 - 4ζ² + 4ζ²c)y + 1 - c = 0, c = level/|H|²max.
+    """Return r = f/f₀ of the maximum of a transmissibility, and of a level on both sides.
+
+    The transmissibility is |(1 + 2jζr)/(1 - r² + 2jζr)|; at the level 1/|H|² is `level` times its value at the maximum.
+    r² solves y² - (2 - 4ζ² + 4ζ²c)y + 1 - c = 0, c = level/|H|²max. The lower r is zero if the level is not reached.
     """
     square = 4.0 * damping_ratio**2
     highest = 2.0 / (np.sqrt(1.0 + 2.0 * square) + 1.0)
@@ -588,10 +611,10 @@ def transmissibility_levels(damping_ratio: float, level: float = 2.0) -> tuple[f
 def _by_width(
     method: PeakWidth, curve: MeasuredCurve, top: PeakPoint, low: PeakPoint, high: PeakPoint, note: str
 ) -> PeakReading:
-    """Return what a maximum and the width at a level tell.
+    """Return the reading from a maximum and the width at a level.
 
-    Half power: the f₀ and ζ of which the oscillator has its maximum and its half-power points where they were read.
-    Half amplitude: equation 10 with the width at half the maximum, without the √3 that this width is wider.
+    Half power: f₀ and ζ of the oscillator whose maximum and half-power points are those that were read. Half amplitude:
+    equation 10 with the width at half the maximum, uncorrected for its factor √3.
     """
     width = high.frequency_hz - low.frequency_hz
     if not np.isfinite(width):

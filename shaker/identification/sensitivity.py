@@ -1,4 +1,4 @@
-"""What damper and measuring chain do to the sensitivity over frequency, and which of them the data support."""
+"""Influence of damper and measuring chain on the sensitivity over frequency, with model selection."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from shakercal._common.notices import Notice
 
 @dataclass(frozen=True)
 class SpringPrior:
-    """Stiffness and damping as a resonance gives them, with their standard uncertainties and correlation.
+    """Stiffness and damping from a resonance, with standard uncertainties and correlation.
 
-    k in N/m, b in kg/s; of a rotation N·m/rad and N·m·s/rad.
+    k in N/m, b in kg/s; for a rotation N·m/rad and N·m·s/rad.
     """
 
     k: float
@@ -42,7 +42,7 @@ class SpringPrior:
 
     @property
     def time_s(self) -> float:
-        """τ = b/k in s, the time constant of the lag that the damper makes."""
+        """τ = b/k in s, the time constant of the damper's lag."""
         return self.b / self.k
 
     @property
@@ -71,14 +71,13 @@ _SMALLEST_TURN = 0.01  # rad at the highest line with which a lag starts, lest i
 
 @dataclass(frozen=True, repr=False)
 class SensitivityFit(Brief):
-    """S(f) = S₀ / (1 + jωτ) · chain(f), τ = b/k, fitted to a measured sensitivity under one shape of the chain.
+    """S(f) = S₀ / (1 + jωτ) · chain(f) with τ = b/k, fitted to a measured sensitivity.
 
-    `sensitivity` S₀ in `unit`; `spring_time_s` τ. `parameters` (P,) names what was fitted, in the order of
-    `covariance` (P, P): `sensitivity`, `spring_time_s` (where it is unknown), then those of the chain. `residual` (K,):
-    measured less the model with all common errors found. `chi_squared` holds residuals, common errors and what is known
-    beforehand of τ and S₀; `dof`, and the `probability` of a χ² as large by chance. The noise is enlarged to χ²/dof in
-    the covariance where that exceeds one. `converged`: whether the fit settled; it does not where the readings leave
-    parameters open, or are nothing like the model.
+    `sensitivity` S₀ in `unit`; `spring_time_s` τ. `parameters` (P,): names in the order of `covariance` (P, P):
+    `sensitivity`, `spring_time_s` (if it is unknown), then those of the chain. `residual` (K,): measured minus model
+    with all common errors as estimated. `chi_squared`: of residuals, common errors and the priors of τ and S₀, with
+    `dof` and the `probability` of a χ² at least as large. If χ²/dof is above one, the noise is enlarged to it in the
+    covariance. `converged` is False if the readings do not determine the parameters or do not follow the model.
     """
 
     sensitivity: float
@@ -103,7 +102,7 @@ class SensitivityFit(Brief):
         return np.asarray(self.sensitivity / lag * self.chain.response(frequency_hz))
 
     def u(self, parameter: str) -> float:
-        """Return the standard uncertainty of a parameter, 0 of one that was not fitted."""
+        """Return the standard uncertainty of a parameter, 0 if it was not fitted."""
         if parameter not in self.parameters:
             return 0.0
         place = self.parameters.index(parameter)
@@ -133,10 +132,10 @@ def fit_chain(
 ) -> SensitivityFit:
     """Fit S₀, τ = b/k and a chain of one kind to a measured sensitivity (K lines).
 
-    Measured is S₀ / (1 + jωτ) · chain · exp(Σ z r): r are the relative errors by name, z ~ N(0, 1) unknown, so that no
-    covariance is made of the readings. τ is held by `spring` within its uncertainty; `spring_free` lets it be any;
-    without either it is 0, since a lag of the chain and one of the spring are the same curve. A static sensitivity
-    that is stated is one more reading of S₀.
+    The measured value is S₀ / (1 + jωτ) · chain · exp(Σ z r) with relative errors r by name and unknowns z ~ N(0, 1).
+    The readings need no joint covariance. `spring` is the prior of τ; `spring_free` makes τ free. Without either τ is
+    0, because a lag of the chain and one of the spring have the same curve. A stated static sensitivity is one more
+    reading of S₀.
     """
     from scipy.special import chdtrc
 
@@ -257,10 +256,10 @@ class _Problem:
 
 
 def sensor_model(fit: SensitivityFit, mechanics: FloatArray, covariance: FloatArray) -> SensorModel:
-    """Join a sensitivity with `mechanics` (3,) [k, b, m_i] of an identification and their `covariance` (3, 3).
+    """Join a sensitivity with `mechanics` (3,) [k, b, m_i] of an identification and their `covariance`.
 
-    The fit must have had the same k and b as its `SpringPrior`. What it added to the knowledge of τ = b/k moves k, b
-    and m_i along C·g, g = ∂τ/∂[k, b, m_i], C their covariance.
+    The fit must have used the same k and b in its `SpringPrior`. Its information on τ = b/k changes k, b and m_i along
+    C·g, with g = ∂τ/∂[k, b, m_i] and their covariance C (3, 3).
     """
     check_shape("mechanics", mechanics, (3,))
     check_shape("covariance", covariance, (3, 3))
@@ -320,11 +319,11 @@ _PART_OF: dict[ChainKind, tuple[ChainKind, ...]] = {
 
 @dataclass(frozen=True)
 class DampingTest:
-    """b/k that the sensitivity would need with no chain against that of the resonance's width, with u in s.
+    """b/k that the sensitivity requires without a chain, compared with b/k of the resonance width, in s.
 
-    `deviation`: √Δχ² with the sign of their difference, Δχ² what χ² grows by when b/k is held by the resonance (over
-    χ²/dof where that exceeds one): for small differences the difference over its standard uncertainty, but right as
-    well where the magnitude hangs on (b/k)². `probability` of a deviation as large by chance.
+    `deviation`: √Δχ² with the sign of the difference. Δχ² is the growth of χ² if b/k has the prior of the resonance,
+    divided by χ²/dof if that is above one. Small differences give the difference over its standard uncertainty. The
+    test is also right if the magnitude depends on (b/k)². `probability` of a deviation at least as large.
     """
 
     needed_s: float
@@ -337,16 +336,16 @@ class DampingTest:
 
     @property
     def contradicts(self) -> bool:
-        """Whether the two cannot both be right."""
+        """Whether the two values contradict each other."""
         return self.probability < SIGNIFICANCE
 
 
 @dataclass(frozen=True, repr=False)
 class SensitivityComparison(Brief):
-    """Explanations of one sensitivity: `fits` (E), Akaike `weight` (E,), sum 1, and `verdict` (E).
+    """Explanations of one sensitivity: `fits` (E), Akaike `weight` (E,) with sum 1, `verdict` (E).
 
-    `spring`: what the resonance says of k and b, None where nothing does; `damping`: whether S(f) with no chain agrees
-    with it, None without it. `text`: in one sentence, which explanations the data support and which they refute.
+    `spring`: k and b of the resonance, None without one. `damping`: test whether S(f) without a chain agrees with it.
+    `text`: a sentence on the explanations that the data support or refute.
     """
 
     fits: tuple[SensitivityFit, ...]
@@ -362,7 +361,7 @@ class SensitivityComparison(Brief):
 
     @property
     def best(self) -> SensitivityFit:
-        """The explanation to use: the supported one of the largest weight; with none supported, of all."""
+        """The supported explanation of largest weight; without a supported one, that of largest weight."""
         supported = [i for i, verdict in enumerate(self.verdict) if verdict == "supported"] or range(len(self.fits))
         return self.fits[max(supported, key=lambda i: float(self.weight[i]))]
 
@@ -372,14 +371,13 @@ class SensitivityComparison(Brief):
 
 
 def fit_sensitivity(measured: MeasuredSensitivity, spring: SpringPrior | None = None) -> SensitivityComparison:
-    """Fit every explanation of a sensitivity over frequency, compare them, and test the damping against the resonance.
+    """Fit every explanation of a sensitivity, compare them, and test the damping against the resonance.
 
-    With `spring` every explanation has the sensor's own lag 1/(1 + jωb/k), b/k held within its uncertainty. Without it
-    nothing tells that lag from one of the chain, they being the same curve: the fits then have one lag for both.
-    Weights: AICc = χ²/ĉ + 2p + 2p(p + 1)/(n - p - 1) of p free parameters and n real readings, ĉ = χ²/dof of the
-    explanation that fits best, where that exceeds one (Burnham and Anderson, Model selection, 2002, 2.5). Refuted is
-    what leaves a χ² too large (`SIGNIFICANCE`), needs a filter that is not stable, or has too small a weight and no
-    part that is supported; more than needed is an explanation of which a part is supported as well.
+    With `spring` every explanation contains the lag 1/(1 + jωb/k) of the sensor, with the prior of b/k. Without it this
+    lag and that of the chain have the same curve and are one lag. Weights: AICc = χ²/ĉ + 2p + 2p(p + 1)/(n - p - 1) for
+    p free parameters and n real readings. ĉ = χ²/dof of the best explanation if it is above one (Burnham and Anderson,
+    Model selection, 2002, 2.5). An explanation is refuted if χ² is too large (`SIGNIFICANCE`), the filter is unstable,
+    or its weight is too small and no part of it is supported. It is more than needed if a part of it is supported too.
     """
     fits = tuple(fit_chain(measured, kind, spring) for kind in CHAIN_PARAMETERS)
     readings = 2 * len(measured.value) + (measured.static is not None)
@@ -398,7 +396,7 @@ def fit_sensitivity(measured: MeasuredSensitivity, spring: SpringPrior | None = 
 
 
 def _verdicts(fits: tuple[SensitivityFit, ...], weight: FloatArray) -> tuple[Verdict, ...]:
-    """Return what the data say of each explanation."""
+    """Return the verdict of the data on each explanation."""
     acceptable = {fit.chain.kind for fit in fits if fit.probability >= SIGNIFICANCE}
     supported = set()
     for fit, share in zip(fits, weight / weight.max(), strict=True):
@@ -416,7 +414,7 @@ def _verdicts(fits: tuple[SensitivityFit, ...], weight: FloatArray) -> tuple[Ver
 
 
 def _damping_test(measured: MeasuredSensitivity, held: SensitivityFit, spring: SpringPrior) -> DampingTest:
-    """Compare b/k fitted to S(f) with no chain with that of the resonance, by which the other fit is held."""
+    """Compare b/k fitted to S(f) without a chain with b/k of the resonance."""
     from scipy import special
 
     needed = fit_chain(measured, "none", None, spring_free=True)
@@ -438,7 +436,7 @@ def _damping_test(measured: MeasuredSensitivity, held: SensitivityFit, spring: S
 
 
 def _sentence(fits: tuple[SensitivityFit, ...], verdict: tuple[Verdict, ...], alone: bool) -> str:
-    """Say in one sentence which explanations the data support and which they refute."""
+    """Return a sentence on the explanations that the data support and refute."""
     words = WORDS_WITHOUT_RESONANCE if alone else CHAIN_WORDS
     named: dict[Verdict, list[str]] = {"supported": [], "more than needed": [], "refuted": []}
     for fit, own in zip(fits, verdict, strict=True):
@@ -478,7 +476,7 @@ def _explained(fit: SensitivityFit, alone: bool) -> str:
 
 
 def _notices(fit: SensitivityFit, channel: str) -> Iterator[Notice]:
-    """Say of the explanation to use what a reader should doubt."""
+    """Yield doubts about the explanation in use."""
     if fit.chain.delay_s < -2.0 * fit.u("delay_s"):
         lead = _microseconds(-fit.chain.delay_s, fit.u("delay_s"))
         yield Notice("warning", f"the output leads by {lead}: no chain does, the reference is late", channel)
@@ -491,12 +489,12 @@ def _notices(fit: SensitivityFit, channel: str) -> Iterator[Notice]:
 
 
 def _microseconds(value_s: float, u_s: float) -> str:
-    """Return a time with its expanded uncertainty, k = 2, in µs."""
+    """Return a time in µs with its expanded uncertainty, k = 2."""
     return _with_u(1e6 * value_s, 1e6 * u_s, "µs")
 
 
 def _with_u(value: float, u: float, unit: str) -> str:
-    """Return a number with its expanded uncertainty, k = 2, to two digits of the latter."""
+    """Return a number with its expanded uncertainty (k = 2, two digits)."""
     if not u > 0.0:
         return f"{value:.4g} {unit}"
     digits = max(0, 1 - int(np.floor(np.log10(2.0 * u))))

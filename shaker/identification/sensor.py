@@ -1,4 +1,4 @@
-"""The sensor as a model: output over force with a load, its usable band, and phasors and records corrected by it."""
+"""Sensor model: output over force with a load, usable band, correction of phasors and records."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ CHAIN_PARAMETERS: dict[ChainKind, tuple[str, ...]] = {
 
 @dataclass(frozen=True, repr=False)
 class ChainModel(Brief):
-    """exp(−sD) / (1 + a₁s + a₂s²), s = jω, with the terms that `kind` has.
+    """Response exp(−sD) / (1 + a₁s + a₂s²) of a measuring chain, s = jω.
 
-    `parameters` (P,) in the order of `CHAIN_PARAMETERS`: D `delay_s`, a₁ `lag_s`, a₂ `square_s2`. A low-pass of
-    second order has a₁ = 2ζ/ω_c and a₂ = 1/ω_c²; a Butterworth filter a₂ = a₁²/2.
+    `kind` selects the terms. `parameters` (P,) in the order of `CHAIN_PARAMETERS`: D `delay_s`, a₁ `lag_s`, a₂
+    `square_s2`. A low-pass of second order has a₁ = 2ζ/ω_c and a₂ = 1/ω_c², a Butterworth filter a₂ = a₁²/2.
     """
 
     kind: ChainKind
@@ -77,9 +77,9 @@ class ChainModel(Brief):
         return np.array([columns[name] for name in self.names], dtype=np.complex128).reshape(-1, len(s)).T
 
     def corner(self, covariance: FloatArray) -> tuple[tuple[float, float], tuple[float, float]] | None:
-        """Return (f_c, u) in Hz and (ζ, u) of a low-pass from the covariance (P, P) of its parameters.
+        """Return (f_c, u) in Hz and (ζ, u) of a low-pass, None without one of second order.
 
-        f_c = 1/(2π√a₂), ζ = a₁/(2√a₂); None where the chain has no low-pass of second order (a₂ ≤ 0).
+        f_c = 1/(2π√a₂), ζ = a₁/(2√a₂), for a₂ > 0; u from the covariance (P, P) of the parameters.
         """
         if self.kind not in {"butterworth", "second_order"} or not self.square_s2 > 0.0:
             return None
@@ -93,7 +93,7 @@ class ChainModel(Brief):
         return (frequency, u[0]), (damping, u[1])
 
     def _value(self, name: str) -> float:
-        """Return a parameter, 0 where the shape has none of this name."""
+        """Return a parameter, 0 if this kind does not have it."""
         return float(self.parameters[self.names.index(name)]) if name in self.names else 0.0
 
     def _divisor(self, s: ComplexArray) -> ComplexArray:
@@ -114,10 +114,16 @@ SENSOR_PARAMETERS = ("sensitivity", "stiffness", "damping", "internal_mass")
 
 @dataclass(frozen=True)
 class Load:
-    """A mass on the sensor and how it is driven: `base` moves under the sensor, or a `force` acts on the load.
+    """A mass on the sensor and its excitation.
 
-    `mass` ± `u_mass` in kg; of a rotation the moment of inertia in kg·m².
+    Attributes
+    ----------
+    mass : kg, or kg·m² for a rotation; above 0
+    drive : "base" if the base below the sensor moves, "force" if a force acts on the load
+    u_mass : standard uncertainty of `mass`, default 0
 
+    Examples
+    --------
     >>> from shaker import Load
     >>> Load(mass=4.236, drive="force", u_mass=3e-4)
     Load(mass=4.236, drive='force', u_mass=0.0003)
@@ -136,11 +142,11 @@ class Load:
 
 @dataclass(frozen=True, repr=False)
 class SensorModel(Brief):
-    """Static `sensitivity` S₀ in `unit`, `stiffness` k, `damping` b, `internal_mass` m_i (as estimated, by
-    chance below 0) and the chain behind them.
+    """Static sensitivity, spring, damper, internal mass and measuring chain of a sensor.
 
-    `covariance` (4 + P, 4 + P) of [S₀, k, b, m_i, parameters of the chain]. N/m, kg/s and kg; of a rotation N·m/rad,
-    N·m·s/rad and kg·m².
+    `sensitivity` S₀ in `unit`, `stiffness` k in N/m, `damping` b in kg/s, `internal_mass` m_i in kg, which may be
+    estimated below 0; for a rotation N·m/rad, N·m·s/rad and kg·m². `covariance` (4 + P, 4 + P) of [S₀, k, b, m_i,
+    parameters of the chain].
     """
 
     sensitivity: float
@@ -174,7 +180,7 @@ class SensorModel(Brief):
         return np.asarray(gain / self._divisor(laplace(frequency_hz), load) * self.chain.response(frequency_hz))
 
     def log_slopes(self, frequency_hz: FloatArray, load: Load) -> ComplexArray:
-        """Return the derivatives (K, 4 + P + 1) of ln `output_factor` by the parameters and by the load's mass."""
+        """Return the derivatives (K, 4 + P + 1) of ln `output_factor` by parameters and load mass."""
         s, total = laplace(frequency_hz), load.mass + self.internal_mass
         divisor = self._divisor(s, load)
         by_force = np.asarray(-s * s / self.stiffness / divisor)
@@ -191,20 +197,20 @@ class SensorModel(Brief):
         return np.stack(columns, axis=1)
 
     def covariance_root(self, load: Load) -> FloatArray:
-        """Return the parameters' deviations (4 + P + 1, E) by E independent causes of variance one."""
+        """Return deviations (4 + P + 1, E) of the parameters for E independent causes of variance one."""
         count = len(self.covariance)
         whole = np.zeros((count + 1, count + 1))
         whole[:count, :count], whole[count, count] = self.covariance, load.u_mass**2
         return covariance_root(whole)
 
     def response(self, frequency_hz: FloatArray, load: Load) -> ChainResponse:
-        """Return `output_factor` with the relative deviations that the parameters' covariance makes at all lines."""
+        """Return `output_factor` with the relative deviations from the parameters' covariance."""
         errors = (self.log_slopes(frequency_hz, load) @ self.covariance_root(load)).T
         causes = tuple(f"sensor model {number}" for number in range(1, len(errors) + 1))
         return ChainResponse(self.output_factor(frequency_hz, load), np.asarray(errors), causes)
 
     def _divisor(self, s: ComplexArray, load: Load) -> ComplexArray:
-        """Return (k + bs)/k of a moving base, (k + bs + Ms²)/k of a force on the load."""
+        """Return (k + bs)/k for a moving base, (k + bs + Ms²)/k for a force."""
         mass = load.mass + self.internal_mass if load.drive == "force" else 0.0
         return np.asarray(1.0 + (self.damping + s * mass) * s / self.stiffness)
 
@@ -220,10 +226,10 @@ _POINTS_PER_DECADE = 200
 
 @dataclass(frozen=True)
 class UsableBand:
-    """Frequencies from 0 to `upper_hz` at which the output stays within what is permitted of its static value.
+    """Frequencies from 0 to `upper_hz` in which the output stays within a permitted deviation.
 
-    `permitted`: relative deviation of the magnitude; `permitted_phase_rad`: of the phase, None where any is permitted;
-    `limit`: what ends the band. `upper_hz` is infinite where nothing does.
+    `permitted`: relative deviation of the magnitude from its static value. `permitted_phase_rad`: deviation of the
+    phase, None if it is not limited. `limit`: the criterion that limits the band; `upper_hz` is infinite if none does.
     """
 
     upper_hz: float
@@ -236,11 +242,11 @@ class UsableBand:
 def usable_band(
     model: SensorModel, load: Load, permitted: float, permitted_phase_rad: float | None = None
 ) -> UsableBand:
-    """Return the band in which `output_factor` keeps within ± `permitted` of its value at f → 0, with its uncertainty.
+    """Return the band with `output_factor` within ± `permitted` of its value at f → 0.
 
-    The factor (1 + m_i/m) of a moving base is the same at all frequencies and no deviation here. Light damping and no
-    chain give f = f₀√(p/(1 + p)) for a force on the load: 0.2182 f₀ at 5 %, 0.3015 f₀ at 10 %. The edge moves with the
-    parameters by -(∂Λ/∂θ)/(∂Λ/∂f), Λ the logarithm of the magnitude, or the phase.
+    The factor (1 + m_i/m) of a moving base does not depend on frequency and is not a deviation here. Light damping
+    without a chain gives f = f₀√(p/(1 + p)) for a force on the load: 0.2182 f₀ at 5 %, 0.3015 f₀ at 10 %. The edge
+    moves with the parameters by -(∂Λ/∂θ)/(∂Λ/∂f), Λ the logarithm of the magnitude, or the phase.
     """
     if not 0.0 < permitted < 1.0:
         raise ValueError(f"permitted: expected a share between 0 and 1, found {permitted:g}")
@@ -290,9 +296,10 @@ ATTENUATION_DB = 100.0
 
 @dataclass(frozen=True, repr=False)
 class CorrectedPhasors(Brief):
-    """Phasors of the force (random covariance only) and `errors` (E, K, 1): what the model's parameters may add.
+    """Phasors of the force and the errors from the sensor model.
 
-    `errors` are relative deviations common to all lines and channels, of E independent causes.
+    `phasors` contain the random covariance only. `errors` (E, K, 1): relative deviations from E independent causes,
+    common to all lines and channels.
     """
 
     phasors: Phasors
@@ -303,17 +310,17 @@ class CorrectedPhasors(Brief):
 
     @property
     def covariance(self) -> FloatArray:
-        """Covariance (K, 2C, 2C) of both together."""
+        """Covariance (K, 2C, 2C) of phasors and model errors together."""
         return np.asarray(self.phasors.covariance + common_covariance(self.phasors.value, self.errors))
 
 
 @dataclass(frozen=True, repr=False)
 class CorrectedRecord(Brief):
-    """Force on the load (N,) at the instants of the output's samples, up to `band_hz`.
+    """Force on the load (N,) at the sampling instants of the output, up to `band_hz`.
 
-    `u` (N,) standard uncertainty from noise and model; `errors` (E, N) force that one standard deviation of each of E
-    independent causes of the model makes. Within `settling` samples of either end the result depends on what was
-    before and after the record. `beyond`: rms of what the output held above the band, as force by the static factor.
+    `u` (N,): standard uncertainty from noise and model. `errors` (E, N): force for one standard deviation of each of E
+    independent causes of the model. Within `settling` samples of either end the result depends on the signal outside
+    the record. `removed_rms`: rms of the output above the band, as force by the static factor.
     """
 
     force: FloatArray
@@ -332,8 +339,20 @@ class CorrectedRecord(Brief):
 
 
 def correct_phasors(phasors: Phasors, model: SensorModel, load: Load) -> CorrectedPhasors:
-    """Return the force on the load from phasors (K, C) of the output, all channels by the same model: X / factor.
+    """Return the force on the load from phasors of the output: divided by `output_factor`.
 
+    Parameters
+    ----------
+    phasors : phasors of the output, one channel or more
+    model : identified sensor model
+    load : mass on the sensor and its excitation
+
+    Returns
+    -------
+    CorrectedPhasors : phasors of the force and the deviations that the model's covariance causes
+
+    Examples
+    --------
     >>> from shaker import Load, correct_phasors
     >>> force = correct_phasors(lines, sensor, Load(mass=4.236, drive="force")).phasors  # doctest: +SKIP
     """
@@ -349,13 +368,36 @@ def correct_phasors(phasors: Phasors, model: SensorModel, load: Load) -> Correct
 def correct_record(
     output: FloatArray, sample_rate_hz: float, model: SensorModel, load: Load, band_hz: float, *, u_noise: float = 0.0
 ) -> CorrectedRecord:
-    """Return the force on the load from a uniformly sampled record (N,) of the output.
+    """Return the force on the load from a uniformly sampled record of the output.
 
+    Parameters
+    ----------
+    output : (N,) record in the output unit of `model`
+    sample_rate_hz : sampling rate, Hz
+    model : identified sensor model
+    load : mass on the sensor and its excitation
+    band_hz : upper limit of the corrected band, Hz
+    u_noise : standard deviation of white noise of one sample, default 0
+
+    Returns
+    -------
+    CorrectedRecord : force, its standard uncertainty and errors
+
+    Raises
+    ------
+    ValueError : the record is shorter than the filter, or the band too wide for the rate
+
+    Notes
+    -----
     The spectrum is divided by `output_factor` and multiplied by a taper of zero phase: 1 up to `band_hz`, 0 from
-    (1 + `TRANSITION`)·`band_hz`, the response of a symmetric Kaiser-window filter of 2h + 1 taps. The record is
-    continued by its odd reflection over h samples (and the chain's delay) at both ends, so that no end sees the other.
-    `u_noise`: standard deviation of white noise of one sample. The model's covariance is carried by derivatives.
+    (1 + `TRANSITION`)·`band_hz`. The taper is the response of a symmetric Kaiser-window filter of 2h + 1 taps. The
+        record is
+    continued by its odd reflection over h samples and the delay of the chain at both ends. The covariance of the model
+        is
+    propagated by derivatives.
 
+    Examples
+    --------
     >>> from shaker import Load, correct_record
     >>> load = Load(mass=4.236, drive="force")
     >>> force = correct_record(output, 20e3, sensor, load, band_hz=900.0).force  # doctest: +SKIP

@@ -1,4 +1,7 @@
-"""Parameters of a linear structure from all recordings in one fit, every named error an unknown."""
+"""Parameters of a linear structure from all recordings in one fit.
+
+Every named error of the recordings is an unknown of the fit.
+"""
 
 from __future__ import annotations
 
@@ -37,9 +40,9 @@ from shakercal._common.notices import Notice
 
 @dataclass(frozen=True)
 class ModeEstimate:
-    """One mode of one recording, `number` from 0 by rising frequency, with standard uncertainties.
+    """One mode of one recording with standard uncertainties, numbered from 0 by rising frequency.
 
-    `frequency_hz` f₀ = |λ|/2π of the undamped oscillator, `damping_ratio` ζ = -Re λ/|λ| of the pole λ.
+    `frequency_hz` f₀ = |λ|/2π of the undamped oscillator and `damping_ratio` ζ = -Re λ/|λ|, from the pole λ.
     """
 
     record: str
@@ -52,7 +55,10 @@ class ModeEstimate:
 
 @dataclass(frozen=True)
 class FreeFactor:
-    """Gain or delay of one response in one recording that was left free: the curve is H · gain · exp(-s delay)."""
+    """Fitted gain or delay of one response in one recording.
+
+    The model of the curve is H · gain · exp(-s delay).
+    """
 
     record: str
     channel: str
@@ -67,13 +73,24 @@ class FreeFactor:
 class Identification(Brief):
     """Parameters of a structure from all recordings together.
 
-    `estimates` (P): parameters, of one recording alone "name: recording"; `covariance` (P, P) of them, infinite
-    where the recordings leave one open. `derived`: b/k of each spring and damper. `modes`: of each recording.
-    `unknowns`: named errors. `factors`: free gains and delays. `model`, `residual` (K, C): per recording, curve with
-    all errors found, and what was measured less the model. `chi_squared` of the residuals over the covariances as
-    stated, with `dof`; where χ²/dof exceeds what noise explains, the noise is enlarged by the excess. `budget` by
-    cause: change (P,) of the parameters for one standard deviation of a named error or of a number stated beforehand,
-    and what "noise" adds; their squares sum up to the variances.
+    Attributes
+    ----------
+    estimates : P parameters; one that belongs to a single recording is named "name: recording"
+    covariance : (P, P) of `estimates`, infinite where the recordings do not determine a parameter
+    derived : b/k of each spring and damper
+    modes : of every recording
+    unknowns : named errors as estimated
+    factors : free gains and delays
+    model, residual : (K, C) per recording, the curve with all estimated errors, and measured minus model
+    chi_squared, dof : of the residuals over the stated covariances
+    budget : contributions (P,) by cause
+
+    Notes
+    -----
+    If χ²/dof is larger than noise explains, the noise is enlarged by the excess. The budget contains the change of the
+    parameters for one standard deviation of each named error and of each stated number, and the contribution "noise".
+        Their
+    squares sum to the variances.
     """
 
     estimates: tuple[ParameterEstimate, ...]
@@ -115,7 +132,7 @@ class Identification(Brief):
 
     @property
     def correlation(self) -> FloatArray:
-        """Correlation matrix (P, P) of the parameters; zero for what is fixed or open."""
+        """Correlation matrix (P, P) of the parameters, zero for fixed and undetermined ones."""
         size = np.sqrt(self.covariance.diagonal())
         known = np.isfinite(size) & (size > 0.0)
         correlation = np.zeros_like(self.covariance)
@@ -143,9 +160,9 @@ _OPEN = 1e-10  # singular value, columns of unit length, below which a direction
 
 @dataclass(frozen=True, repr=False)
 class FitState(Brief):
-    """Unknowns `parameters` (N,) with what they make of every curve, and the whitened residuals (K, 2C).
+    """Unknowns (N,) with the modelled curves and the whitened residuals (K, 2C).
 
-    `loss`: χ² of lines and of what was known beforehand together. Derivatives are worked out where they are asked for.
+    `loss`: χ² of lines and priors together. Derivatives are computed on first use.
     """
 
     problem: IdentificationProblem
@@ -161,12 +178,15 @@ class FitState(Brief):
 
     @cached_property
     def jacobians(self) -> tuple[FloatArray, ...]:
-        """Derivatives (K, 2C, L) of the model's whitened readings by each curve's own unknowns."""
+        """Derivatives (K, 2C, L) of the whitened model by the unknowns of each curve."""
         return tuple(part.curve.whitened(part.derivatives) for part in self.modelled)
 
     @cached_property
     def normal(self) -> tuple[FloatArray, FloatArray]:
-        """Half second derivatives (N, N) of the loss, and what goes downhill (N,), zero for unknowns that are fixed."""
+        """Normal matrix (N, N) and descent direction (N,), zero for fixed unknowns.
+
+        These are half the second derivatives and the negative half gradient of the loss.
+        """
         problem = self.problem
         normal, downhill = np.diag(problem.precision), problem.precision * (problem.expected - self.parameters)
         for curve, residual, jacobian in zip(problem.curves, self.residuals, self.jacobians, strict=True):
@@ -180,7 +200,7 @@ class FitState(Brief):
 
 
 def evaluate(problem: IdentificationProblem, vector: FloatArray) -> FitState | None:
-    """Return a vector of unknowns with its residuals, None where a mass or a stiffness is not positive."""
+    """Return the fit state of a vector, None if a mass or stiffness is not positive."""
     if not all(curve.possible(vector) for curve in problem.curves):
         return None
     modelled = tuple(curve.modelled(vector) for curve in problem.curves)
@@ -193,13 +213,16 @@ def evaluate(problem: IdentificationProblem, vector: FloatArray) -> FitState | N
 
 
 def solve(problem: IdentificationProblem, state: FitState) -> FitState:
-    """Return the unknowns of least χ² of lines and priors, from a state on; what many steps reach where more lack."""
+    """Return the state of least χ² of lines and priors, starting from a state.
+
+    The result of the last step is returned even if the fit has not converged.
+    """
 
     def at(vector: FloatArray) -> FitState | None:
         return evaluate(problem, vector)
 
     def curvature(here: FitState, step: FloatArray) -> FloatArray | None:
-        """The residuals' second derivative along a step is that of a difference over a tenth of it."""
+        """Return the residuals' second derivative along a step, from a difference over a tenth of it."""
         ahead = at(here.parameters + _SHARE * step)
         if ahead is None:
             return None
@@ -215,7 +238,7 @@ def solve(problem: IdentificationProblem, state: FitState) -> FitState:
 
 
 def effective(problem: IdentificationProblem, state: FitState) -> float:
-    """Return the number of unknowns that the lines determine: the trace of (JᵀJ + P)⁻¹ JᵀJ."""
+    """Return the number of unknowns that the lines determine: tr[(JᵀJ + P)⁻¹ JᵀJ]."""
     whole = state.normal[0]
     scale = np.sqrt(np.maximum(whole.diagonal(), np.finfo(np.float64).tiny))
     pair = np.multiply.outer(scale, scale)
@@ -224,11 +247,11 @@ def effective(problem: IdentificationProblem, state: FitState) -> float:
 
 @dataclass(frozen=True, repr=False)
 class UnknownsCovariance(Brief):
-    """Covariance of all unknowns, and the directions that the recordings leave open.
+    """Covariance of all unknowns, and the directions that the recordings do not determine.
 
-    `covariance` (N, N) of the determined part, `opened` (Z, N) orthonormal directions in units of `scale` (N,);
-    `prior` (N, N): change of all unknowns (rows) for one standard deviation of what was known beforehand of each
-    (columns). `unsettled`: length in standard uncertainties of the step that linearisation would still take.
+    `covariance` (N, N) of the determined part. `undetermined` (Z, N): orthonormal directions in units of `scale` (N,).
+    `prior` (N, N): change of all unknowns (rows) for one standard deviation of the prior of each (columns).
+    `unsettled`: length of the next linearised step, in standard uncertainties.
     """
 
     covariance: FloatArray
@@ -238,7 +261,10 @@ class UnknownsCovariance(Brief):
     unsettled: float
 
     def u(self, gradient: FloatArray) -> float:
-        """Return the standard uncertainty of a number with a `gradient` (N,), infinite where it is open."""
+        """Return the standard uncertainty of a function of the unknowns with a `gradient` (N,).
+
+        It is infinite if the gradient has a part in an undetermined direction.
+        """
         own = gradient * self.scale
         size = float(np.linalg.norm(own))
         if size > 0.0 and len(self.opened) and np.linalg.norm(self.opened @ own) > 1e-4 * size:
@@ -246,7 +272,10 @@ class UnknownsCovariance(Brief):
         return float(np.sqrt(max(0.0, float(gradient @ self.covariance @ gradient))))
 
     def covariance_of(self, gradients: FloatArray) -> FloatArray:
-        """Return the covariance (G, G) of numbers with `gradients` (G, N): open ones infinite, and without relation."""
+        """Return the covariance (G, G) of functions of the unknowns with `gradients` (G, N).
+
+        Undetermined ones have infinite variance and no covariance with the others.
+        """
         covariance = gradients @ self.covariance @ gradients.T
         open_ones = ~np.isfinite([self.u(gradient) for gradient in gradients])
         covariance[open_ones] = 0.0
@@ -256,9 +285,10 @@ class UnknownsCovariance(Brief):
 
 
 def spread(problem: IdentificationProblem, state: FitState) -> UnknownsCovariance:
-    """Return the covariance A⁻¹ (JᵀRJ + P) A⁻¹, A = JᵀJ + P: R the correlation of lines, P what was known beforehand.
+    """Return A⁻¹ (JᵀRJ + P) A⁻¹ with A = JᵀJ + P, the covariance of the unknowns.
 
-    In a basis in which A = 1, so that what the stated masses and scales leave open does not lose its digits.
+    R is the correlation between lines, P the precision of the priors. The basis is chosen such that A = 1. This keeps
+    the digits of directions that the stated masses and scales do not determine.
     """
     count, free = len(state.parameters), ~problem.fixed
     unit = np.diag(free.astype(np.float64))
@@ -386,13 +416,21 @@ def identify(
     gain: Collection[str] = (),
     delay: Collection[str] = (),
 ) -> Identification:
-    """Fit a structure's parameters to all lines of all recordings together.
+    """Fit the parameters of a structure to all lines of all recordings together.
 
-    Measured is H(s) · exp(Σ z r): r are the relative errors by name, z ~ N(0, 1) unknown, equal names one unknown, as
-    are numbers of the load, places and directions of transducers, and the rate of the clock. `known`: (value, u) of
-    parameters stated beforehand, u = 0 fixed. `each_recording`: parameters that have a value of their own in every
-    recording. `gain`, `delay`: channels whose complex gain, or delay, is free in every recording, the scale being
-    unstated.
+    Parameters
+    ----------
+    records : transfer functions of the recordings, each with a different name
+    structure : the structure, e.g. `SpringSuspension`
+    stated_values : (value, u) of parameters that are stated; u = 0 fixes the parameter
+    each_recording : names of the parameters that have a separate value in every recording
+    gain, delay : channels whose complex gain or delay is free in every recording, because their scale is not stated
+
+    Notes
+    -----
+    The measured ratio is H(s) · exp(Σ z r) with relative errors r by name and unknowns z ~ N(0, 1). Equal names are one
+    unknown. Uncertain numbers of the load, positions and directions of transducers, and the clock rate are unknowns
+        too.
     """
     problem = build_problem(records, structure, stated_values or {}, each_recording, gain, delay)
     lines = sum(2 * record.ratio.value.size for record in records)
@@ -410,7 +448,7 @@ def identify(
 
 
 def _weighed(problem: IdentificationProblem, state: FitState) -> tuple[IdentificationProblem, FitState, ResidualNoise]:
-    """Return the problem with its lines weighed by the noise seen in them, its solution, and that noise."""
+    """Return the problem weighted by the noise of the residuals, its solution and that noise."""
 
     def seen(problem: IdentificationProblem, state: FitState) -> ResidualNoise:
         curves = [
@@ -468,7 +506,7 @@ def _result(
 
 
 def _lags(problem: IdentificationProblem, state: FitState, found: UnknownsCovariance) -> tuple[ParameterEstimate, ...]:
-    """Return b/k of every damper with its spring: what S(f) of the sensor would show."""
+    """Return b/k of every damper with its spring, the time constant that S(f) of the sensor would show."""
     places = {parameter.name: place for place, parameter in enumerate(problem.parameters)}
     derived = []
     for name, place in places.items():
@@ -484,7 +522,7 @@ def _lags(problem: IdentificationProblem, state: FitState, found: UnknownsCovari
 
 
 def _modes(problem: IdentificationProblem, state: FitState, found: UnknownsCovariance) -> tuple[ModeEstimate, ...]:
-    """Return the modes of every recording, from the poles of its fitted mechanics."""
+    """Return the modes of every recording from the poles of its fitted mechanics."""
     modes = []
     for curve in problem.curves:
         for number, (root, change) in enumerate(zip(*curve.poles(state.parameters), strict=True)):

@@ -1,4 +1,4 @@
-"""What is measured of a series of loads: output, masses, and resonances from the ringing of every load."""
+"""Data of a series of loads: output, masses, and resonances from the ringing of every load."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from shaker.release.record import ReleaseReading, StepRecord
 
 @dataclass(frozen=True)
 class SeriesOutput:
-    """What was recorded: load component, output channel, its unit, static output per N or N·m, that one's u."""
+    """Recorded output: load component, channel, unit, static output per N or N·m with its u."""
 
     component: str
     channel: str
@@ -26,16 +26,16 @@ class SeriesOutput:
 
     @property
     def mass_unit(self) -> str:
-        """Printed unit of what stands for a mass."""
+        """Printed unit of the mass, or of the moment of inertia."""
         return typeset(mechanical_units(self.component).inertia)
 
 
 @dataclass(frozen=True, repr=False)
 class SeriesMasses(Brief):
-    """Moving mass and the load masses (R,) of R records in kg, with their errors by name.
+    """Moving mass and load masses (R,) of R records in kg, with their named errors.
 
-    `names` (Q,) of what is uncertain; one standard uncertainty of it changes the moving mass by `moving_effect` (Q,)
-    and the load masses by `load_effect` (R, Q), so that an adapter that two records share is one unknown.
+    `names` (Q,) of the uncertain parts. One standard uncertainty of a part changes the moving mass by `moving_effect`
+    (Q,) and the load masses by `load_effect` (R, Q). An adapter in two records is therefore one unknown.
     """
 
     moving: float
@@ -64,12 +64,12 @@ class SeriesMasses(Brief):
         return np.asarray(np.linalg.norm(self.load_effect, axis=1))
 
     def at(self, deviates: FloatArray) -> tuple[float, FloatArray]:
-        """Return moving and load masses with every named error (Q,) at so many of its standard uncertainties."""
+        """Return moving and load masses for deviations (Q,) of the named errors in standard uncertainties."""
         return self.moving + float(self.moving_effect @ deviates), self.load + self.load_effect @ deviates
 
 
 def stated_masses(moving: float, u_moving: float, load: FloatArray, u_load: FloatArray | None = None) -> SeriesMasses:
-    """Return masses whose errors are independent: the moving mass, and every load mass (R,) that differs."""
+    """Return masses with independent errors: of the moving mass and of every different load mass (R,)."""
     loads = np.asarray(load, dtype=np.float64)
     spread = np.zeros(len(loads)) if u_load is None else np.asarray(u_load, dtype=np.float64)
     uncertain = np.unique(loads[spread > 0.0])
@@ -86,9 +86,10 @@ def stated_masses(moving: float, u_moving: float, load: FloatArray, u_load: Floa
 
 @dataclass(frozen=True, repr=False)
 class Resonances(Brief):
-    """First and second mode of R records: natural frequencies in Hz and damping ratios, (R, 2) each, NaN where unknown.
+    """First and second mode of R records: natural frequencies in Hz and damping ratios (R, 2).
 
-    `u_…`: standard uncertainties, 0 where none is known, so that only the scatter about a model tells.
+    Unknown values are NaN. `u_…`: standard uncertainties. They are 0 if none is stated; the scatter about a model then
+    determines them.
     """
 
     names: tuple[str, ...]
@@ -105,7 +106,7 @@ class Resonances(Brief):
             raise ValueError("frequency_hz: expected a first resonance above 0 of every record, found none")
 
     def without_second(self, mask: BoolArray) -> Resonances:
-        """Return the resonances with the second modes of some records (R,) left out."""
+        """Return the resonances without the second modes of the records in a mask (R,)."""
         left_out = mask[:, None] & [False, True]
         values = (self.frequency_hz, self.u_frequency_hz, self.damping_ratio, self.u_damping_ratio)
         return Resonances(self.names, *(np.where(left_out, np.nan, value) for value in values))
@@ -114,9 +115,9 @@ class Resonances(Brief):
 def stated_resonances(
     first_hz: FloatArray, u_first_hz: FloatArray | None = None, second_hz: FloatArray | None = None
 ) -> Resonances:
-    """Return resonances without damping: first ones (R,), where known their uncertainties, and second ones or NaN.
+    """Return resonances without damping: first (R,) with uncertainties if stated, second or NaN.
 
-    A second one is taken to be known as well, in parts of itself, as the first.
+    A second resonance has the same relative uncertainty as the first.
     """
     first = np.asarray(first_hz, dtype=np.float64)
     u = np.zeros_like(first) if u_first_hz is None else np.asarray(u_first_hz, dtype=np.float64)
@@ -139,10 +140,11 @@ SEARCH = LMOptions(initial_damping=1e-4, damping_decrease=0.2, min_damping=1e-15
 
 @dataclass(frozen=True, repr=False)
 class FreeDecay(Brief):
-    """The output of one record from the end of its release on: `value` (N,) in output units at `time_s` (N,).
+    """The output of one record after the end of its release: `value` (N,) at `time_s` (N,).
 
-    Low-pass filtered and decimated by `decimation`. A filter scales every exponential by a number of its own, which the
-    free amplitudes take up; so does the release, whatever its shape, once it is over. Poles stay as they are.
+    In output units, low-pass filtered and decimated by `decimation`. A filter multiplies every exponential by a
+    constant, and so does the release after its end, for any shape. The free amplitudes contain these constants; poles
+    do not change.
     """
 
     name: str
@@ -160,7 +162,10 @@ class FreeDecay(Brief):
 
 
 def free_decay(record: StepRecord, channel: str, reading: ReleaseReading) -> FreeDecay:
-    """Return the free oscillation of one channel after its release, of which `reading` says when it is over."""
+    """Return the free oscillation of one channel after its release.
+
+    `reading` determines the end of the release.
+    """
     from scipy.signal import firwin, upfirdn
 
     begin = reading.onset_s + 2.0 * reading.u_onset_s + reading.release_s + reading.u_release_s
@@ -184,17 +189,20 @@ def free_decay(record: StepRecord, channel: str, reading: ReleaseReading) -> Fre
 
 
 def project_amplitudes(decay: FreeDecay, poles: ComplexArray) -> tuple[FloatArray, FloatArray]:
-    """Return what free amplitudes of modes (M,) and a level leave (N,), and its derivatives (N, 2M) by Re p and Im p.
+    """Return the residual (N,) of free modes (M,) and a level, and its derivatives (N, 2M).
 
-    y = b + Σ Re{a_m exp(p_m t)} with b and a_m by linear least squares (variable projection, Golub & Pereyra 1973, the
-    derivatives in Kaufman's form).
+    Derivatives are by Re p and Im p of each pole. y = b + Σ Re{a_m exp(p_m t)} with b and a_m by linear least squares
+    (variable projection, Golub & Pereyra 1973, the derivatives in Kaufman's form).
     """
     point = free_modes(decay, poles)
     return point.residuals[0][:, 0], -point.solved[0].orthogonal_complement(point.jacobians[0].rows)[:, :, 0]
 
 
 def free_modes(decay: FreeDecay, poles: ComplexArray) -> SeparablePoint:
-    """Return modes (M,) with free amplitudes and a level as a point of a fit, parameters [Re p, Im p] of each mode."""
+    """Return modes (M,) with free amplitudes and a level as a point of a fit.
+
+    Its parameters are [Re p, Im p] of each mode.
+    """
     t = decay.time_s - decay.time_s[0]
     waves = np.exp(t[:, None] * poles)
 
@@ -210,9 +218,9 @@ def free_modes(decay: FreeDecay, poles: ComplexArray) -> SeparablePoint:
 
 
 def coloured_normal(slope: FloatArray, residual: FloatArray) -> FloatArray:
-    """Return Jᵀ R J (P, P): derivatives (N, P) and the autocovariance R of the noise that the residual (N,) shows.
+    """Return Jᵀ R J (P, P) of derivatives (N, P), with R of the noise in the residual (N,).
 
-    R has the residual's periodogram, smoothed over neighbouring lines, as its spectrum.
+    The spectrum of R is the periodogram of the residual, smoothed over neighbouring lines.
     """
     count = len(residual)
     power = np.abs(np.fft.rfft(residual)) ** 2 / count
@@ -240,9 +248,9 @@ HEAVIEST, VAGUEST = 0.3, 0.05
 
 @dataclass(frozen=True, repr=False)
 class RecordModes(Brief):
-    """One or two modes of a record: upper poles (M,) in rad/s, covariance (2M, 2M) of [Re p, Im p] of each mode.
+    """One or two modes of a record: upper poles (M,) in rad/s with covariance (2M, 2M).
 
-    `noise`: standard deviation of what the modes leave, in output units.
+    The covariance is of [Re p, Im p] of each mode. `noise`: standard deviation of the residual, in output units.
     """
 
     name: str
@@ -272,7 +280,7 @@ class RecordModes(Brief):
 
 
 def record_modes(decay: FreeDecay) -> RecordModes:
-    """Return the first mode of a record, and a second above it where one stands out of the noise."""
+    """Return the first mode of a record, and a second above it if it is significant."""
     from scipy.special import fdtrc
 
     one = _fitted(decay, _starts(decay, decay.value - np.mean(decay.value), 0.0), np.zeros(0, dtype=np.complex128))
@@ -298,7 +306,7 @@ def as_resonances(records: list[RecordModes]) -> Resonances:
 
 
 def _starts(decay: FreeDecay, value: FloatArray, above_hz: float) -> list[complex]:
-    """Poles at the highest line of each beginning of a record that stands out of its spectrum.
+    """Return poles from the highest spectral line of the record and of shorter beginnings.
 
     The decay rate follows from the line's amplitudes in the first and in the second half.
     """
@@ -321,7 +329,7 @@ def _starts(decay: FreeDecay, value: FloatArray, above_hz: float) -> list[comple
 
 
 def _fitted(decay: FreeDecay, starts: list[complex], known: ComplexArray) -> RecordModes:
-    """The best of the fits that begin at known poles and a further one."""
+    """Return the best fit from start poles and one additional pole."""
     tried = [free_modes(decay, np.append(known, start)) for start in starts]
     if not tried:
         raise ValueError(f"decay: expected an oscillation after the release of {decay.name}, found none")

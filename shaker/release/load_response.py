@@ -1,9 +1,9 @@
-"""What poles answer to a release: how the load goes, the samples that see it, responses with their derivatives.
+"""Responses of poles to a release, in blocks of samples, with derivatives.
 
-The load goes from 0 to `amplitude` from the onset on, in the length T: at once ("step"), along a straight line
-("ramp"), along half a cosine ("smooth"), or as a force channel shows it ("measured"). With τ from the onset and σ from
-the end of the release, a pole answers (F·exp(pσ) - 1)/p after it, F = (exp(x) - 1)/x of a ramp and
-½π²(1 + exp(x))/(x² + π²) of half a cosine, x = pT; the mean of samples in a block multiplies exp(pσ) by a number.
+The load changes from 0 to `amplitude` from the onset, within the length T: at once ("step"), linearly ("ramp"), along
+half a cosine ("smooth"), or as a force channel shows ("measured"). With τ from the onset and σ from the end of the
+release, a pole responds by (F·exp(pσ) - 1)/p after it. F = (exp(x) - 1)/x for a ramp and ½π²(1 + exp(x))/(x² + π²) for
+half a cosine, x = pT. The mean of the samples of a block multiplies exp(pσ) by a constant.
 """
 
 from __future__ import annotations
@@ -31,9 +31,8 @@ BLOCKS_PER_PERIOD = 12  # blocks in a period of the fastest mode: its mean over 
 class BlockMeans(Brief):
     """Means of neighbouring samples: block b is the mean `value` (B, …) of `length` (B,) samples.
 
-    They are `step_s` apart and the first of them is taken at `time_s` (B,). Noise of white samples stays white, with
-    1/√length of its standard deviation, and what a pole answers stays an exponential, so nothing is filtered away
-    and no filter has to be modelled.
+    Samples are `step_s` apart; the first of a block is at `time_s` (B,). White noise stays white, with 1/√length of its
+    standard deviation, and the response of a pole stays an exponential. No filter has to be modelled.
     """
 
     time_s: FloatArray
@@ -48,7 +47,7 @@ class BlockMeans(Brief):
 
     @cached_property
     def runs(self) -> tuple[slice, ...]:
-        """Stretches of blocks of one length."""
+        """Slices of blocks of equal length."""
         edges = [0, *(np.flatnonzero(np.diff(self.length)) + 1).tolist(), len(self.length)]
         return tuple(slice(first, stop) for first, stop in pairwise(edges))
 
@@ -58,7 +57,7 @@ class BlockMeans(Brief):
         return np.sqrt(self.length.astype(np.float64))
 
     def between(self, from_s: float, to_s: float) -> BlockMeans:
-        """Return the blocks that begin in a stretch of time."""
+        """Return the blocks that start between two times."""
         kept = (self.time_s >= from_s) & (self.time_s <= to_s)
         return BlockMeans(self.time_s[kept], self.length[kept], self.value[kept], self.step_s)
 
@@ -69,10 +68,10 @@ def every_sample(value: FloatArray, time_s: FloatArray, step_s: float) -> BlockM
 
 
 def reduce_to_blocks(whole: BlockMeans, fine_from_s: float, fine_to_s: float, length: int) -> BlockMeans:
-    """Return samples one by one between two times, as means of `length` after them, as means of many before them."""
+    """Return single samples between two times, blocks of `length` after them, long ones before."""
 
     def edges(start: int, stop: int, size: int) -> IntArray:
-        """Return where blocks of a size begin; what is left over is the first one."""
+        """Return the starts of blocks of a size; the remainder is the first block."""
         if stop <= start:
             return np.zeros(0, dtype=np.int64)
         places = np.arange(stop - size, start, -size, dtype=np.int64)[::-1]
@@ -87,20 +86,22 @@ def reduce_to_blocks(whole: BlockMeans, fine_from_s: float, fine_to_s: float, le
 
 
 def block_length(sample_rate_hz: float, highest_hz: float) -> int:
-    """Return how many samples a block after the release takes, twelve blocks in the period of the fastest mode."""
+    """Return the samples per block after the release, for twelve blocks per period of the fastest mode."""
     return max(1, int(sample_rate_hz / (BLOCKS_PER_PERIOD * highest_hz)))
 
 
 def average_blocks(samples: FloatArray, size: int) -> FloatArray:
-    """Return means (…, A) over blocks of `size` samples (…, N); samples that fill no block are left out."""
+    """Return means (…, A) of blocks of `size` samples (…, N), without an incomplete last one."""
     count = samples.shape[-1] // size
     return np.asarray(samples[..., : count * size].reshape(*samples.shape[:-1], count, size).mean(axis=-1))
 
 
 @dataclass(frozen=True, repr=False)
 class ReleaseLoad(Brief):
-    """How a load goes: by `amplitude` in a `shape`, or as the samples `force` (N,) from `start_s`, for "measured",
-    linear between its samples and less its level of rest."""
+    """Time course of a load: by `amplitude` in a `shape`, or measured samples.
+
+    `force` (N,) from `start_s` for "measured": linear between its samples, with the level at rest subtracted.
+    """
 
     shape: ReleaseShape
     amplitude: float
@@ -114,14 +115,14 @@ class ReleaseLoad(Brief):
 
     @property
     def lasting(self) -> bool:
-        """Whether the release takes a time that is unknown."""
+        """Whether the release has an unknown duration."""
         return self.shape in ("ramp", "smooth")
 
 
 def load_share(shape: ReleaseShape, time_s: FloatArray, onset_s: float, release_s: float) -> FloatArray:
-    """Return the share (N,) of the load's change at `time_s` (N,): 0 before `onset_s`, 1 from its end on.
+    """Return the share (N,) of the load's change at `time_s` (N,): 0 before `onset_s`, 1 at the end.
 
-    In between, with x = (t - onset)/T: x of a "ramp", (1 - cos πx)/2 of a "smooth" release.
+    Between them, with x = (t - onset)/T: x for a "ramp", (1 - cos πx)/2 for a "smooth" release.
     """
     tau = np.asarray(time_s, dtype=np.float64) - onset_s
     if release_s <= 0.0 or shape == "step":
@@ -131,7 +132,7 @@ def load_share(shape: ReleaseShape, time_s: FloatArray, onset_s: float, release_
 
 
 def load_rate(shape: ReleaseShape, time_s: FloatArray, onset_s: float, release_s: float) -> FloatArray:
-    """Return the derivative (N,) of `load_share` in 1/s, 0 of a step."""
+    """Return the derivative (N,) of `load_share` in 1/s, 0 for a step."""
     tau = np.asarray(time_s, dtype=np.float64) - onset_s
     if release_s <= 0.0 or shape == "step":
         return np.zeros(len(tau))
@@ -143,9 +144,10 @@ def load_rate(shape: ReleaseShape, time_s: FloatArray, onset_s: float, release_s
 def pole_responses(
     poles: ComplexArray, time_s: FloatArray, onset_s: float, release_s: float, shape: ReleaseShape = "ramp"
 ) -> ComplexArray:
-    """Return responses (N, P) of 1/(s - p), poles (P,) in rad/s, at `time_s` (N,), to a load from 0 to 1.
+    """Return responses (N, P) of 1/(s - p) at `time_s` (N,) to a load from 0 to 1.
 
-    The load goes in a shape, by itself along a line, from `onset_s` on in `release_s` ≥ 0, as a step where that is 0.
+    `poles` (P,) in rad/s. The load changes in a shape, by default a ramp, from `onset_s` on within `release_s` ≥ 0; 0
+    is a step.
     """
     if release_s < 0:
         raise ValueError(f"release_s: expected 0 or more, found {release_s}")
@@ -158,7 +160,7 @@ def pole_responses(
 def exponentials(poles: ComplexArray, tau: FloatArray) -> ComplexArray:
     """Return exp(pτ) (P, N), poles (P,) in rad/s, at times `tau` (N,) in s, none below 0.
 
-    At times that rise evenly they are products of two short series (`even_exponentials`).
+    At equally spaced times they are products of two short series (`even_exponentials`).
     """
     count = len(tau)
     p = poles[:, None]
@@ -173,10 +175,10 @@ def exponentials(poles: ComplexArray, tau: FloatArray) -> ComplexArray:
 
 @dataclass(frozen=True, repr=False)
 class BlockResponses(Brief):
-    """Responses (B, P) of 1/(s - p) in blocks, and their derivatives: to the onset, the release's length, the poles.
+    """Responses (B, P) of 1/(s - p) in blocks, and their derivatives.
 
-    That to the length moves the onset too, by half as much to the other side: the middle of the release stays. Where
-    poles are held, there is none to the poles (B, 0).
+    The derivatives are by the onset, the length of the release and the poles. That by the length keeps the middle of
+    the release: the onset moves by half the change. For fixed poles `by_pole` is empty (B, 0).
     """
 
     value: ComplexArray
@@ -193,9 +195,10 @@ def responses_with_derivatives(
     length_s: float,
     fixed_poles: bool = False,
 ) -> BlockResponses:
-    """Return what poles (P,) in rad/s answer to a load whose release of `length_s` has its middle at `middle_s`.
+    """Return the responses of poles (P,) in rad/s to a load, with derivatives.
 
-    `held`: without the derivative to the poles.
+    The release has the length `length_s` and its middle at `middle_s`. `fixed_poles`: without the derivative by the
+    poles.
     """
     if load.shape == "measured":
         return _to_force(load, poles, samples)
@@ -206,7 +209,7 @@ def responses_with_derivatives(
 def responses(
     load: ReleaseLoad, poles: ComplexArray, samples: BlockMeans, middle_s: float, length_s: float
 ) -> ComplexArray:
-    """Return the responses (B, P) of `answers` alone, for half the work."""
+    """Return the responses (B, P) only, in half the time."""
     if load.shape == "measured":
         return _to_force(load, poles, samples).value
     return np.asarray(_answered(load, poles, samples, (middle_s, length_s), 1)[0])
@@ -215,7 +218,7 @@ def responses(
 def _answered(
     load: ReleaseLoad, poles: ComplexArray, samples: BlockMeans, release: tuple[float, float], rows: int
 ) -> ComplexArray:
-    """Return the first rows of `Answers` (R, B, P), one, three or all four, to a release of a middle and a length."""
+    """Return the first R rows of `BlockResponses` (R, B, P), one, three or all four."""
     length = release[1] if load.lasting else 0.0
     tau = samples.time_s - (release[0] - 0.5 * length)
     whole = np.zeros((rows, len(poles), len(tau)), dtype=np.complex128)
@@ -237,7 +240,10 @@ def _answered(
 
 
 def release_factor(shape: ReleaseShape, x: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    """Return F = ∫ du/dt·exp(p(T - t)) dt over the release, x = pT, and its derivative to x; 1 and ½ for x = 0."""
+    """Return F = ∫ du/dt·exp(p(T - t)) dt over the release and its derivative by x = pT.
+
+    F = 1 and its derivative is ½ at x = 0.
+    """
     if shape == "smooth":
         below, grown = x**2 + np.pi**2, np.exp(x)
         value = 0.5 * np.pi**2 * (1.0 + grown) / below
@@ -260,9 +266,10 @@ def _after(
     means: tuple[ComplexArray, ComplexArray],
     out: ComplexArray,
 ) -> None:
-    """Put what blocks show (R, P, B), as `Answers`, whose first sample is `sigma` (B,) after the release's end.
+    """Write the responses (R, P, B) of blocks after the release to `out`, as `BlockResponses`.
 
-    `means`, (P,) each: of exp(pt) over a block's samples, and its derivative to p.
+    `sigma` (B,): first sample of each block after the end of the release. `means`, (P,) each: of exp(pt) over a block's
+    samples, and its derivative by p.
     """
     (mean, mean_slope), (shape, length) = means, load
     factor, slope = release_factor(shape, p * length) if length > 0 else (np.ones_like(p), np.full_like(p, 0.5))
@@ -278,7 +285,7 @@ def _after(
 
 
 def _at_times(shape: ReleaseShape, p: ComplexArray, tau: FloatArray, length: float, rows: int) -> ComplexArray:
-    """Return what single samples show (R, P, B), as `Answers`, `tau` (B,) after the onset; zero before it."""
+    """Return the responses (R, P, B) of single samples `tau` (B,) after the onset, zero before it."""
     whole = np.zeros((rows, len(p), len(tau)), dtype=np.complex128)
     if np.any(tau[1:] < tau[:-1]):
         order = np.argsort(tau)
@@ -302,7 +309,7 @@ def _at_times(shape: ReleaseShape, p: ComplexArray, tau: FloatArray, length: flo
 
 
 def _along_line(p: ComplexArray, tau: FloatArray, length: float) -> tuple[FloatArray, ComplexArray, ComplexArray]:
-    """Return a ramp's load, its response [(exp(pτ) - 1)/p - τ]/(pT) and the derivative to the pole."""
+    """Return a ramp's load, its response [(exp(pτ) - 1)/p - τ]/(pT) and the derivative by p."""
     away = np.expm1(p * tau)
     rise = away / p
     value = (rise - tau) / (p * length)
@@ -311,8 +318,10 @@ def _along_line(p: ComplexArray, tau: FloatArray, length: float) -> tuple[FloatA
 
 
 def _along_cosine(p: ComplexArray, tau: FloatArray, length: float) -> tuple[FloatArray, ComplexArray, ComplexArray]:
-    """Return the load of half a cosine, its response and the derivative to the pole; with ω = π/T the response is
-    [(exp(pτ) - 1)/p - (p(exp(pτ) - cos ωτ) + ω sin ωτ)/(p² + ω²)]/2."""
+    """Return the load of half a cosine, its response and the derivative by the pole.
+
+    With ω = π/T the response is [(exp(pτ) - 1)/p - (p(exp(pτ) - cos ωτ) + ω sin ωτ)/(p² + ω²)]/2.
+    """
     omega = np.pi / length
     swing, cosine, sine = np.exp(p * tau), np.cos(omega * tau), np.sin(omega * tau)
     below, top = p**2 + omega**2, p * (swing - cosine) + omega * sine
@@ -322,7 +331,7 @@ def _along_cosine(p: ComplexArray, tau: FloatArray, length: float) -> tuple[Floa
 
 
 def _means(p: ComplexArray, size: int, step_s: float) -> tuple[ComplexArray, ComplexArray]:
-    """Return the mean of exp(pt) (P,) over so many samples from t = 0 on, and its derivative to the pole."""
+    """Return the mean of exp(pt) (P,) over `size` samples from t = 0, and its derivative by p."""
     if size == 1:
         return np.ones_like(p), np.zeros_like(p)
     k = np.arange(size)[:, None]
@@ -331,7 +340,7 @@ def _means(p: ComplexArray, size: int, step_s: float) -> tuple[ComplexArray, Com
 
 
 def _to_force(load: ReleaseLoad, poles: ComplexArray, samples: BlockMeans) -> BlockResponses:
-    """Return what poles answer to a measured force, exact where it is linear between samples."""
+    """Return the responses to a measured force, exact if it is linear between samples."""
     from scipy.signal import lfilter
 
     assert load.force is not None
@@ -358,7 +367,7 @@ def _to_force(load: ReleaseLoad, poles: ComplexArray, samples: BlockMeans) -> Bl
 
 
 def _hold(p: complex, step: float) -> tuple[complex, FloatArray, FloatArray]:
-    """Return exp(pΔ) and the weights, with derivatives to p, of a sample and of the next for a straight line."""
+    """Return exp(pΔ) and the weights of two samples for a straight line, with derivatives."""
     x = p * step
     if abs(x) < _SMALL:
         now = 0.5 + x / 3 + x**2 / 8 + x**3 / 30 + x**4 / 144

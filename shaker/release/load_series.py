@@ -1,4 +1,4 @@
-"""Two masses or three: stiffnesses and dampings from the releases of several loads, and which model these support."""
+"""Load models from the releases of several loads: two masses or three, stiffnesses and dampings."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ FLOOR = 1e-8  # relative uncertainty that stands where none is stated and none h
 
 @dataclass(frozen=True)
 class SeriesProblem:
-    """A fit of ln f and ln ζ of the modes that were seen; a rigid load has first modes only.
+    """A fit of ln f and ln ζ of the observed modes; a rigid load has first modes only.
 
-    Unknown x (X,): logarithms of k and, unless `rigid`, k_L, then of c and c_L where a damping is known, then the named
-    mass errors in their standard uncertainties.
+    Unknown x (X,): logarithms of k and, unless `rigid`, k_L; then of c and c_L if a damping is measured; then the named
+    mass errors in standard uncertainties.
     """
 
     measured: Resonances
@@ -51,16 +51,16 @@ class SeriesProblem:
 
     @cached_property
     def rows(self) -> tuple[BoolArray, BoolArray]:
-        """Which frequencies and which dampings (R, 2) enter."""
+        """Masks of the frequencies and of the dampings (R, 2) in the fit."""
         seen = np.isfinite(self.measured.frequency_hz)
         seen[:, 1] &= (self.masses.load > 0) & (not self.rigid)
         return seen, seen & (np.nan_to_num(self.measured.damping_ratio) > 0)
 
     @cached_property
     def powers(self) -> FloatArray:
-        """Powers (P, S) of the exponentials of springs and dampers that make k, c or k, c, k_L, c_L.
+        """Powers (P, S) of the exponentials of springs and dampers in k, c or k, c, k_L, c_L.
 
-        Where one damping alone is known, c_L = c·k_L/k; where none is, all are 0.
+        c_L = c·k_L/k if only one damping is measured; all dampings are 0 without any.
         """
         springs = 1 if self.rigid else 2
         dampers = min(springs, int(self.rows[1].sum()))
@@ -78,7 +78,7 @@ class SeriesProblem:
 
     @property
     def dampers(self) -> int:
-        """Number of dampings that the known ones tell."""
+        """Number of dampings that the measured ones determine."""
         return int(self.powers.shape[1]) - self.springs
 
     @property
@@ -88,7 +88,7 @@ class SeriesProblem:
         return int(f.sum()) - self.springs, int(z.sum()) - self.dampers
 
     def numbers(self, x: FloatArray) -> FloatArray:
-        """Return k, c or k, c, k_L, c_L of unknowns x; dampings of 0 where none is known."""
+        """Return k, c or k, c, k_L, c_L of unknowns x; dampings are 0 if none is measured."""
         numbers = np.exp(self.powers @ x[: self.powers.shape[1]])
         numbers[1::2] *= self.dampers > 0
         return np.asarray(numbers)
@@ -103,7 +103,7 @@ class SeriesProblem:
         return x[self.powers.shape[1] :]
 
     def is_sound(self, x: FloatArray) -> bool:
-        """Whether all numbers of unknowns x are numbers that a computer and a sensor may have."""
+        """Return whether the unknowns x are in the range of a real sensor."""
         moving, loads = self.masses.at(self.deviates(x))
         logarithms = np.abs(x[: self.powers.shape[1]])
         return bool(np.all(logarithms < LARGEST) and moving > 0.0 and np.all(loads[self.masses.load > 0] > 0.0))
@@ -122,7 +122,10 @@ class SeriesProblem:
         return poles, np.hstack([moved[:, :-2] @ self.number_rates(x), by_mass])
 
     def modes(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return frequencies and damping ratios [f, ζ] (2, R, 2), and the derivatives of ln f and ζ (2, R, 2, X)."""
+        """Return frequencies and damping ratios [f, ζ] (2, R, 2), and derivatives of ln f and ζ.
+
+        The derivatives (2, R, 2, X) are by the unknowns x (X,).
+        """
         values = np.full((2, len(self.masses.load), 2), np.nan)
         rates = np.zeros((*values.shape, len(x)))
         for r in range(values.shape[1]):
@@ -135,7 +138,10 @@ class SeriesProblem:
         return values, rates
 
     def residual(self, x: FloatArray, sigma: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return weighted residuals (N + Q,) and their derivatives (N + Q, X); `sigma` (N,) of ln f, then ln ζ."""
+        """Return weighted residuals (N + Q,) and their derivatives (N + Q, X).
+
+        `sigma` (N,) of ln f, then of ln ζ.
+        """
         (f, z), rates = self.modes(x)
         f_rows, z_rows = self.rows
         left, slopes = [np.log(f[f_rows] / self.measured.frequency_hz[f_rows])], [rates[0][f_rows]]
@@ -148,12 +154,12 @@ class SeriesProblem:
         return residual, np.vstack([np.vstack(slopes) / sigma[:, None], by_own])
 
     def prior(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return what is stated of the masses as residuals (Q,) with their derivatives (Q, X)."""
+        """Return the stated masses as residuals (Q,) with their derivatives (Q, X)."""
         own = self.deviates(x)
         return own, np.eye(len(x))[len(x) - len(own) :]
 
     def stated(self) -> tuple[FloatArray, FloatArray]:
-        """Return the relative standard uncertainties stated of the frequencies and of the dampings that enter."""
+        """Return the stated relative standard uncertainties of the fitted frequencies and dampings."""
         f_rows, z_rows = self.rows
         seen = self.measured
         f = seen.u_frequency_hz[f_rows] / seen.frequency_hz[f_rows]
@@ -161,19 +167,19 @@ class SeriesProblem:
         return np.nan_to_num(f), np.nan_to_num(z)
 
     def groups(self, x: FloatArray) -> list[tuple[FloatArray, FloatArray, int]]:
-        """Return deviations, relative standard uncertainties stated and freedom, of ln f and of ln ζ."""
+        """Return deviations, stated relative uncertainties and degrees of freedom of ln f and of ln ζ."""
         f, z = self.stated()
         left = self.residual(x, np.ones(len(f) + len(z)))[0]
         parts = left[: len(f)], left[len(f) : len(f) + len(z)]
         return list(zip(parts, (f, z), self.dof, strict=True))
 
     def sigma(self, scatter: tuple[float, float]) -> FloatArray:
-        """Return the relative standard deviations (N,) of all rows with scatter beyond what is stated."""
+        """Return relative standard deviations (N,) of all rows, with a scatter in addition to the stated ones."""
         parts = [np.sqrt(u**2 + tau**2 + FLOOR**2) for u, tau in zip(self.stated(), scatter, strict=True)]
         return np.concatenate(parts)
 
     def start(self, ratio: float) -> FloatArray:
-        """Return unknowns (X,) with k_L/k as given that meet the first resonance and damping of the lightest load."""
+        """Return unknowns (X,) of a ratio k_L/k that give resonance and damping of the lightest load."""
         lightest = int(np.argmin(self.masses.load))
         shape = np.array([1.0, 0.0] if self.rigid else [1.0, 0.0, ratio, 0.0])
         load = float(self.masses.load[lightest])
@@ -200,11 +206,11 @@ CHANCE = 1e-3  # chance below which deviations are not explained by what is stat
 class SeriesFit(Brief):
     """Parameters of a load model from a series of R records.
 
-    `numbers` (P,): stiffness, damping and those of the coupling unless rigid; dampings are 0 where none was measured.
-    `deviates` (Q,): named mass errors in their standard uncertainties. `covariance` (P + Q, P + Q) of both, None where
-    the scatter is unknown and cannot show. `frequency_hz`, `damping_ratio` (R, 2) of the model. `scatter`: relative
-    standard deviations of frequencies and of dampings about the model beyond what is stated. `chi_squared` of both by
-    what is stated alone, with degrees of freedom `dof`; `excess`: chi-squared over that of the best minimum.
+    `numbers` (P,): stiffness and damping, and those of the coupling unless rigid; dampings are 0 if none was measured.
+    `deviates` (Q,): named mass errors in standard uncertainties. `covariance` (P + Q, P + Q) of both, None if the
+    scatter is unknown. `frequency_hz`, `damping_ratio` (R, 2) of the model. `scatter`: relative standard deviations of
+    frequencies and of dampings about the model in addition to the stated ones. `chi_squared` of both for the stated
+    uncertainties, with `dof`. `excess`: χ² above that of the best minimum.
     """
 
     numbers: FloatArray
@@ -219,11 +225,11 @@ class SeriesFit(Brief):
 
 
 def fit_resonances(measured: Resonances, masses: SeriesMasses, *, rigid: bool) -> tuple[SeriesFit, ...]:
-    """Return the fits that explain frequencies and dampings best, more than one where the data cannot tell.
+    """Return the fits that explain frequencies and dampings best, several if indistinguishable.
 
-    Weighted least squares on ln f and ln ζ with every named mass error as an unknown of its own, from several starts.
-    Scatter beyond what is stated is estimated as of random effects (Mandel & Paule 1970), of frequencies and dampings
-    each by itself, where chance would explain it less than once in 1000, or where nothing is stated.
+    Weighted least squares on ln f and ln ζ from several starts; every named mass error is an unknown. Scatter in
+    addition to the stated uncertainties is estimated as a random effect (Mandel & Paule 1970), separately for
+    frequencies and dampings. It is estimated if its chance is below 1 in 1000, or without stated uncertainties.
     """
     problem = SeriesProblem(measured, masses, rigid)
     scatter = _scatter(problem, _minima(problem, (0.0, 0.0))[0][0])
@@ -257,7 +263,7 @@ def _least(
     start: FloatArray,
     tolerance: float = SEARCH.predicted_decrease_share,
 ) -> WhitenedResiduals:
-    """Return the least squares next to a start, among unknowns that a sensor may have."""
+    """Return the least squares next to a start, within the range of a real sensor."""
 
     def at(x: FloatArray) -> WhitenedResiduals | None:
         return WhitenedResiduals(x, *residual(x)) if problem.is_sound(x) else None
@@ -274,14 +280,14 @@ def _refined(
     scatter: tuple[float, float],
     tolerance: float = SEARCH.predicted_decrease_share,
 ) -> tuple[FloatArray, float]:
-    """Return the unknowns (X,) at the minimum next to a start, and chi-squared there."""
+    """Return the unknowns (X,) at the minimum next to a start, and their χ²."""
     sigma = problem.sigma(scatter)
     end = _least(problem, lambda x: problem.residual(x, sigma), start, tolerance)
     return end.parameters, end.loss
 
 
 def _minima(problem: SeriesProblem, scatter: tuple[float, float]) -> list[tuple[FloatArray, float]]:
-    """Minima that cannot be excluded, the best first, with chi-squared beyond the best."""
+    """Return the minima that cannot be excluded, the best first, with χ² above the best."""
     ratios = STARTS[:1] if problem.rigid else STARTS
     coarse = _distinct(problem, [_refined(problem, problem.start(ratio), COARSE, 1e-5) for ratio in ratios])
     minima = _distinct(problem, [_refined(problem, x, scatter) for x, _ in coarse])
@@ -289,7 +295,7 @@ def _minima(problem: SeriesProblem, scatter: tuple[float, float]) -> list[tuple[
 
 
 def _distinct(problem: SeriesProblem, minima: list[tuple[FloatArray, float]]) -> list[tuple[FloatArray, float]]:
-    """Minima that differ and mean something, the best first; the best at any rate."""
+    """Return the different and meaningful minima, the best first; at least the best one."""
     ordered = sorted(minima, key=lambda item: item[1])
     ratios = [1.0 if problem.rigid else float(np.divide(*problem.numbers(x)[2::-2])) for x, _ in ordered]
     sound = [item for item, ratio in zip(ordered, ratios, strict=True) if 1.0 / FARTHEST < ratio < FARTHEST]
@@ -302,12 +308,12 @@ def _distinct(problem: SeriesProblem, minima: list[tuple[FloatArray, float]]) ->
 
 
 def _scatter(problem: SeriesProblem, x: FloatArray) -> tuple[float, float]:
-    """Relative scatter of frequencies and dampings beyond what is stated: where chi-squared equals its freedom."""
+    """Return the relative scatter of frequencies and dampings for which χ² equals its freedom."""
     from scipy.optimize import brentq
     from scipy.special import chdtrc
 
     def tau(deviation: FloatArray, u: FloatArray, dof: int) -> float:
-        """Solve Σ d²/(u² + τ²) = dof."""
+        """Return τ with Σ d²/(u² + τ²) = dof."""
 
         def beyond(tau: float) -> float:
             return float(np.sum(deviation**2 / (u**2 + tau**2))) - dof
@@ -331,7 +337,7 @@ def _scatter(problem: SeriesProblem, x: FloatArray) -> tuple[float, float]:
 
 
 def _of_numbers(problem: SeriesProblem, x: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Return the covariance (P + Q, P + Q) of numbers and named mass errors from that of the unknowns (X, X)."""
+    """Return the covariance (P + Q, P + Q) of numbers and mass errors from that of x."""
     rates, (_, by_own) = problem.number_rates(x), problem.prior(x)
     turn = np.vstack([np.pad(rates, ((0, 0), (0, len(by_own)))), by_own])
     return np.asarray(turn @ covariance @ turn.T)
@@ -345,13 +351,13 @@ ALLOWED = 2.0  # excess over that of white noise that is taken for the noise's c
 def fit_decays(
     decays: tuple[FreeDecay, ...], noise: FloatArray, problem: SeriesProblem, start: SeriesFit
 ) -> tuple[SeriesFit, bool]:
-    """Return the parameters that explain all records at once, and whether they explain them, but for chance.
+    """Return the parameters that fit all records best, and whether they explain the records.
 
-    Unknown are what all records share, k, c, k_L, c_L and the named masses, from those that explain the resonances;
-    level and complex amplitude of every mode are free in every record. `noise` (R,): standard deviations of what free
-    modes leave, the weights. The covariance takes the colour of the noise from the residuals. Σ |r|²/s² of the model
-    less that of free modes is a chi-squared with as many degrees of freedom as the model has fewer unknowns; twice its
-    quantile (1 in 1000) is allowed, since the noise of a decimated record is not quite white.
+    Unknown are the common k, c, k_L, c_L and the named masses, starting from those of the resonances. Level and complex
+    amplitude of every mode are free in every record. `noise` (R,): standard deviations of the residuals of free modes,
+    the weights. The covariance uses the colour of the noise in the residuals. Σ |r|²/s² of the model minus that of free
+    modes is a χ²; its degrees of freedom are the difference of the numbers of unknowns. Twice its quantile (1 in 1000)
+    is allowed, because the noise of a decimated record is not exactly white.
     """
     from scipy.special import chdtri
 
@@ -393,10 +399,10 @@ BELONGING_FARTHEST = 0.10
 
 
 def belonging(measured: Resonances, masses: SeriesMasses) -> tuple[Resonances, tuple[int, ...]]:
-    """Return the resonances without second modes that no coupling explains, and the records that had such.
+    """Return the resonances without foreign second modes, and the records with such modes.
 
-    Where first resonances of several load masses tell k and k_L, they tell the second modes too. Without load there is
-    none: what is seen there is of something else.
+    First resonances of several load masses determine k and k_L and therefore the second modes. A second mode without
+    load is always foreign.
     """
     seen = np.isfinite(measured.frequency_hz[:, 1])
     foreign = seen & (masses.load == 0)
@@ -417,12 +423,12 @@ UNLIKELY = 3.0  # standard uncertainties by which a mass may differ from what is
 
 @dataclass(frozen=True)
 class LoadIdentification:
-    """The model of a sensor and its loads, and what it rests on.
+    """The model of a sensor and its loads, with its alternatives.
 
-    `rigid`, `elastic`: fits of the two-mass and of the three-mass model to the resonances, none of the latter where
-    they cannot tell it; `chosen`: of the model that the data support, fitted to the records where `from_records`, more
-    than one where the data cannot tell solutions apart, the stiffest coupling first. `models`: as `chosen`; `reason`:
-    why this structure.
+    `rigid`, `elastic`: fits of the two-mass and of the three-mass model to the resonances; `elastic` is empty if the
+    resonances cannot determine it. `chosen`: fits of the supported model, to the records if `from_records`. There are
+    several if the data cannot distinguish solutions, the stiffest coupling first. `models`: in the order of `chosen`.
+    `reason`: justification of the structure.
     """
 
     rigid: SeriesFit
@@ -446,13 +452,30 @@ def identify_loads(
     decays: tuple[FreeDecay, ...] = (),
     noise: FloatArray | None = None,
 ) -> LoadIdentification:
-    """Return the model that resonances of R records support, fitted to their `decays` where these are given.
+    """Identify the model that resonances of R records support.
 
-    Three masses are chosen where a second mode was seen, or where a rigid load contradicts the first ones (chance below
-    1 in 100); second modes that no coupling explains are left out. Where resonances scatter about the model beyond what
-    is stated, and the model leaves more of the records than noise, the fit to the resonances, which knows of that
-    scatter, takes the place of the fit to the records. `noise` (R,) of the records, in output units.
+    Parameters
+    ----------
+    measured : resonances and dampings of R records
+    masses : moving mass and load masses with their errors
+    output : output channel and its static sensitivity
+    decays : free decays of the R records, default none: the model is fitted to the resonances alone
+    noise : (R,) standard deviations of the records' residuals, output unit, default None
 
+    Returns
+    -------
+    LoadIdentification : supported model, alternatives and notices
+
+    Notes
+    -----
+    Three masses are selected if a second mode was observed, or if a rigid load contradicts the first ones (chance below
+        1 in 100). Second
+    modes that no coupling explains are excluded. The fit to the resonances replaces that to the records if the
+        resonances scatter more than
+    stated and the records are not explained within their noise. It includes that scatter.
+
+    Examples
+    --------
     >>> import numpy as np
     >>> from shaker import identify_loads
     >>> from shaker.release.load_modes import Output, stated_masses, stated_resonances
@@ -493,7 +516,7 @@ def identify_loads(
 def _supports(
     measured: Resonances, masses: SeriesMasses, rigid: SeriesFit, elastic: tuple[SeriesFit, ...], unit: str
 ) -> tuple[bool, str]:
-    """Whether the data support three masses, and why: a second mode, or two fit worse than chance explains."""
+    """Return whether the data support three masses, and the code of the reason with its values."""
     from scipy.special import chdtrc, fdtrc
 
     if not elastic:
@@ -525,12 +548,12 @@ def _supports(
 
 
 def _mass(load: float, unit: str) -> str:
-    """A load mass in words."""
+    """Return a load mass in words."""
     return f"a load of {load:.4g} {unit}" if load > 0 else "no load"
 
 
 def _model(fit: SeriesFit, masses: SeriesMasses, output: SeriesOutput, number: int, count: int) -> LoadModel:
-    """The model of a fit, with covariance for given masses and with that of the masses."""
+    """Return the load model of a fit, with covariances for given and for uncertain masses."""
     size = len(fit.numbers)
     own, total = None, None
     if fit.covariance is not None:
@@ -564,7 +587,7 @@ def _model(fit: SeriesFit, masses: SeriesMasses, output: SeriesOutput, number: i
 def _remarks(
     masses: SeriesMasses, output: SeriesOutput, fit: SeriesFit, models: tuple[LoadModel, ...], stated: bool
 ) -> Iterator[tuple[Severity, str]]:
-    """What the user should know: solutions that cannot be told apart, scatter about the model, masses contradicted."""
+    """Yield notices on ambiguous solutions, scatter about the model and contradicted masses."""
     if len(models) > 1:
         unit = typeset(mechanical_units(output.component).stiffness)
         pairs = " or ".join(f"k = {m.stiffness:.4g}, k_L = {m.coupling_stiffness:.4g} {unit}" for m in models)

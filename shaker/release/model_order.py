@@ -1,4 +1,4 @@
-"""How many poles a release shows, and what speaks against a fit."""
+"""Number of poles that a release shows, and doubts about a fit."""
 
 from __future__ import annotations
 
@@ -36,12 +36,13 @@ _STEEP = 0.5  # damping ratio above which a further mode is taken for a disturba
 def decay_modes(
     whole: BlockMeans, reading: ReleaseReading, method: Literal["pencil", "arx"], count: int | None
 ) -> tuple[ComplexArray, float]:
-    """Return the upper poles (M,) in rad/s that ring after the release, as many as told or supported, and the colour.
+    """Return the upper poles (M,) in rad/s that ring after the release, and the noise colour.
 
-    Exponentials with free amplitudes and a level are fitted to the decay alone, so that neither the release nor fast
-    poles matter. A further mode stays where its line stands out of the residual's spectrum, its ζ is between 0 and
-    0.5, and it lowers B·ln(sum of squares) by more than 12 for each of its four parameters. The colour: density of the
-    residual's blocks over that of white noise of the same variance.
+    `count`: their number, None for as many as the record supports. Exponentials with free amplitudes and a level are
+    fitted to the decay only, so that the release and fast poles do not matter. A further mode is accepted if its line
+    is significant in the residual's spectrum, its ζ is between 0 and 0.5, and it lowers B·ln(sum of squares) by more
+    than 12 for each of its four parameters. The colour is the density of the residual's blocks over that of white noise
+    of the same variance.
     """
     start = reading.onset_s + reading.release_s + reading.u_onset_s
     decay = whole.between(min(start, float(whole.time_s[len(whole.time_s) * 3 // 4])), np.inf)
@@ -72,7 +73,7 @@ def _rung(decay: BlockMeans, modes: ComplexArray) -> OutputErrorFit:
 
 
 def _with_another(decay: BlockMeans, found: OutputErrorFit) -> OutputErrorFit | None:
-    """Return the fit with one more mode, None where the decay does not support it."""
+    """Return the fit with one additional mode, None if the decay does not support it."""
     rest = replace(decay, value=_left(decay, found))
     near = peaks_hz(rest.value, rest.step_s, 1, local=True)
     if not near.size:
@@ -123,7 +124,10 @@ def first_vectors(
 def with_loose_prior(
     problem: OutputErrorProblem, vector: FloatArray, highest_hz: float
 ) -> tuple[OutputErrorProblem, FloatArray]:
-    """Return a problem that knows a vector beforehand, widely, and the vector; the onset to 1/`highest_hz`."""
+    """Return a problem with a wide prior about a vector, and the vector.
+
+    The prior of the onset has the standard deviation 1/`highest_hz`.
+    """
     modes, order = problem.structure.modes, problem.structure.order
     wide = np.full(len(vector), np.inf)
     wide[2 * modes : order] = _LOOSE[0]
@@ -139,7 +143,7 @@ def _grid(
     reading: ReleaseReading,
     rise: float,
 ) -> list[FloatArray]:
-    """Return the vectors that are tried; sets of real poles rise within a set."""
+    """Return the start vectors of a grid; real poles ascend within a vector."""
     lowest = float(np.abs(modes).min()) / (2 * np.pi)
     change = reading.steady - reading.baseline
     passed = np.flatnonzero((near.value - reading.baseline) * change >= 0.5 * change**2)
@@ -169,8 +173,11 @@ _ROUNDING = 1e-9  # share of the output below which a residual is taken for roun
 
 @dataclass(frozen=True)
 class OrderSearch:
-    """What is looked for in a record: `whole` its samples, `loads` that come into question; `modes` and `reals` where
-    they are given; `colour` of the noise as in `Problem`."""
+    """Data and limits of the order search.
+
+    `whole`: all samples. `loads`: candidate loads. `modes` and `reals`: given numbers, else None. `colour` of the noise
+    as in `OutputErrorProblem`.
+    """
 
     whole: BlockMeans
     reading: ReleaseReading
@@ -183,20 +190,20 @@ class OrderSearch:
 
 @dataclass(frozen=True)
 class SupportedFit:
-    """A fit that a record supports, and the sums of squares on the way."""
+    """A fit that a record supports, and the sums of squares of its steps."""
 
     solution: OutputErrorFit
     path: tuple[float, ...]
 
 
 def search_order(search: OrderSearch) -> tuple[SupportedFit, ...]:
-    """Return the fits that the record supports, one for each load that comes into question, the likeliest first.
+    """Return the supported fits, one for each candidate load, the likeliest first.
 
-    Modes are counted on the decay. One real pole and the length of the release are always fitted: a lag or a release
-    too short to be told changes the amplitude and the phase of the ringing all the same, and a model without it states
-    a certainty that the record does not give. A second real pole is there, for every load, where it lowers χ² of the
-    likeliest by more than 12, a numerator term where by more than 8; χ² is B·ln(sum of squares), B the number of
-    blocks, over the density of coloured noise, which lowers it without any reason.
+    Modes are counted on the decay. One real pole and the length of the release are always fitted: even if they are too
+    short to be observed they change amplitude and phase of the ringing, and a model without them would claim a
+    certainty that the record does not give. A second real pole is added, for every load, if it lowers χ² of the
+    likeliest by more than 12; a numerator term if by more than 8. χ² is B·ln(sum of squares) with the number B of
+    blocks, divided by the density of coloured noise, which would lower it by chance.
     """
     ringing, force = search.whole, search.loads[0].force
     if force is not None:  # what simply follows a measured load is taken off, so that what rings is left
@@ -216,7 +223,7 @@ def search_order(search: OrderSearch) -> tuple[SupportedFit, ...]:
 
 
 def _with_real(found: SupportedFit, least: float) -> SupportedFit | None:
-    """Return the fit with one real pole more, None where χ² is not foretold to fall by as much as asked."""
+    """Return the fit with one more real pole, None if the predicted gain is below `least`."""
     plain = found.solution
     structure, order = plain.problem.structure, plain.problem.structure.order
     two = replace(plain.problem, structure=replace(structure, reals=structure.reals + 1))
@@ -229,7 +236,7 @@ def _with_real(found: SupportedFit, least: float) -> SupportedFit | None:
 
 
 def penalised_chi_squared(fit: OutputErrorFit) -> float:
-    """Return χ² of a fit, but for what all fits of its samples share, and 8 for a numerator term, 12 for a pole."""
+    """Return χ² of a fit up to a constant, plus 8 per numerator term and 12 per pole."""
     samples, structure = fit.problem.samples, fit.problem.structure
     least = _ROUNDING**2 * float(np.sum((samples.weight * samples.value) ** 2))
     chi_square = fit.size * float(np.log(fit.square + least)) / fit.problem.colour
@@ -237,7 +244,7 @@ def penalised_chi_squared(fit: OutputErrorFit) -> float:
 
 
 def _fit_one(search: OrderSearch, load: ReleaseLoad, modes: ComplexArray, reals: int) -> OutputErrorFit:
-    """Return the fit for one load, with the numerator terms that it needs."""
+    """Return the fit for one load with the numerator terms it needs."""
     reading, whole = search.reading, search.whole
     highest, lowest = (float(edge) / (2 * np.pi) for edge in (np.abs(modes).max(), np.abs(modes).min()))
     structure = PoleStructure(len(modes), reals, 1, float(np.exp(np.mean(np.log(np.abs(modes))))))
@@ -250,7 +257,10 @@ def _fit_one(search: OrderSearch, load: ReleaseLoad, modes: ComplexArray, reals:
 
 
 def add_numerator_terms(found: OutputErrorFit, starts: list[FloatArray], highest_hz: float) -> OutputErrorFit:
-    """Return the fit with the numerator terms that it is worth, each tried from the last fit or from its own start."""
+    """Return the fit with additional numerator terms that are significant.
+
+    Each is tried from the last fit or from its separate start.
+    """
     problem = found.problem
     for terms in range(2, problem.structure.order + 1):
         richer = replace(problem, structure=replace(problem.structure, terms=terms))
@@ -275,7 +285,7 @@ _MORE = 1.5  # residual's variance over that of the noise before the release tha
 def fit_notices(
     record: StepRecord, reading: ReleaseReading, solution: OutputErrorFit, model: ModalModel, known: FitCovariance
 ) -> tuple[Notice, ...]:
-    """Return remarks on the poles, on the residual and on the release."""
+    """Return notices on the poles, the residual and the release."""
     where = f"{record.name}, {reading.channel}"
     told = [*_of_poles(model, record.sample_rate_hz), *_of_residual(reading, known)]
     told += [*_of_release(record, solution, known)]
@@ -283,7 +293,7 @@ def fit_notices(
 
 
 def _of_poles(model: ModalModel, rate_hz: float) -> Iterator[tuple[Severity, str]]:
-    """Yield what is wrong with poles: growing ones, ones that the sampling cannot tell, ones of no clear value."""
+    """Yield notices on growing poles, poles near the sampling limit, and uncertain ones."""
     assert model.covariance is not None
     u, modes = np.sqrt(np.diag(model.covariance)), len(model.frequency_hz)
     for hz, zeta, u_zeta in zip(model.frequency_hz, model.damping_ratio, u[modes : 2 * modes], strict=True):
@@ -299,7 +309,7 @@ def _of_poles(model: ModalModel, rate_hz: float) -> Iterator[tuple[Severity, str
 
 
 def _of_residual(reading: ReleaseReading, known: FitCovariance) -> Iterator[tuple[Severity, str]]:
-    """Yield what the residual says of the model's order and of the noise."""
+    """Yield notices on the order of the model and on the noise."""
     ratio = float(np.std(known.residual)) / reading.noise if reading.noise > 0 else np.inf
     if ratio**2 > _MORE:
         text = f"the residual is {ratio:.3g} times the noise before the release: the model's order is doubtful"
@@ -312,7 +322,7 @@ def _of_residual(reading: ReleaseReading, known: FitCovariance) -> Iterator[tupl
 
 
 def _of_release(record: StepRecord, solution: OutputErrorFit, known: FitCovariance) -> Iterator[tuple[Severity, str]]:
-    """Yield what the release leaves open."""
+    """Yield notices on the onset and the release."""
     load, samples = solution.problem.load, solution.problem.samples
     if not load.timed:
         return

@@ -1,4 +1,4 @@
-"""Onset and shape of a release: where the load begins to leave, how, and how fast the output rises."""
+"""Onset and time course of a release, and the rise time of the output."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ _SHORT = 0.3  # samples: shortest release and lag by which slopes are taken
 
 @dataclass(frozen=True, repr=False)
 class Window(Brief):
-    """Samples (N,) at `time_s` (N,) around the beginning, and the mean of `before` samples ahead of them, `rest`.
+    """Samples (N,) at `time_s` (N,) around the onset, and the mean `rest` of `before` earlier samples.
 
-    `small`: standard deviation of a sample over that of the change which modes too high to be seen may carry;
-    `longest_s`: of releases that are thought of.
+    `small`: standard deviation of a sample over that of the change in modes too high to be observed. `longest_s`:
+    longest release that is considered.
     """
 
     time_s: FloatArray
@@ -45,14 +45,16 @@ class Window(Brief):
 
 @dataclass(frozen=True, repr=False)
 class OnsetModel(Brief):
-    """y = b + Σ g·S + h·L: modes ω²/(s² + 2ζωs + ω²) behind one lag 1/(1 + τs) answer a load of `shape`.
+    """Response of modes behind one lag to a load of `shape`: y = b + Σ g·S + h·L.
 
-    Free residues would tell nothing of the onset: a delay δ of H(s) is, to first order, a zero, H(s)·(1 - δs). That
-    every mode begins like t², behind a lag like t³, is what fixes it. A short release and a lag do what a delay does to
-    first order and show in second order only, so that centre = onset + T/2 + τ, T² and τ² are the parameters.
-    Modes too high to be seen follow the load, L, behind the lag; what they carry, h, is small beforehand (`Window`).
-    `frequency_hz`, `damping_ratio` (M,) of the modes, `linear` = [b, g (M,), h]; `covariance` of `vector`, None before
-    the fit; `squares` of the residual over `rows`.
+    Modes ω²/(s² + 2ζωs + ω²) behind one lag 1/(1 + τs). Free residues would not determine the onset, because a delay δ
+    of H(s) is to first order a zero, H(s)·(1 - δs). The onset is determined because every mode starts like t², behind a
+    lag like t³. A short release and a lag act like a delay to first order and differ in second order only. The
+    parameters are therefore centre = onset + T/2 + τ, T² and τ². Modes too high to be observed follow the load L behind
+    the lag; their part h has a small prior (`Window`).
+
+    `frequency_hz`, `damping_ratio` (M,) of the modes. `linear` = [b, g (M,), h]. `covariance` of `vector`, None before
+    the fit. `squares` of the residual over `rows`.
     """
 
     shape: ReleaseShape
@@ -68,7 +70,7 @@ class OnsetModel(Brief):
 
     @property
     def onset_s(self) -> float:
-        """When the load begins to change."""
+        """Time at which the load starts to change."""
         return self.centre_s - 0.5 * self.release_s - self.lag_s
 
     @property
@@ -78,7 +80,7 @@ class OnsetModel(Brief):
         return np.concatenate([times, self.frequency_hz, self.damping_ratio, self.linear])
 
     def with_vector(self, vector: FloatArray) -> OnsetModel:
-        """Return the same with other parameters; squared times below zero are taken as zero."""
+        """Return the model with other parameters; negative squared times are set to zero."""
         modes = len(self.frequency_hz)
         (centre, release, lag), f, z, linear = np.split(vector, np.cumsum([3, modes, modes]))
         return replace(
@@ -98,13 +100,13 @@ class OnsetModel(Brief):
 
     @cached_property
     def poles(self) -> ComplexArray:
-        """Upper poles of the modes (M,), and that of the lag where there is one, in rad/s."""
+        """Upper poles of the modes (M,) and the pole of a lag, if present, in rad/s."""
         rate = np.array([1.0 / self.lag_s] if self.lag_s > 0 else [])
         return modal_poles(2 * np.pi * self.frequency_hz, self.damping_ratio, rate)
 
     @cached_property
     def weights(self) -> ComplexArray:
-        """Weights (P, M) with which responses of `poles` (P,) add up, as real parts, to those of the modes."""
+        """Weights (P, M) from the responses of `poles` (P,) to those of the modes, real parts."""
         modes = len(self.frequency_hz)
         upper, omega = self.poles[:modes], 2 * np.pi * self.frequency_hz
         own = np.diag(omega**2 / (1j * upper.imag * (1.0 + self.lag_s * upper)))
@@ -114,11 +116,11 @@ class OnsetModel(Brief):
         return np.concatenate([own, behind[None]])
 
     def responses(self, time_s: FloatArray) -> ComplexArray:
-        """Return what `poles` answer (N, P), which `columns` and `speed` may be given."""
+        """Return the responses (N, P) of `poles`, an optional argument of `columns` and `speed`."""
         return pole_responses(self.poles, time_s, self.onset_s, self.release_s, self.shape)
 
     def columns(self, time_s: FloatArray, responses: ComplexArray | None = None) -> FloatArray:
-        """Return what `linear` multiplies (N, 2 + M)."""
+        """Return the design (N, 2 + M) of `linear`."""
         responses = self.responses(time_s) if responses is None else responses
         if self.lag_s > 0:
             follows = responses[:, -1].real / self.lag_s
@@ -132,7 +134,7 @@ class OnsetModel(Brief):
         return np.asarray(self.columns(time_s) @ self.linear)
 
     def speed(self, time_s: FloatArray, responses: ComplexArray | None = None) -> FloatArray:
-        """Return dy/dt (N,): of a response R of 1/(s - p) it is pR + load."""
+        """Return dy/dt (N,); for a response R of 1/(s - p) it is pR + load."""
         responses = self.responses(time_s) if responses is None else responses
         load = load_share(self.shape, time_s, self.onset_s, self.release_s)
         rates = responses * self.poles + load[:, None]
@@ -151,9 +153,9 @@ class OnsetModel(Brief):
 
 @dataclass(frozen=True)
 class OnsetTrial:
-    """A beginning with its linear parts solved, as a point of the search: times and modes are its parameters.
+    """An onset model with its linear part solved, as a point of the search.
 
-    Ahead of the samples stand the mean of the rest and the smallness of h.
+    Times and modes are its parameters. The first rows are the mean of the rest and the prior of h.
     """
 
     fit: OnsetModel
@@ -176,7 +178,7 @@ class OnsetTrial:
 
     @property
     def normal(self) -> tuple[FloatArray, FloatArray]:
-        """Normal equations; a parameter at a bound that the way downhill would leave is held."""
+        """Normal equations; a parameter at a bound is fixed if the descent would leave the bound."""
         normal, downhill = (part.copy() for part in self.projected.normal)
         fit, held = self.fit, np.zeros(len(downhill), dtype=np.bool_)
         held[1] = fit.release_s <= 0.0 and downhill[1] < 0.0
@@ -187,7 +189,7 @@ class OnsetTrial:
 
     @property
     def with_covariance(self) -> OnsetModel:
-        """The fit with the covariance of the joint problem, by the variance of the residual."""
+        """The fit with the covariance of the joint problem, from the variance of the residual."""
         columns = self.projected.blocks[0].design
         jacobian = np.concatenate([self.projected.jacobians[0].rows[:, :, 0], columns], axis=1)
         scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
@@ -197,9 +199,9 @@ class OnsetTrial:
 
 
 def fit_onset(window: Window, start: OnsetModel, min_gain: float) -> OnsetTrial:
-    """Return the least-squares fit of everything in `start`, linear parts projected out.
+    """Return the least-squares fit of all parameters of `start`, linear ones projected out.
 
-    It ends where a step gains less than `calm` times the variance of the residual.
+    The fit ends at a step that gains less than `min_gain` times the variance of the residual.
     """
     rows = len(window.samples) + _AHEAD
     rules = LMOptions(
@@ -214,7 +216,7 @@ def fit_onset(window: Window, start: OnsetModel, min_gain: float) -> OnsetTrial:
 
 
 def solve_amplitudes(window: Window, start: OnsetModel) -> OnsetTrial:
-    """Return a beginning with its linear parts solved."""
+    """Return an onset model with its linear part solved."""
     responses = start.responses(window.time_s)
     columns, target = _rows(window, start.columns(window.time_s, responses))
     count = 3 + 2 * len(start.frequency_hz)
@@ -230,7 +232,7 @@ def solve_amplitudes(window: Window, start: OnsetModel) -> OnsetTrial:
 
 
 def _rows(window: Window, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return columns (…, N + 2, 2 + M) and their target (N + 2,): those of the samples behind what stands ahead."""
+    """Return columns (…, N + 2, 2 + M) and target (N + 2,), with the two prior rows first."""
     weight = np.sqrt(window.before)
     ahead = np.zeros((*columns.shape[:-2], _AHEAD, columns.shape[-1]))
     ahead[..., 0, 0], ahead[..., 1, -1] = weight, window.small
@@ -238,7 +240,10 @@ def _rows(window: Window, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _slopes(window: Window, fit: OnsetModel, columns: FloatArray, responses: ComplexArray) -> FloatArray:
-    """Return the derivatives (N + 2, K) of y by centre, squared length and lag, frequencies and damping ratios."""
+    """Return the derivatives (N + 2, K) of y by times, frequencies and damping ratios.
+
+    The times are centre, squared length and squared lag.
+    """
     time = window.time_s
     slopes = np.zeros((len(time) + _AHEAD, len(fit.vector) - len(fit.linear)))
     slopes[_AHEAD:, 0] = -fit.speed(time, responses)
@@ -260,7 +265,7 @@ def _slopes(window: Window, fit: OnsetModel, columns: FloatArray, responses: Com
 
 
 def bounded_parameters(window: Window, fit: OnsetModel, parameters: FloatArray) -> OnsetModel | None:
-    """Return the fit with other times and modes, moved up to their bounds, None outside what can be."""
+    """Return the fit with other times and modes within their bounds, None if impossible."""
     vector = fit.vector
     vector[: len(parameters)] = parameters
     vector[2] = min(vector[2], longest_lag_s(fit) ** 2)
@@ -272,7 +277,10 @@ def bounded_parameters(window: Window, fit: OnsetModel, parameters: FloatArray) 
 
 
 def longest_lag_s(fit: OnsetModel) -> float:
-    """Return the lag whose corner frequency is that of the lowest mode: what records it rings slower than no mode."""
+    """Return the lag whose corner frequency is that of the lowest mode.
+
+    A recording instrument is faster than that.
+    """
     return float(1.0 / (2 * np.pi * np.min(fit.frequency_hz)))
 
 
@@ -295,10 +303,10 @@ _CALM = 1e-3  # gain of a step, in variances of the residual, at which a search 
 def find_onset(
     samples: FloatArray, sample_rate_hz: float, start_s: float, location: Location, min_gain: float = _CALM
 ) -> tuple[Window, OnsetTrial]:
-    """Return the window around the beginning of samples (N,), the first at `start_s`, and its fit.
+    """Return the window around the onset of samples (N,), the first at `start_s`, and its fit.
 
-    The release is taken as a straight ramp unless the Schwarz criterion asks for a smooth one. Where nothing rings, the
-    one mode tried is all there is. `calm`: as of `fit_beginning`.
+    The release is a straight ramp unless the Schwarz criterion selects a smooth one. Without ringing, one trial mode is
+    fitted. `min_gain` as in `fit_onset`.
     """
     # a sample that is after the release with all likelihood
     end = location.first + 1.5 * max(location.high - location.first, 4.0)
@@ -322,7 +330,7 @@ def find_onset(
 
 
 def _window(samples: FloatArray, sample_rate_hz: float, start_s: float, place: Location, poles: ComplexArray) -> Window:
-    """Return the samples around the beginning, as means of blocks where they are denser than is needed."""
+    """Return the samples around the onset, averaged in blocks if they are denser than necessary."""
     block = max(1, int(2 * np.pi * sample_rate_hz / (_PER_PERIOD * float(np.max(np.abs(poles))))))
     length = place.high - place.first
     period = 2 * np.pi * sample_rate_hz / float(np.min(np.abs(poles)))
@@ -379,9 +387,9 @@ _SOON = 1.5  # periods of the lowest mode after release and lag
 
 
 def rise_time(fit: OnsetModel) -> tuple[float, float] | None:
-    """Return how long the fitted curve takes from 10 % to 90 % of its change, first crossings, and its uncertainty.
+    """Return the time of the fitted curve from 10 % to 90 % of its change, with its uncertainty.
 
-    None where the curve does not get there soon. A crossing t of the level b + share·Σg moves by
+    First crossings count; None if the curve does not reach them soon. A crossing t of the level b + share·Σg moves by
     -(∂(y - level)/∂θ)/(dy/dt) with the parameters θ of the fit.
     """
     if fit.covariance is None:

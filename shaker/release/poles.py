@@ -1,8 +1,8 @@
-"""Where fits of poles start: matrix pencils of what rings after a release, and the lines of its spectrum.
+"""Start values of poles: matrix pencils of a free decay, and the lines of its spectrum.
 
-Every window of L samples of Σ a·exp(p t) lies in the span of the vectors exp(p n/f), n = 0 … L - 1, whatever a is. The
-leading singular vectors of the windows span it, and a shift by one sample turns it by exp(p/f) (Hua and Sarkar, IEEE
-Trans. ASSP 38 (1990) 814; Roy and Kailath, ESPRIT, 1989).
+Every window of L samples of Σ a·exp(p t) is in the span of the vectors exp(p n/f), n = 0 … L - 1, for any amplitudes a.
+The leading singular vectors of the windows span it. A shift by one sample multiplies it by exp(p/f) (Hua and Sarkar,
+IEEE Trans. ASSP 38 (1990) 814; Roy and Kailath, ESPRIT, 1989).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ UNCLEAR = 0.25  # relative standard uncertainty of a real pole or of a damping r
 
 
 def shift_poles(space: FloatArray, step_s: float) -> ComplexArray:
-    """Return the poles in rad/s by which a shift of `step_s` turns a space (L, P), those at zero left out."""
+    """Return the poles in rad/s of a space (L, P) under a shift of `step_s`, except zero ones."""
     turns = np.linalg.eigvals(np.linalg.lstsq(space[:-1], space[1:], rcond=None)[0]).astype(np.complex128)
     return np.asarray(np.log(turns[np.abs(turns) > 1e-6]) / step_s)
 
@@ -33,8 +33,8 @@ def matrix_pencil(values: FloatArray, step_s: float, order: int) -> ComplexArray
 def instrumental_variables(values: FloatArray, step_s: float, order: int) -> ComplexArray:
     """Return poles (≤ order,) in rad/s of an autoregression, older samples as instruments.
 
-    White noise of the output biases y(k) = Σ a_i y(k - i) fitted by least squares; samples older than all of these
-    share no noise with them, and as many older ones as three times the order make the equations.
+    White noise of the output biases the least squares of y(k) = Σ a_i y(k - i). Older samples have independent noise.
+    Three times the order of them make the equations.
     """
     more = 3 * order
     windows = np.lib.stride_tricks.sliding_window_view(values, more + order + 1)
@@ -52,9 +52,10 @@ _MODES = 3
 
 
 def ringing_poles(samples: FloatArray, sample_rate_hz: float, noise: float) -> ComplexArray:
-    """Return the upper poles (M,) in rad/s of a free decay (N,) about zero, the strongest first, none where none rings.
+    """Return the upper poles (M,) in rad/s of a free decay (N,) about zero, the strongest first.
 
-    Matrix pencil of block means; the number of modes follows from the singular values above the noise.
+    Matrix pencil of block means; the number of modes is that of singular values above the noise. The result is empty
+    without ringing.
     """
     highest_hz = _highest_line(samples, sample_rate_hz, noise)
     if highest_hz is None:
@@ -75,7 +76,7 @@ def ringing_poles(samples: FloatArray, sample_rate_hz: float, noise: float) -> C
 
 
 def _highest_line(samples: FloatArray, sample_rate_hz: float, noise: float) -> float | None:
-    """Return the highest frequency at which the spectrum has a line above noise and above a share of the strongest."""
+    """Return the highest frequency of a spectral line above the noise and a share of the strongest."""
     count = len(samples)
     window = np.cos(0.5 * np.pi * np.arange(count) / count) ** 2
     size = np.abs(np.fft.rfft(samples * window))
@@ -92,10 +93,10 @@ _FLOOR = 25.0  # power of a peak over the median of the spectrum, that noise alo
 
 
 def peaks_hz(decay: FloatArray, step_s: float, count: int, local: bool = False) -> FloatArray:
-    """Return frequencies (≤ count,) in Hz of the highest peaks, above the noise, in the spectrum of a decay (N,).
+    """Return frequencies (≤ count,) in Hz of the highest significant spectral peaks of a decay (N,).
 
-    The level of its end is taken off, and a window that falls from 1 to 0 keeps the strong beginning. The noise is the
-    median of the spectrum, or where `local` that of the lines about, for noise that is not the same everywhere.
+    The final level is subtracted, and a window that falls from 1 to 0 emphasises the strong beginning. The noise is the
+    median of the spectrum, or with `local` the median of neighbouring lines, for noise that depends on frequency.
     """
     phase = 0.5 * np.pi * np.arange(len(decay)) / len(decay)
     level = float(np.average(decay, weights=np.sin(phase) ** 4 + 1e-300))
@@ -117,14 +118,14 @@ def peaks_hz(decay: FloatArray, step_s: float, count: int, local: bool = False) 
 
 
 def decimate(decay: FloatArray, step_s: float, highest_hz: float) -> tuple[FloatArray, float]:
-    """Return means of blocks of a decay and their distance in s: eight in the period of the fastest mode."""
+    """Return block means of a decay and their distance in s, eight per period of the fastest mode."""
     length = max(1, int(1.0 / (step_s * PER_PERIOD * highest_hz)))
     size = min(len(decay) // length, _LONGEST)
     return decay[: size * length].reshape(size, length).mean(axis=1), length * step_s
 
 
 def start_poles(offered: ComplexArray, modes: int, near_hz: FloatArray) -> ComplexArray:
-    """Return as many upper poles (M,) as asked: those next to the peaks of the spectrum, then lightly damped ones.
+    """Return `modes` upper poles (M,): those next to the spectral peaks, then lightly damped ones.
 
     A peak without a pole within 15 % of it starts at ζ = 0.02.
     """
@@ -152,7 +153,10 @@ _QUICKEST = 0.4
 
 
 def highest_frequency(parts: Sequence[FloatArray], rate_hz: float) -> float:
-    """Return the highest frequency in Hz at which a record (C, N) of unit noise swings clearly above its noise."""
+    """Return the highest frequency in Hz of significant oscillation in records of unit noise.
+
+    `parts`: records (C, N).
+    """
     highest = 0.0
     for part in parts:
         window = np.hanning(part.shape[1])
@@ -165,9 +169,9 @@ def highest_frequency(parts: Sequence[FloatArray], rate_hz: float) -> float:
 
 
 def shared_poles(parts: Sequence[FloatArray], rate_hz: float) -> ComplexArray:
-    """Return the upper poles in rad/s of decaying records (C, N) of equal white noise that share a sampling rate.
+    """Return the common upper poles in rad/s of decaying records (C, N) of equal white noise.
 
-    The eigenvectors of the sum of the windows' products that stand above the noise span their space.
+    The eigenvectors of the summed products of windows with eigenvalues above the noise span the space of the poles.
     """
     length = min(_WINDOW, min(part.shape[1] for part in parts) // 2)
     gram, windows = np.zeros((length, length)), 0

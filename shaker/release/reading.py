@@ -1,4 +1,4 @@
-"""The reading of a release: when, how long, from which level to which, what rings; and how release devices compare."""
+"""Reading of a release: times, levels and ringing; comparison of release devices."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ _DAMPER = 2.0 / np.sqrt(3.0)  # of ζ/ω: rectangular distribution of half width
 
 @dataclass(frozen=True)
 class Interval:
-    """When a load begins to change and how long it does, in s with standard uncertainties."""
+    """Start and duration of a change of load, in s with standard uncertainties."""
 
     onset_s: float
     u_onset_s: float
@@ -58,9 +58,10 @@ class Interval:
 
 
 class _Node(NamedTuple):
-    """What a given lag leaves: squares of the residual at the best length, its square and `centre_s` there.
+    """Result at a fixed lag: squares of the residual, squared length and `centre_s` at the best length.
 
-    `by_square`: change of the centre with the squared length; variances of the latter and of the centre beside it.
+    `by_square`: change of the centre with the squared length. `variance`: of the squared length; `centre_variance`: of
+    the centre at fixed length.
     """
 
     squares: float
@@ -72,12 +73,12 @@ class _Node(NamedTuple):
 
 
 def release_times(window: Window, fit: OnsetModel, correlation: float) -> tuple[Interval, float] | None:
-    """Return means and standard deviations of onset and length T, and the mean lag τ, of a fit to a window.
+    """Return means and standard deviations of onset and length T, and the mean lag τ.
 
-    At each lag everything else is fitted, the likelihood being normal in T²; priors are flat in T ≥ 0 and in τ from 0
-    to the lag whose corner is the lowest mode's frequency. Onset = centre - T/2 - τ. `correlation`: by how much that of
-    the residual enlarges variances. Added to the onset: an output that holds the force of the sensor's damper too,
-    (2ζs/ω + 1), comes earlier by 2ζ/ω. None where the lags cannot be told apart at all.
+    All other parameters are fitted at each lag; the likelihood is normal in T². Priors are flat in T ≥ 0 and in τ from
+    0 to the lag whose corner is the lowest mode's frequency. Onset = centre - T/2 - τ. `correlation`: factor on
+    variances for the correlation of the residual. An output that includes the force of the sensor's damper, (2ζs/ω +
+    1), is early by 2ζ/ω; this is added to the uncertainty of the onset. None if the data do not distinguish the lags.
     """
     variance = fit.squares / max(fit.rows - len(fit.vector), 1) * correlation
     lags, nodes = _nodes(window, fit, variance)
@@ -106,7 +107,7 @@ def release_times(window: Window, fit: OnsetModel, correlation: float) -> tuple[
 
 
 def _nodes(window: Window, fit: OnsetModel, variance: float) -> tuple[FloatArray, list[_Node]]:
-    """Return lags (L,) around that of the fit, and what each of them leaves, each started from its neighbour."""
+    """Return lags (L,) around that of the fit with their results, each started from its neighbour."""
     if fit.covariance is None:
         raise ValueError("fit: expected one with its covariance, found none")
     u_square = float(np.sqrt(fit.covariance[2, 2] / max(fit.squares / max(fit.rows - len(fit.vector), 1), 1e-300)))
@@ -128,9 +129,9 @@ def _nodes(window: Window, fit: OnsetModel, variance: float) -> tuple[FloatArray
 
 
 def _node(window: Window, near: OnsetModel, lag_s: float, variance: float) -> tuple[_Node, OnsetModel] | None:
-    """Return what a lag leaves, by one step of Gauss and Newton from a fit near by, and the fit there.
+    """Return the result at a lag by one Gauss-Newton step from a nearby fit, and the new fit.
 
-    None where the step leads out of what can be.
+    None if the step leaves the possible range.
     """
     square = near.release_s**2 + (near.lag_s**2 - lag_s**2) / MOMENTS[near.shape]
     start = replace(near, lag_s=lag_s, release_s=float(np.sqrt(max(square, 0.0))))
@@ -161,8 +162,7 @@ def _node(window: Window, near: OnsetModel, lag_s: float, variance: float) -> tu
 def _moments(weight: FloatArray, value: FloatArray, likely: BoolArray) -> tuple[float, float]:
     """Return mean and standard deviation of values under weights that sum to 1.
 
-    The standard deviation is at least what makes the 95 % interval hold every likely value: zero, where a time may be
-    zero.
+    The standard deviation is large enough for the 95 % interval to include every likely value, also a time of zero.
     """
     mean = float(np.sum(weight * value))
     away = float(np.max(np.abs(value[likely] - mean)))
@@ -175,7 +175,7 @@ _LENGTHS = 3.0  # of the release on either side that the fit takes
 
 
 class ForceReading(NamedTuple):
-    """The load's change in N or N·m with its standard uncertainty, when it happened, and its shape.
+    """Change of the load in N or N·m with its standard uncertainty, its time and its shape.
 
     `shape`: the better of a straight ramp and half a cosine.
     """
@@ -187,7 +187,7 @@ class ForceReading(NamedTuple):
 
 
 def read_force(force: FloatArray, sample_rate_hz: float, start_s: float) -> ForceReading:
-    """Return what a force channel (N,), its first sample at `start_s`, shows of a release.
+    """Return the release as a force channel (N,) with first sample at `start_s` shows it.
 
     Least squares of level, change, middle and length of `load_share` around the release.
     """
@@ -238,7 +238,7 @@ _ROUGH = 2.0  # of the longest ramp that the output may follow: what lag, ringin
 
 @dataclass(frozen=True)
 class Timing(Interval):
-    """When a load changes as channel `of` shows it; `fit` is None where none describes it.
+    """Times of a load change from the output `reference_channel`; `fit` is None without a model.
 
     `misfit`: standard deviation of the fit's residual over the noise at rest.
     """
@@ -266,7 +266,7 @@ def places_of(record: StepRecord) -> list[Location]:
 
 
 def timing_of(record: StepRecord, channel: int, place: Location) -> Timing:
-    """Return when a channel was released; where the force was measured along, it tells begin and length."""
+    """Return the times of a channel's release; a measured force gives start and length."""
     samples, name = record.samples[channel], record.channels[channel]
     window, found = find_onset(samples, record.sample_rate_hz, record.start_s, place)
     fit = found.with_covariance
@@ -304,10 +304,25 @@ _MISFIT = 1.5
 
 
 def read_release(record: StepRecord, channel: str) -> ReleaseReading:
-    """Return what one channel of a record shows of its release.
+    """Read the release that one channel of a record shows.
 
-    A channel whose level hardly changes is read at the times of the one that changes most.
+    A channel whose level hardly changes is read at the times of the channel with the largest change.
 
+    Parameters
+    ----------
+    record : outputs during one release
+    channel : name of the output
+
+    Returns
+    -------
+    ReleaseReading : times, levels, static gain, noise and spectral peaks, with standard uncertainties
+
+    Raises
+    ------
+    ValueError : unknown channel, no change of level, or too few samples before or after the release
+
+    Examples
+    --------
     >>> import numpy as np
     >>> from shaker import StepRecord, read_release
     >>> time_s, noise = np.arange(4000) / 10e3 - 0.05, 1e-3 * np.random.default_rng(0).normal(size=4000)
@@ -327,11 +342,11 @@ def read_release(record: StepRecord, channel: str) -> ReleaseReading:
 
 
 def initial_release(record: StepRecord) -> tuple[float, float, ReleaseShape]:
-    """Return middle and length in s of a release and its shape, to start a fit from: one without a lag.
+    """Return middle, length in s and shape of a release without a lag, to start a fit.
 
-    The force shows it where that was measured along, else the channel whose level changes most over its noise. What a
-    lag behind the sensor does to first and second order is a later and longer release: of a fitted one the middle is
-    that much later, and its second moment adds to the release's.
+    They are from a measured force, else from the channel with the largest change of level over its noise. To second
+    order a lag behind the sensor acts like a later and longer release: the middle of the fitted release is later by the
+    lag, and its second moment adds to the release's.
     """
     places = places_of(record)
     shape: ReleaseShape
@@ -359,7 +374,7 @@ def _check_room(record: StepRecord, rests_to: float, rings_from: float) -> None:
 
 
 def read_releases(record: StepRecord) -> tuple[ReleaseReading, ...]:
-    """Return what every channel of a record shows of its release, as `read_release`."""
+    """Return the readings of all channels of a record, as `read_release`."""
     places = places_of(record)
     strongest = _strongest(places)
     common = timing_of(record, strongest, places[strongest])
@@ -371,12 +386,12 @@ def read_releases(record: StepRecord) -> tuple[ReleaseReading, ...]:
 
 
 def _strongest(places: list[Location]) -> int:
-    """Return the channel whose level changes most, over its noise."""
+    """Return the channel with the largest change of level over its noise."""
     return int(np.argmax([place.strength for place in places]))
 
 
 def _reading(record: StepRecord, channel: int, place: Location, timing: Timing) -> ReleaseReading:
-    """Return the reading of a channel at known times."""
+    """Return the reading of a channel at given times."""
     samples, rate = record.samples[channel], record.sample_rate_hz
     rests_to = (timing.onset_s - 2.0 * timing.u_onset_s - record.start_s) * rate
     end_s = timing.onset_s + timing.release_s + 2.0 * timing.u_release_s + _SETTLED * timing.lag_s
@@ -420,7 +435,7 @@ def _reading(record: StepRecord, channel: int, place: Location, timing: Timing) 
 def _remarks(
     record: StepRecord, reading: ReleaseReading, timing: Timing, levels: tuple[Level, Level]
 ) -> tuple[Notice, ...]:
-    """Return what the user should know of a reading."""
+    """Return the notices of a reading."""
     told: list[tuple[Severity, str]] = []
     strength = abs(reading.steady - reading.baseline) / reading.noise
     if reading.clipped:
@@ -455,10 +470,10 @@ def _remarks(
 
 @dataclass(frozen=True)
 class RepeatedMean:
-    """Mean of one quantity over releases with its standard uncertainty, and the standard deviation of a single one.
+    """Mean of one quantity over releases, and the standard deviation of a single release.
 
-    `u_mean` has `dof` degrees of freedom: infinite where the readings' own uncertainties are all that is known of one
-    release, whose `repeatability` is NaN. `u_repeatability` is s/√(2(n - 1)).
+    `u_mean` has `dof` degrees of freedom. They are infinite if only the readings' uncertainties are available;
+    `repeatability` of a single release is NaN. `u_repeatability` is s/√(2(n - 1)).
     """
 
     mean: float
@@ -470,10 +485,10 @@ class RepeatedMean:
 
 @dataclass(frozen=True)
 class ReleaseKind:
-    """Releases by one means, `release`: how many, their rise time and the length of the release in s.
+    """Releases by one device, `release`: their number, rise time and length in s.
 
-    `rank` 1 has the shortest rise time. `faster`: probability that it rises faster than the next rank does, from
-    Welch's t; NaN of the last one and where one release alone does not tell how it repeats.
+    `rank` 1 has the shortest rise time. `faster`: probability of a shorter rise time than the next rank, from Welch's
+    t. It is NaN for the last rank and for a single release without repeatability.
     """
 
     release: str
@@ -502,7 +517,7 @@ def compare_releases(readings: Sequence[ReleaseReading]) -> tuple[ReleaseKind, .
 
 
 def _spread(values: Sequence[float], u: Sequence[float]) -> RepeatedMean:
-    """Return mean and scatter of values; the mean is no better known than the values' own uncertainties allow."""
+    """Return mean and scatter of values; `u_mean` is at least that of the values' uncertainties."""
     value: FloatArray = np.asarray(values, dtype=np.float64)
     count = len(value)
     own = float(np.sqrt(np.sum(np.square(u)))) / count
@@ -515,7 +530,7 @@ def _spread(values: Sequence[float], u: Sequence[float]) -> RepeatedMean:
 
 
 def _faster(one: RepeatedMean, other: RepeatedMean) -> float:
-    """Return the probability that one mean is below another (Welch 1947), NaN where one release has no scatter."""
+    """Return the probability that one mean is below another (Welch 1947), NaN without scatter."""
     from scipy.special import stdtr
 
     if np.isnan(one.repeatability) or np.isnan(other.repeatability):

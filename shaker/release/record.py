@@ -1,4 +1,4 @@
-"""The record of a release: where it is, its levels, peaks and ringing."""
+"""Record of a release: location, levels, peaks and ringing."""
 
 from __future__ import annotations
 
@@ -16,13 +16,25 @@ from shakercal._common.notices import Notice
 
 @dataclass(frozen=True)
 class StepRecord:
-    """Outputs of a sensor while a load is put on or taken off at once.
+    """Outputs of a sensor while a load is suddenly applied or removed.
 
-    `samples` (C, N) of the outputs `channels` (C,) in `unit`, at `sample_rate_hz`; sample n is at `start_s` + n/rate.
-    `component` (Fx … Mz) changes by `amplitude`, signed, in N or N·m, with relative standard uncertainty `u_amplitude`.
-    `force` (N,): the load measured along, in N or N·m, None where it was not. `onset_s`: when the release begins, where
-    it is stated. `release`: what let go, such as "fishing line", or "". `name` is for messages.
+    Attributes
+    ----------
+    name : of the record, for messages
+    channels : names of C outputs
+    unit : of the outputs
+    samples : (C, N) outputs
+    sample_rate_hz : Hz, above 0
+    component : load component that changes, Fx … Mz
+    amplitude : signed change of the load, N or N·m, not 0
+    u_amplitude : relative standard uncertainty of `amplitude`, default 0
+    start_s : time of the first sample, s, default 0
+    force : (N,) measured load, N or N·m, default None
+    onset_s : stated start of the release, s, default None
+    release : release device, such as "fishing line", default ""
 
+    Examples
+    --------
     >>> import numpy as np
     >>> from shaker import StepRecord
     >>> StepRecord("line 1", ("Fz",), "V", np.zeros((1, 4000)), 10e3, "Fz", -20.0)
@@ -70,8 +82,11 @@ ReleaseShape = Literal["step", "ramp", "smooth", "measured"]
 
 @dataclass(frozen=True)
 class SpectrumPeak:
-    """A peak of the response's amplitude spectrum: frequency with standard uncertainty in Hz, and amplitude over that
-    of the highest peak (`share`) with its standard uncertainty."""
+    """A peak of the amplitude spectrum of the response.
+
+    Frequency with standard uncertainty in Hz; amplitude over that of the highest peak (`share`) with its standard
+    uncertainty.
+    """
 
     frequency_hz: float
     u_frequency_hz: float
@@ -81,13 +96,13 @@ class SpectrumPeak:
 
 @dataclass(frozen=True)
 class ReleaseReading:
-    """One release as one output shows it; times in s of the record's clock, levels in the output's `unit`.
+    """One release as one output shows it; times in s of the record's clock, levels in `unit`.
 
-    `onset_s`: when the load begins to change, `release_s`: how long it changes, `shape`: how; all with standard
-    uncertainties `u_…`. `baseline`, `steady`: output before and long after; `sign` of their difference. `rise_s`: from
-    10 % to 90 % of it. `static_gain`: (steady - baseline)/amplitude, in output unit per N or N·m. `noise`: standard
-    deviation of a sample. `clipped`: whether the output ran into its limit. `peaks`: first and second of the spectrum.
-    `record`, `release`: names of the record and of what let go.
+    `onset_s`: start of the change of load, `release_s`: its duration, `shape`: its time course, with standard
+    uncertainties `u_…`. `baseline`, `steady`: output before and long after the release; `sign` of their difference;
+    `rise_s`: from 10 % to 90 % of it. `static_gain`: (steady - baseline)/amplitude, in output unit per N or N·m.
+    `noise`: standard deviation of a sample. `clipped`: whether the output reached its limit. `peaks`: first and second
+    of the spectrum. `record`, `release`: names of the record and the release device.
     """
 
     record: str
@@ -126,9 +141,10 @@ _GUARD = 0.9  # share of the rest before the first motion that is free of it bey
 
 @dataclass(frozen=True)
 class Location:
-    """Rough place of a release: sample of the first motion above the noise, and levels with the samples' noise.
+    """Approximate location of a release, and levels with the noise of the samples.
 
-    `low`, `high`: where the output first passes 10 % and 90 % of the change, in samples with fractions.
+    `first`: sample of the first motion above the noise. `low`, `high`: first passage of 10 % and 90 % of the change, in
+    fractional samples.
     """
 
     first: int
@@ -146,15 +162,15 @@ class Location:
 
     @property
     def longest(self) -> float:
-        """Length in samples of a ramp that the output follows from 10 % to 90 %, more where noise hides its begin."""
+        """Length in samples of a ramp that rises as the output does, longer if noise hides its start."""
         seen = max(0.9 - max(0.1, _MOTION / max(self.strength, 1e-300)), 0.2)
         return max(self.high - self.low, 2.0) * 0.8 / seen**2
 
 
 def locate(samples: FloatArray, near: int | None = None) -> Location:
-    """Return where samples (N,) begin to change and where to; `near`: the sample where that is stated to happen.
+    """Return the location of the change of samples (N,); `near`: its stated sample.
 
-    The first motion is the last sample within five standard deviations of the baseline ahead of the half-way point.
+    The first motion follows the last sample within five standard deviations of the baseline before the half-way point.
     """
     count = len(samples)
     if count < 64:
@@ -180,9 +196,9 @@ def locate(samples: FloatArray, near: int | None = None) -> Location:
 
 
 def _passing(samples: FloatArray, baseline: float, steady: float, share: float, start: int) -> float:
-    """Return where samples first pass a share of the change after `start`, between samples by a straight line.
+    """Return the first passage of a share of the change after `start`, linear between samples.
 
-    So many samples in a row must have passed that noise does not.
+    Several successive samples must have passed, so that noise does not count.
     """
     change = steady - baseline
     relative = (samples[start:] - baseline) / change if change else np.zeros(len(samples) - start)
@@ -201,8 +217,10 @@ def _passing(samples: FloatArray, baseline: float, steady: float, share: float, 
 
 @dataclass(frozen=True)
 class Level:
-    """A level with standard uncertainty, the standard deviation of the samples about it (and about what rings), and
-    how much it drifts over the samples, over the standard uncertainty of that (`drift`)."""
+    """A level with standard uncertainty, noise of the samples about it, and drift.
+
+    `drift`: over the samples; `drift_over_u`: over its standard uncertainty.
+    """
 
     value: float
     u: float
@@ -212,10 +230,10 @@ class Level:
 
 
 def ringing_level(samples: FloatArray, poles: ComplexArray, resolution: float) -> Level:
-    """Return the level about which samples (N,) ring, by least squares with decays of upper poles (M,) per sample.
+    """Return the level of ringing samples (N,), by least squares with decays of upper poles (M,).
 
-    Without poles it is the mean at rest. The uncertainty holds the correlation of what is left, the last digit, and by
-    how much slow noise may be off at the end, where the release is.
+    Poles are per sample; without poles the level is the mean at rest. The uncertainty includes the correlation of the
+    residual, the last digit, and the deviation of slow noise at the end of the samples that is next to the release.
     """
     count = len(samples)
     place = np.arange(count, dtype=np.float64)
@@ -250,7 +268,7 @@ _SLOW = 20  # half periods over a record up to which noise counts as slow
 
 
 def is_white(residual: FloatArray) -> bool:
-    """Tell whether a residual (N,) passes as white noise; one of zeros does."""
+    """Return whether a residual (N,) passes as white noise; one of zeros does."""
     correlation = np.fft.irfft(np.abs(np.fft.rfft(residual, 2 * len(residual))) ** 2)[: TESTED_LAGS + 1]
     return not np.any(residual) or bool(len(residual) * np.sum((correlation[1:] / correlation[0]) ** 2) < _WHITE)
 
@@ -258,11 +276,11 @@ def is_white(residual: FloatArray) -> bool:
 def slow_noise(
     columns: FloatArray, residual: FloatArray, gain: FloatArray, variance: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return variances (S,) of drift, hum and 1/f noise, and what they make of a fit's coefficients (K, S).
+    """Return variances (S,) of drift, hum and 1/f noise, and their effect (K, S) on a fit.
 
-    A correlation over lags tells little of what is as slow as the record. Of the cosines of 1, 2, … half periods over
-    it, fitted to the residual (N,) one by one beside the columns (N, K), each has the variance that those up to an
-    octave above it show beyond white noise of a `variance`, as the fit takes up most of the slowest itself; `gain`
+    A correlation over lags hardly shows noise as slow as the record. Cosines of 1, 2, … half periods over it are fitted
+    to the residual (N,) one by one, orthogonal to the columns (N, K). Each has the variance that cosines up to an
+    octave above it show beyond white noise of a `variance`, because the fit absorbs most of the slowest itself. `gain`
     (K, N): coefficients from samples.
     """
     count = len(residual)
@@ -278,10 +296,9 @@ def slow_noise(
 
 
 def correlation_factor(residual: FloatArray) -> float:
-    """Return by how much correlation enlarges the variance of a mean over that of white noise, at least 1.
+    """Return the factor by which correlation enlarges the variance of a mean, at least 1.
 
-    1 + 2Σρ over lags until a pair of neighbouring ones no longer sums to more than its scatter (Geyer, Stat. Sci. 7,
-    1992).
+    1 + 2Σρ over lags until the sum of two neighbouring ones is within its scatter (Geyer, Stat. Sci. 7, 1992).
     """
     count = len(residual)
     centred = residual - residual.mean()
@@ -305,10 +322,10 @@ _REFINED = 40
 
 
 def response_spectrum(ringing: FloatArray, sample_rate_hz: float) -> Spectrum:
-    """Return the one-sided amplitude spectrum of what rings (N,) about its level, in its unit.
+    """Return the one-sided amplitude spectrum of ringing samples (N,) about their level.
 
-    Weighted with half a Hann window, cos²(πn/2N), which begins with the ringing and ends it softly; a lasting sine
-    shows its amplitude.
+    The weight is half a Hann window, cos²(πn/2N), which is 1 at the start of the ringing and 0 at its end. A lasting
+    sine has its amplitude.
     """
     window, count = _window(len(ringing)), _PADDED * len(ringing)
     even = 1 << max(0, count.bit_length() - 6)  # multiples of which have no large prime factors
@@ -319,10 +336,10 @@ def response_spectrum(ringing: FloatArray, sample_rate_hz: float) -> Spectrum:
 
 
 def spectrum_peaks(ringing: FloatArray, sample_rate_hz: float, noise: float, most: int = 2) -> tuple[SpectrumPeak, ...]:
-    """Return the `most` highest peaks of `response_spectrum`, in order of frequency, found between its lines.
+    """Return the `most` highest peaks of `response_spectrum`, by frequency, between its lines.
 
-    At a maximum of |X|², X(f) = Σ w·y·exp(-j2πft), white noise of standard deviation `noise` moves the frequency by
-    -Σ n·c/(|X|²)'' with c = d(|X|²)'/dy, and the amplitude by Re(X* N)/|X|.
+    At a maximum of |X|², X(f) = Σ w·y·exp(-j2πft), white noise of standard deviation `noise` moves the frequency by -Σ
+    n·c/(|X|²)'' with c = d(|X|²)'/dy, and the amplitude by Re(X* N)/|X|.
     """
     spectrum = response_spectrum(ringing, sample_rate_hz)
     window = _window(len(ringing))
@@ -349,7 +366,7 @@ def spectrum_peaks(ringing: FloatArray, sample_rate_hz: float, noise: float, mos
 def _refined(
     weighted: FloatArray, window: FloatArray, sample_rate_hz: float, near_hz: float, noise: float
 ) -> tuple[float, float, float, float]:
-    """Return frequency, its standard uncertainty, amplitude and its standard uncertainty of the maximum near a line."""
+    """Return frequency and amplitude of the maximum near a line, each with its uncertainty."""
     time_s = (np.arange(len(weighted)) - 0.5 * len(weighted)) / sample_rate_hz
     omega = 2 * np.pi * near_hz
     limit = np.pi * sample_rate_hz / (_PADDED * len(weighted))
@@ -371,5 +388,5 @@ def _refined(
 
 
 def _window(count: int) -> FloatArray:
-    """Return half a Hann window (N,) that begins at 1."""
+    """Return half a Hann window (N,) that starts at 1."""
     return np.asarray(np.cos(0.5 * np.pi * np.arange(count) / count) ** 2)

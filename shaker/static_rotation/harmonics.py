@@ -39,7 +39,7 @@ U_MEASURED_PA, U_MEASURED_C, U_MEASURED_HUMIDITY = 100.0, 0.5, 0.05
 
 
 class SourcedValue(NamedTuple):
-    """A number with its standard uncertainty, and where it comes from in words."""
+    """A number with its standard uncertainty and its source in words."""
 
     value: float
     u: float
@@ -65,10 +65,10 @@ def normal_gravity(latitude_rad: float, height_m: float) -> float:
 
 
 def gravity_at(latitude_rad: float, height_m: float) -> SourcedValue:
-    """Return gravity in m/s² at a place by its latitude and its height above the sea, with its standard uncertainty.
+    """Return gravity in m/s² from latitude and height above the sea, with its uncertainty.
 
-    The height above the sea stands for that above the ellipsoid, as in PTB's g-Extractor: the anomalies that make up
-    the uncertainty are those about this value.
+    The height above the sea replaces that above the ellipsoid, as in PTB's g-Extractor. The uncertainty is that of the
+    anomalies about this value.
     """
     value = normal_gravity(latitude_rad, height_m)
     source = f"normal gravity (GRS 80) at {np.degrees(latitude_rad):.6g}° and {height_m:g} m"
@@ -81,10 +81,10 @@ def standard_pressure(height_m: float) -> float:
 
 
 def moist_air_density(pressure_pa: float, temperature_c: float, humidity: float) -> float:
-    """Return the density of air in kg/m³ with 400 ppm of CO2; `humidity`: relative, from 0 to 1.
+    """Return the density of air in kg/m³ with 400 ppm of CO2; `humidity` from 0 to 1.
 
-    ρ = p M_a/(Z R T)·(1 - 0.3780 x_v) by CIPM-2007 (Picard et al. 2008, Metrologia 45, 149), relative standard
-    uncertainty 22·10⁻⁶ within 600 to 1100 hPa and 15 to 27 °C, where it was made; a few 10⁻⁵ further off.
+    ρ = p M_a/(Z R T)·(1 - 0.3780 x_v) by CIPM-2007 (Picard et al. 2008, Metrologia 45, 149). Its relative standard
+    uncertainty is 22·10⁻⁶ within its range of 600 to 1100 hPa and 15 to 27 °C, and a few 10⁻⁵ outside.
     """
     if not 0.0 <= humidity <= 1.0:
         raise ValueError(f"humidity: expected a number from 0 to 1, found {humidity}")
@@ -102,10 +102,10 @@ def moist_air_density(pressure_pa: float, temperature_c: float, humidity: float)
 def air_density_at(
     height_m: float | None, pressure_pa: float | None, temperature_c: float | None, humidity: float | None
 ) -> SourcedValue:
-    """Return the density of air in kg/m³ from what is known of it; what is not is a laboratory's usual condition.
+    """Return the density of air in kg/m³ from measured or usual conditions.
 
-    Pressure: of the standard atmosphere at the height, ±10 hPa of weather, without a height that at sea level ±40 hPa;
-    20 °C ± 3 K; relative humidity 0.5 ± 0.2. Measured values count as known to 1 hPa, 0.5 K and 0.05 (all k = 1).
+    Pressure: the standard atmosphere at the height, ±10 hPa for weather; without a height that at sea level ±40 hPa. 20
+    °C ± 3 K. Relative humidity 0.5 ± 0.2. Measured values have 1 hPa, 0.5 K and 0.05 (all k = 1).
     """
     weather = SourcedValue(standard_pressure(height_m or 0.0), ANY_PLACE_PA if height_m is None else WEATHER_PA, "")
     parts = [
@@ -120,7 +120,7 @@ def air_density_at(
     centre = np.array([part.value for part in parts])
 
     def density(conditions: FloatArray) -> float:
-        """At pressure, temperature and a humidity kept within its limits."""
+        """Return the density at pressure, temperature and a humidity limited to 0 … 1."""
         return moist_air_density(conditions[0], conditions[1], float(np.clip(conditions[2], 0.0, 1.0)))
 
     value = moist_air_density(*centre)
@@ -144,7 +144,10 @@ ROUNDING, FINEST, WHOLE = 1e-12, 1e-12, 1e-3
 
 
 class Reversal(NamedTuple):
-    """What turning back changes: `angle_rad` (K,) read in both senses, `difference` (K, C) forward less backward."""
+    """Difference between both senses of rotation.
+
+    `angle_rad` (K,) read in both senses, `difference` (K, C) forward minus backward.
+    """
 
     angle_rad: FloatArray
     difference: FloatArray
@@ -154,9 +157,9 @@ class Reversal(NamedTuple):
 class AngleFit(Brief):
     """Readings (N, C) at angles (N,) as a sum of terms: reading = design · coefficient + residual.
 
-    `terms` (P,) names the columns of `design` (N, P): offset, cos 1, sin 1, and where the data show them cos n, sin n,
-    drift (over the order of the readings, from -1 to 1) and sense (difference between turning forward and back).
-    `inverse` (P, P): (XᵀX)⁻¹; `noise` (C, C): covariance of a reading with `dof` degrees of freedom, so that the
+    `terms` (P,): names of the columns of `design` (N, P). They are offset, cos 1, sin 1, and if significant cos n, sin
+    n, drift (over the order of the readings, from -1 to 1) and sense (difference between forward and backward
+    rotation). `inverse` (P, P): (XᵀX)⁻¹. `noise` (C, C): covariance of a reading with `dof` degrees of freedom. The
     covariance of coefficients p, q of channels c, d is noise[c, d]·inverse[p, q].
     """
 
@@ -180,12 +183,12 @@ class AngleFit(Brief):
 
     @property
     def residual(self) -> FloatArray:
-        """Return what the terms leave of the readings (N, C)."""
+        """Residuals (N, C) of the readings."""
         return np.asarray(self.reading - self.design @ self.coefficient)
 
     @property
     def orders(self) -> tuple[int, ...]:
-        """Return the harmonics in the fit, ascending."""
+        """Harmonics in the fit, ascending."""
         return tuple(int(name[4:]) for name in self.terms if name.startswith("cos "))
 
     def amplitude(self, order: int = 1) -> ComplexArray:
@@ -194,7 +197,7 @@ class AngleFit(Brief):
         return np.asarray(self.coefficient[cosine] - 1j * self.coefficient[sine])
 
     def covariance(self, order: int = 1) -> FloatArray:
-        """Return the covariance (2C, 2C) of [all Re, all Im] of a harmonic's amplitude, the noise alone."""
+        """Return the noise covariance (2C, 2C) of [all Re, all Im] of a harmonic's amplitude."""
         places = self._places(order)
         turn = np.array([[1.0, -1.0], [-1.0, 1.0]])
         return np.asarray(np.kron(turn * self.inverse[np.ix_(places, places)], self.noise))
@@ -204,7 +207,7 @@ class AngleFit(Brief):
         return np.asarray(np.stack([_periodic(name, angle_rad) for name in self.terms], axis=1) @ self.coefficient)
 
     def reversal(self) -> Reversal:
-        """Return the differences between readings of both senses of turning at angles that were met in both."""
+        """Return the differences between readings at angles that were read in both senses."""
         sense, turned = turning_sense(self.angle_rad), np.mod(self.angle_rad, 2.0 * np.pi)
         met, differences = [], []
         for angle in _distinct(turned):
@@ -222,13 +225,13 @@ class AngleFit(Brief):
 
 
 def fit_angles(channels: tuple[str, ...], angle_rad: FloatArray, reading: FloatArray) -> AngleFit:
-    """Fit offset and first harmonic to readings (N, C) of C channels at angles (N,), and further terms that they show.
+    """Fit offset, first harmonic and significant further terms to readings (N, C) at angles (N,).
 
-    Offered are harmonics 2, 3, … as far as the angles tell them apart, a linear drift over the order of the readings
-    and, where the head was turned both ways, the difference of the two (offset and first harmonic). A term enters, the
-    clearest first, where an F test of one channel gives it to chance less than once in 1000, all channels together.
-    Angles in any order, repeated or not. A reading is at least as uncertain as its
-    last digit a, a²/12.
+    Further terms are harmonics 2, 3, … as far as the angles resolve them, a linear drift over the order of the readings
+    and, if the head was rotated both ways, the difference between both senses (offset and first harmonic). The most
+    significant term enters first. It must be significant in an F test of one channel with a chance below 1 in 1000 for
+    all channels together. Angles may have any order and repeat. The variance of a reading is at least a²/12 for its
+    last digit a.
     """
     angle, values = np.asarray(angle_rad, np.float64), np.asarray(reading, np.float64)
     check_shape("angle_rad", angle, (None,))
@@ -257,9 +260,10 @@ def fit_angles(channels: tuple[str, ...], angle_rad: FloatArray, reading: FloatA
 
 
 def turning_sense(angle_rad: FloatArray) -> FloatArray:
-    """Return +1 or -1 (N,): in which sense the head came to each angle, by the shorter way; 0 for a single reading.
+    """Return the sense +1 or -1 (N,) in which the head approached each angle, by the shorter path.
 
-    The first reading counts as come to like the second, one at the same angle like the one before.
+    0 for a single reading. The first reading has the sense of the second, one at the same angle that of the previous
+    one.
     """
     step = np.angle(np.exp(1j * np.diff(angle_rad)))
     sense = np.where(np.abs(step) < SAME_ANGLE_RAD, 0.0, np.sign(step))
@@ -274,7 +278,7 @@ Term = tuple[str, FloatArray]
 
 
 def _offered(angle: FloatArray) -> tuple[list[Term], list[list[Term]]]:
-    """Terms of every fit, and the blocks of terms that the data may add."""
+    """Return the terms of every fit, and blocks of further terms."""
     count = len(_distinct(np.mod(angle, 2.0 * np.pi)))
     always = [(name, _periodic(name, angle)) for name in ("offset", "cos 1", "sin 1")]
     highest = min(HIGHEST_ORDER, (count - 1) // 2)
@@ -288,7 +292,7 @@ def _offered(angle: FloatArray) -> tuple[list[Term], list[list[Term]]]:
 
 
 def _periodic(name: str, angle: FloatArray) -> FloatArray:
-    """Column of a term that depends on the angle alone, zeros for the others."""
+    """Return the column of a term that depends on the angle only, zeros for other terms."""
     kind, _, order = name.partition(" ")
     if kind in ("cos", "sin"):
         return np.asarray(getattr(np, kind)(int(order) * angle))
@@ -296,7 +300,7 @@ def _periodic(name: str, angle: FloatArray) -> FloatArray:
 
 
 def _distinct(turned: FloatArray) -> FloatArray:
-    """Angles within a turn that differ by more than what counts as the same."""
+    """Return the different angles within one revolution."""
     ordered = np.sort(turned)
     kept = ordered[np.diff(ordered, prepend=-np.inf) > SAME_ANGLE_RAD]
     wraps = len(kept) > 1 and kept[0] + 2.0 * np.pi - kept[-1] < SAME_ANGLE_RAD
@@ -304,7 +308,7 @@ def _distinct(turned: FloatArray) -> FloatArray:
 
 
 def _last_digit(column: FloatArray) -> float:
-    """Largest of 1, 2, 5 times a power of ten of which all readings are multiples, 0 where there is none."""
+    """Return the largest of 1, 2, 5 times a power of ten that divides all readings, or 0."""
     largest = float(np.abs(column).max())
     if FINEST * largest < np.finfo(np.float64).tiny:
         return 0.0
@@ -317,7 +321,7 @@ def _last_digit(column: FloatArray) -> float:
 
 
 def _clearest(design: FloatArray, blocks: list[list[Term]], values: FloatArray, floor: FloatArray) -> int | None:
-    """Which block the readings show most clearly, None where it may be chance."""
+    """Return the index of the most significant block, None without one."""
     from scipy.special import fdtrc
 
     basis = np.linalg.qr(design)[0]

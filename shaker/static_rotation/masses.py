@@ -1,4 +1,4 @@
-"""What turns the readings of an indexing head, and the masses they mean."""
+"""Masses and centres of mass from the readings of an indexing head."""
 
 from __future__ import annotations
 
@@ -22,9 +22,10 @@ DETERMINED = 1e-6
 
 @dataclass(frozen=True, repr=False)
 class SensorOutputs(Brief):
-    """How C outputs answer the load: `sensitivity` (C, 6) output per Fx … Mz, `u` (C, 6) of every element, independent.
+    """Response of C outputs to the load.
 
-    `sense`: +1 where outputs are positive for the load on the sensor, -1 for that of the sensor on what it carries.
+    `sensitivity` (C, 6): output per Fx … Mz; `u` (C, 6) of every element, independent. `sense`: +1 for outputs that are
+    positive for the load on the sensor, -1 for the force of the sensor on its load.
     """
 
     sensitivity: FloatArray
@@ -37,25 +38,25 @@ class SensorOutputs(Brief):
 
     @cached_property
     def inverse(self) -> FloatArray:
-        """Return the calibration matrix (6, C), load per output: the pseudo-inverse, columns scaled to one size."""
+        """Calibration matrix (6, C), load per output: pseudo-inverse with columns scaled to one size."""
         size = np.linalg.norm(self.sensitivity, axis=0)
         scale = np.where(size > 0.0, size, 1.0)
         return np.asarray(np.linalg.pinv(self.sensitivity / scale, rcond=1e-9) / scale[:, None])
 
     @cached_property
     def determined(self) -> BoolArray:
-        """Return (6,): which load components the outputs tell from all others."""
+        """Mask (6,) of the load components that the outputs separate from all others."""
         identity = self.inverse @ self.sensitivity
         return np.asarray(np.all(np.abs(identity - np.eye(6)) < DETERMINED, axis=1))
 
 
 @dataclass(frozen=True, repr=False)
 class RotationRecord(Brief):
-    """One recording: first harmonics of the C outputs and how the head stood.
+    """One recording: first harmonics of the C outputs and the orientation of the head.
 
-    `amplitude` (C,): output = Re{amplitude exp(+jθ)}, θ counted as the sensor turns, right-handed about `axis` (3,);
-    `covariance` (2C, 2C) of [all Re, all Im], of noise with `dof` degrees of freedom; `down` (3,): direction of gravity
-    at θ = 0, both unit vectors in sensor axes.
+    `amplitude` (C,): output = Re{amplitude exp(+jθ)}, θ is the rotation of the sensor, right-handed about `axis` (3,).
+    `covariance` (2C, 2C) of [all Re, all Im], of noise with `dof` degrees of freedom. `down` (3,): direction of gravity
+    at θ = 0. Both are unit vectors in sensor axes.
     """
 
     name: str
@@ -73,14 +74,14 @@ class RotationRecord(Brief):
 
     @cached_property
     def frame(self) -> tuple[float, FloatArray, FloatArray]:
-        """Return the share of gravity that turns, its direction at θ = 0, and that across it: axis × direction."""
+        """Rotating share of gravity, its direction at θ = 0, and axis × direction."""
         across = self.down - self.axis * float(self.axis @ self.down)
         share = float(np.linalg.norm(across))
         return share, across / share, np.cross(self.axis, across) / share
 
 
 def weight_load(record: RotationRecord, own: FloatArray, sense: int) -> tuple[ComplexArray, ComplexArray]:
-    """Return the load (6,) phasor of a recording's unknowns `own` (7,), and its derivatives (6, 7)."""
+    """Return the load phasor (6,) of a recording's unknowns (7,), and its derivatives (6, 7)."""
     share, _, _ = record.frame
     turn = sense * np.exp(1j * own[4])
     phasor = turn * turning_phasor(record, own[5:])
@@ -96,7 +97,10 @@ def weight_load(record: RotationRecord, own: FloatArray, sense: int) -> tuple[Co
 
 
 def start_values(record: RotationRecord, outputs: SensorOutputs) -> FloatArray:
-    """Return the unknowns (7,) of a recording from the forces alone; refuses readings that turn the other way round."""
+    """Return start values of the unknowns (7,) of a recording from the forces.
+
+    Readings for the opposite sense of rotation are refused.
+    """
     phasor = outputs.sense * turning_phasor(record, np.zeros(2))
     seen = outputs.determined[:FORCES] & (np.abs(phasor) > MIN_FORCE_SHARE)
     if not seen.any():
@@ -115,7 +119,10 @@ def start_values(record: RotationRecord, outputs: SensorOutputs) -> FloatArray:
 
 
 def turning_phasor(record: RotationRecord, tilt: FloatArray) -> ComplexArray:
-    """Return U (3,), gravity's direction in sensor axes as a phasor, the axis tilted along and across it at zero."""
+    """Return U (3,), the direction of gravity in sensor axes as a phasor.
+
+    The axis is tilted along and across gravity at zero angle.
+    """
     from scipy.spatial.transform import Rotation
 
     share, along, across = record.frame
@@ -147,15 +154,18 @@ _SMALLEST_DEPARTURE, _DEPARTURE_STEP = 1e-9, 1.001
 
 
 def mass_of_weight(weight_n: Number, gravity_mps2: Number, air_share: Number | float = 0.0) -> Number:
-    """Return the mass in kg of a weight in air, m = F/(g·(1 - ρ_air/ρ)); `air_share`: ρ_air/ρ of the body.
+    """Return the mass in kg of a weight in air, m = F/(g·(1 - ρ_air/ρ)).
 
-    Nitsche et al. 2018, eq. 7, whose masses are without buoyancy (`air_share` 0).
+    `air_share`: ρ_air/ρ of the body. Nitsche et al. 2018, eq. 7, without buoyancy (`air_share` 0).
     """
     return weight_n / (gravity_mps2 * (1.0 - air_share))
 
 
 class WeightErrorSource(NamedTuple):
-    """Independent errors of one kind: `effect` (V, r) of r unit deviates on all V numbers of a fit, with `dof`."""
+    """Independent errors of one kind with their effect on all V numbers of a fit.
+
+    `effect` (V, r): of r unit deviations, with `dof`.
+    """
 
     name: str
     kind: Literal["A", "B"]
@@ -168,11 +178,11 @@ class WeightFit(Brief):
     """Weights of R recordings with one sensor.
 
     `value` (R·10,), for each recording in turn: weight N, first moment x y z (weight times centre of mass, N·m), zero
-    angle rad, tilt of the axis rad along gravity at zero angle and across it, and the weight by Fx, Fy, Fz alone (NaN
-    where a component does not tell). `sources`: every cause of error with its effect on all of them. `load` (R, 6):
-    first harmonics of the load by the calibration matrix (NaN where not determined). `chi_squared`, `dof`: how well
-    weights explain all outputs; `departure`: share of the weight by which every first harmonic departs from that of a
-    turned weight beyond what is stated, 0 where the channels agree.
+    angle rad, tilt of the axis rad along gravity at zero angle and across it, and the weight from Fx, Fy, Fz separately
+    (NaN if a component does not determine it). `sources`: every cause of error with its effect on all values. `load`
+    (R, 6): first harmonics of the load by the calibration matrix, NaN if not determined. `chi_squared`, `dof`: of all
+    outputs. `departure`: share of the weight by which first harmonics deviate from that of a rotated weight in addition
+    to the stated uncertainties, 0 if the channels agree.
     """
 
     names: tuple[str, ...]
@@ -189,25 +199,45 @@ class WeightFit(Brief):
 
     @property
     def covariance(self) -> FloatArray:
-        """Return the covariance of `value`."""
+        """Covariance of `value`."""
         return np.asarray(sum(source.effect @ source.effect.T for source in self.sources))
 
     def row_index(self, recording: int, row: int) -> int:
-        """Return where a number of a recording stands in `value`."""
+        """Return the index of a recording's number in `value`."""
         return ROWS * recording + row
 
 
 def fit_weights(records: Sequence[RotationRecord], outputs: SensorOutputs, u_angle_rad: float = 0.0) -> WeightFit:
     """Fit weight, first moment, zero angle and axis of every recording to all first harmonics.
 
-    In sensor axes gravity turns backwards: force = W·U·exp(jθ₀), moment = μ × U·exp(jθ₀), U = d + j n × d with n the
-    axis, d gravity's direction at zero angle. Every element of the sensitivity is an unknown with its stated
-    uncertainty, common to all recordings; so are errors of the head's angle twice per turn (ε_s sin 2θ + ε_c cos 2θ,
-    `u_angle_rad` each), the only ones that first harmonics feel: A → A - (j/2)·conj(A)·(ε_c - jε_s). Outputs weigh by
-    their own noise. Where an F test gives what all outputs, or those of forces, leave to chance less than once in 1000
-    (of few readings: in 100), every first harmonic is taken to be uncertain by one more share of the weight, as large
-    as makes χ² its degrees of freedom (Paule & Mandel 1982, J. Res. NBS 87, 377).
+    Parameters
+    ----------
+    records : first harmonics of each recording
+    outputs : sensitivity of the outputs with its uncertainty
+    u_angle_rad : standard uncertainty of the head's angle errors twice per revolution, rad, default 0
 
+    Returns
+    -------
+    WeightFit : values with the effects of all causes of error
+
+    Raises
+    ------
+    ValueError : no record, no output for a force across the axis, or readings for the opposite sense of rotation
+
+    Notes
+    -----
+    In sensor axes gravity rotates backwards: force = W·U·exp(jθ₀), moment = μ × U·exp(jθ₀), U = d + j n × d with the
+        axis n and gravity's direction d at zero angle. Every element of the sensitivity is an unknown with its stated
+    uncertainty, common to all recordings. Errors of the head's angle twice per revolution (ε_s sin 2θ + ε_c cos 2θ,
+        `u_angle_rad` each) are unknowns too. They alone affect first harmonics: A → A - (j/2)·conj(A)·(ε_c - jε_s).
+    Outputs are weighted by their noise.
+
+    An F test checks the residuals of all outputs and of the force outputs. If the chance is below 1 in 1000 (for few
+    readings: 1 in 100), every first harmonic has an additional uncertainty, a share of the weight that makes χ² equal
+    to its degrees of freedom (Paule & Mandel 1982, J. Res. NBS 87, 377).
+
+    Examples
+    --------
     >>> import numpy as np
     >>> from shaker import fit_weights
     >>> from shaker.static_rotation.masses import SensorOutputs, Turned
@@ -245,7 +275,7 @@ class _Test(NamedTuple):
 
     @property
     def excess(self) -> float:
-        """χ² per degree of freedom, none where there is no freedom."""
+        """χ² per degree of freedom, 0 without degrees of freedom."""
         return self.chi_squared / self.dof if self.dof > 0.5 else 0.0
 
 
@@ -363,7 +393,7 @@ class _Fit:
 
 
 def _result(fit: _Fit) -> WeightFit:
-    """Values, sources and the test of a fit."""
+    """Return values, sources and the test of a fit."""
     problem, vector, names = fit.problem, fit.point.parameters, tuple(record.name for record in fit.problem.records)
     loads, value = np.full((len(names), 6), np.nan, dtype=np.complex128), np.empty((len(names), ROWS))
     for r, record in enumerate(problem.records):
@@ -375,7 +405,10 @@ def _result(fit: _Fit) -> WeightFit:
 
 
 def _projection(problem: _Problem, r: int, vector: FloatArray) -> ComplexArray:
-    """Factors (3,) whose product with a force component has the weight as its real part; NaN where it feels little."""
+    """Return factors (3,) from a force component to the weight, NaN for small components.
+
+    The weight is the real part of the product.
+    """
     own = vector[UNKNOWNS_PER_RECORD * r : UNKNOWNS_PER_RECORD * (r + 1)]
     phasor = problem.outputs.sense * np.exp(1j * own[4]) * turning_phasor(problem.records[r], own[5:])
     size = np.abs(phasor)
@@ -384,7 +417,10 @@ def _projection(problem: _Problem, r: int, vector: FloatArray) -> ComplexArray:
 
 
 def _sources(fit: _Fit) -> Iterator[WeightErrorSource]:
-    """Every cause of error with its effect on all values; effects of deviates that are one in truth."""
+    """Yield every cause of error with its effect on all values.
+
+    Deviations that represent the same cause share one effect.
+    """
     problem, vector, outputs = fit.problem, fit.point.parameters, fit.problem.outputs
     count, elements, u_angle = len(problem.records), problem.elements, problem.u_angle_rad
     own, (row, column) = UNKNOWNS_PER_RECORD * count, elements.T
