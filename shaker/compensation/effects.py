@@ -153,9 +153,12 @@ def filtered_noise(sections: Sections, frequency_hz: FloatArray, density: FloatA
 
     Parameters
     ----------
-    sections : the filter
-    frequency_hz : (K,) rising, Hz
-    density : (K,) of the noise before the filter, unit/√Hz
+    sections
+        the filter
+    frequency_hz
+        (K,) rising, Hz
+    density
+        (K,) of the noise before the filter, unit/√Hz
 
     Returns
     -------
@@ -165,8 +168,8 @@ def filtered_noise(sections: Sections, frequency_hz: FloatArray, density: FloatA
     --------
     >>> import numpy as np
     >>> from shaker import Compensation, filtered_noise
-    >>> from shaker.compensation.filter import Target, sampled, single_mode
-    >>> sections = sampled(Compensation(single_mode(300.0, 0.02), Target(1000.0, 0.7)), 20e3)
+    >>> from shaker.compensation.filter import CompensationTarget, discretise, single_mode
+    >>> sections = discretise(Compensation(single_mode(300.0, 0.02), CompensationTarget(1000.0, 0.7)), 20e3)
     >>> after, rms = filtered_noise(sections, np.array([0.0, 100.0]), np.array([2e-6, 2e-6]))
     >>> print(f"{after[0]:.3g} {rms:.3g}")  # V/√Hz at rest, and V up to 100 Hz
     2e-06 1.89e-05

@@ -228,13 +228,13 @@ class Compensation:
     Notes
     -----
     G_c(s) = gain·Π_i [Π(s - zero)/Π(s - pole)]_i, each factor i scaled to 1 at s = 0 (paper "load characteristics",
-        eqs. 15 and 17, for one mode).
+    eqs. 15 and 17, for one mode).
 
     Examples
     --------
     >>> from shaker import Compensation
-    >>> from shaker.compensation.filter import Target, single_mode
-    >>> faster = Compensation(single_mode(300.0, 0.02), Target(1000.0, 0.7))
+    >>> from shaker.compensation.filter import CompensationTarget, single_mode
+    >>> faster = Compensation(single_mode(300.0, 0.02), CompensationTarget(1000.0, 0.7))
     >>> print(f"gain {abs(faster.system.response([1000.0])[0]):.1f} at 1 kHz")
     gain 7.2 at 1 kHz
     """
@@ -423,23 +423,26 @@ class CompensationFilter:
 
     Parameters
     ----------
-    sections : the filter
-    channels : number of channels C, default 1
-    level : (C,) or a number, level at which the filter starts settled, unit of the input, default 0; None: the first
+    sections
+        the filter
+    channels
+        number of channels C, default 1
+    level
+        (C,) or a number, level at which the filter starts settled, unit of the input, default 0; None: the first
         sample
 
     Notes
     -----
     `switch` changes the coefficients before the next sample. Every section keeps its last two inputs and outputs, so
-        that the output is continuous. A constant signal is
-    not affected; a smooth one changes by at most its change over one sample.
+    that the output is continuous. A constant signal is not affected; a smooth one changes by at most its change over
+    one sample.
 
     Examples
     --------
     >>> import numpy as np
     >>> from shaker import Compensation, CompensationFilter
-    >>> from shaker.compensation.filter import Target, sampled, single_mode
-    >>> run = CompensationFilter(sampled(Compensation(single_mode(300.0, 0.02), Target(1000.0, 0.7)), 20e3), level=None)
+    >>> from shaker.compensation.filter import CompensationTarget, discretise, single_mode
+    >>> run = CompensationFilter(discretise(Compensation(single_mode(300.0, 0.02), CompensationTarget(1000.0, 0.7)), 20e3), level=None)
     >>> first, second = run(np.ones((1, 100))), run(np.ones((1, 100)))
     >>> print(first[0, -1].round(9), second[0, -1].round(9))  # a constant load stays what it is
     1.0 1.0

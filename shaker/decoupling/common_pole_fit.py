@@ -17,7 +17,15 @@ from shaker.decoupling.common_pole_search import (
     select_release_shape,
     try_other_durations,
 )
-from shaker.decoupling.model import MultiModel, Poles, sort_components
+from shaker.decoupling.decoupling_notices import (
+    DURATION_AMBIGUOUS,
+    DURATION_UNLIKELY,
+    RELEASE_SHAPE_MISFIT,
+    RELEASE_SIZE_SCATTER,
+    RELEASE_TOO_SLOW,
+    SINGLE_RELEASE,
+)
+from shaker.decoupling.model import MultiModel, Poles, growing_pole_notices, sort_components
 from shaker.decoupling.release_problem import (
     PoleFit,
     ReleaseTiming,
@@ -31,10 +39,12 @@ from shaker.decoupling.release_problem import (
     widen_for_lags,
 )
 from shaker.fitting import NORMAL_QUANTILE_95, excess_chi2_sigmas
+from shaker.identification.identification_notices import FIT_NOT_CONVERGED
 from shaker.release.load_response import BlockMeans, average_blocks
 from shaker.release.poles import UNCLEAR, highest_frequency, shared_poles
 from shaker.release.reading import initial_release
 from shaker.release.record import ReleaseShape, StepRecord
+from shaker.release.release_notices import DOUBTFUL_MODE
 from shakercal._common.notices import Notice
 
 _PER_PERIOD = 6.0
@@ -49,9 +59,12 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
 
     Parameters
     ----------
-    records : releases of every load; all have the same channels, unit and sampling rate
-    most_modes : highest number of modes, default None: no limit
-    most_reals : highest number of real poles, default 2
+    records
+        releases of every load; all have the same channels, unit and sampling rate
+    most_modes
+        highest number of modes, default None: no limit
+    most_reals
+        highest number of real poles, default 2
 
     Returns
     -------
@@ -65,8 +78,7 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
     Notes
     -----
     Output-error least squares over the common poles and every record's release, residues by projection. Numbers of
-        modes and real poles are
-    selected by the Schwarz criterion.
+    modes and real poles are selected by the Schwarz criterion.
 
     Examples
     --------
@@ -287,7 +299,7 @@ def multi_fit(
         trials=trials,
         losses=fit.solution.losses,
         ranks=mode_ranks(model, alone),
-        notices=(*_notices(model, releases, fit), *_alike(problem, fit, others)),
+        notices=(*_notices(model, releases, fit), *_alternative_notices(problem, fit, others)),
     )
 
 
@@ -349,51 +361,49 @@ def _scale_share(component: str, records: Sequence[StepRecord], releases: Sequen
 
 def _notices(model: MultiModel, releases: Sequence[ReleaseFit], fit: PoleFit) -> tuple[Notice, ...]:
     """Return the notices of a fit."""
-    told = []
+    notices = []
     if not fit.solution.converged:
-        told.append(Notice("warning", "the fit did not come to rest: its poles may be off", "model"))
-    if not model.stable:
-        told.append(Notice("warning", "the model has a pole that grows", "model"))
+        notices.append(Notice(FIT_NOT_CONVERGED, "model", model="the common poles"))
+    notices += growing_pole_notices(model)
     for hz, zeta, u_zeta in zip(model.frequency_hz, model.damping_ratio, model.u.damping_ratio, strict=True):
         if u_zeta > UNCLEAR * abs(zeta):
-            text = f"the mode at {hz:.5g} Hz, ζ = {zeta:.2g} ± {u_zeta:.1g}, may be hum and none of the sensor's"
-            told.append(Notice("warning", text, "model"))
+            values = {"frequency_hz": hz, "damping_ratio": zeta, "u_damping_ratio": u_zeta}
+            notices.append(Notice(DOUBTFUL_MODE, "model", **values))
     for component in model.components:
-        own = [release for release in releases if release.component == component]
-        shortest = min(release.duration_s for release in own)
+        selected = [release for release in releases if release.component == component]
+        shortest = min(release.duration_s for release in selected)
         if slow := ", ".join(f"{hz:.5g}" for hz in np.sort(model.frequency_hz) if hz * shortest > 1.0):
-            text = f"what it does to modes at {slow} Hz may be off by more than U: no release is as short as a period"
-            told.append(Notice("warning", text, component))
-        if len(own) < 2:
-            text = f"one release of {component}: what another would change is not in U"
-            told.append(Notice("note", text, component))
+            notices.append(Notice(RELEASE_TOO_SLOW, component, frequencies=slow))
+        if len(selected) < 2:
+            notices.append(Notice(SINGLE_RELEASE, component, component=component))
             continue
-        spread, chance = np.std([r.gain for r in own], ddof=1), np.sqrt(np.mean([r.u_gain**2 for r in own]))
+        spread = np.std([r.gain for r in selected], ddof=1)
+        chance = np.sqrt(np.mean([r.u_gain**2 for r in selected]))
         if spread > _SCATTERED * chance:
-            text = f"sizes of the {len(own)} releases scatter by {100 * spread:.2g} %, which is in U"
-            told.append(Notice("note", text, component))
+            values = {"count": len(selected), "scatter_percent": 100 * spread}
+            notices.append(Notice(RELEASE_SIZE_SCATTER, component, **values))
     for release in releases:
         worst = int(np.argmax(release.misfit))
         if release.misfit[worst] > _COLOURED:
-            text = (
-                f"the model leaves {release.misfit[worst]:.1f} times the noise of {model.channels[worst]}: "
-                f"the load may go otherwise than along a line or half a cosine"
-            )
-            told.append(Notice("warning", text, release.record))
-    return tuple(told)
+            channel, factor = model.channels[worst], release.misfit[worst]
+            notices.append(Notice(RELEASE_SHAPE_MISFIT, release.record, channel=channel, factor=factor))
+    return tuple(notices)
 
 
-def _alike(problem: StepProblem, fit: PoleFit, others: Sequence[PoleFit]) -> Iterator[Notice]:
-    """Say of which load releases of other lengths explain the records as well."""
+def _alternative_notices(problem: StepProblem, fit: PoleFit, others: Sequence[PoleFit]) -> Iterator[Notice]:
+    """Yield notices on loads whose releases could have other durations."""
     for other in others:
-        lengths = [(one.duration_s, own.duration_s) for one, own in zip(other.releases, fit.releases, strict=True)]
-        i, more = int(np.argmax([abs(np.log(one / own)) for one, own in lengths])), other.loss - fit.loss
-        text = (
-            f"{problem.records[i].name} may have lasted {1e3 * lengths[i][1]:.3g} ms or {1e3 * lengths[i][0]:.3g} ms, "
-            f"which the records hardly tell apart (χ² differs by {more:.1f}): U holds both; a release "
-            "of another length tells"
+        pairs = list(zip(other.releases, fit.releases, strict=True))
+        i = int(np.argmax([abs(np.log(one.duration_s / best.duration_s)) for one, best in pairs]))
+        more, record = other.loss - fit.loss, problem.records[i]
+        yield Notice(
+            DURATION_AMBIGUOUS if more < NORMAL_QUANTILE_95**2 else DURATION_UNLIKELY,
+            record.component,
+            record=record.name,
+            duration_ms=1e3 * pairs[i][1].duration_s,
+            other_ms=1e3 * pairs[i][0].duration_s,
+            difference=more,
         )
-        yield Notice("warning" if more < NORMAL_QUANTILE_95**2 else "note", text, problem.records[i].component)
 
 
 def mode_ranks(model: MultiModel, u: FloatArray) -> tuple[ModeRank, ...]:

@@ -147,7 +147,7 @@ def try_other_durations(problem: StepProblem, fit: PoleFit) -> tuple[PoleFit, li
         for i, release in zip(places, ends[0][1], strict=True):
             releases[i] = release
         near = [times for loss, times in ends[1:] if loss < ends[0][0] + _HARDLY_MORE]
-        others += [(places, times) for times in near if _apart(problem, times, ends[0][1])]
+        others += [(places, times) for times in near if _differs(problem, times, ends[0][1])]
     if tuple(releases) == fit.releases:
         return fit, others
     other = fit_poles(problem, fit.poles, releases, _FEW_STEPS, _ROUGH)
@@ -168,14 +168,14 @@ def equally_likely(
     kept = found[:1]
     for one in found[1:]:
         if one.loss < kept[0].loss + REJECT_CHI2 and all(
-            _apart(problem, one.releases, other.releases) for other in kept
+            _differs(problem, one.releases, other.releases) for other in kept
         ):
             kept.append(one)
     return kept[0], tuple(kept[1:])
 
 
-def _apart(problem: StepProblem, one: Sequence[ReleaseTiming], other: Sequence[ReleaseTiming]) -> bool:
-    """Whether some release is of clearly another length."""
+def _differs(problem: StepProblem, one: Sequence[ReleaseTiming], other: Sequence[ReleaseTiming]) -> bool:
+    """Return whether some release has a clearly different duration."""
     lengths = np.array([(a.duration_s, b.duration_s) for a, b in zip(one, other, strict=True)])
     return bool(np.any(np.ptp(lengths, axis=1) > np.maximum(_APART * lengths.max(axis=1), problem.step_s)))
 
@@ -274,12 +274,12 @@ def _larger(problem: StepProblem, here: PoleFit, most: int | None, reals: int) -
         lags = [here.poles.with_real(min(share * top, limit)) for share in _REAL_SHARES]
         lag = min(lags, key=lambda poles: problem.point(poles, here.releases).loss)
         tried.append(fit_poles(problem, lag, here.releases, *_ALONG_A_VALLEY))
-    tried += [again for fitted in tried if (again := _again(problem, fitted)) is not None]
+    tried += [again for fitted in tried if (again := _with_new_releases(problem, fitted)) is not None]
     return min(tried, key=lambda fitted: criterion(problem, fitted.poles, fitted.loss), default=None)
 
 
-def _again(problem: StepProblem, here: PoleFit) -> PoleFit | None:
-    """The fit with the releases found anew whose records it does not explain, None where it explains all."""
+def _with_new_releases(problem: StepProblem, here: PoleFit) -> PoleFit | None:
+    """Return the fit with new releases of unexplained records, None if all are explained."""
     releases = list(here.releases)
     for i, rest in by_record(problem, here):
         if float(np.mean(rest**2, axis=0).max()) > _UNEXPLAINED:

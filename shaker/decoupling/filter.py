@@ -185,10 +185,14 @@ def design_decoupling(
 
     Parameters
     ----------
-    model : stable model of C outputs over D loads
-    target : target dynamics of the D loads
-    recorded : sampling rate, noise of the outputs and size of the loads
-    delay : samples, default None: the shortest of up to 32 with an error within twice that of the longest, or below 1 %
+    model
+        stable model of C outputs over D loads
+    target
+        target dynamics of the D loads
+    recorded
+        sampling rate, noise of the outputs and size of the loads
+    delay
+        samples, default None: the shortest of up to 32 with an error within twice that of the longest, or below 1 %
 
     Returns
     -------
@@ -201,24 +205,22 @@ def design_decoupling(
     Notes
     -----
     An inverse of H would grow without bound above the resonances, and in time if H has zeros in the right half plane.
-        Instead the mean square
-    of T·f - D·(H·f + noise) is minimised for white loads f. This is the steady Kalman filter of the states of H and T,
-        which share their load,
-    with smoothing over `delay` samples (Anderson and Moore, Optimal Filtering, 1979, chapters 4 and 7). It is stable
-        for every H. D·H = T if the
-    load is far above the noise and H has no such zeros. The static gain is then made exact.
+    Instead the mean square of T·f - D·(H·f + noise) is minimised for white loads f. This is the steady Kalman filter of
+    the states of H and T, which share their load, with smoothing over `delay` samples (Anderson and Moore, Optimal
+    Filtering, 1979, chapters 4 and 7). It is stable for every H. D·H = T if the load is far above the noise and H has
+    no such zeros. The static gain is then made exact.
 
     Examples
     --------
     >>> import numpy as np
     >>> from shaker import design_decoupling
-    >>> from shaker.decoupling.filter import Recorded, Target
+    >>> from shaker.decoupling.filter import SignalLevels, DecouplingTarget
     >>> from shaker.decoupling.model import MultiModel
     >>> loads, residue = ("Fx", "Fy"), -1j * np.array([[[200.0, 9.0], [5.0, 3.0]], [[2.0, 4.0], [-6.0, 190.0]]])
     >>> modes = np.array([310.0, 400.0]), np.array([0.02, 0.015])
     >>> model = MultiModel(loads, loads, "V", *modes, residue, np.zeros(0), np.zeros((0, 2, 2)))
-    >>> recorded = Recorded(10e3, noise=np.full(2, 1e-3), load=np.full(2, 10.0))
-    >>> decoupler = design_decoupling(model, Target(np.full(2, 300.0), np.full(2, 0.7)), recorded)
+    >>> recorded = SignalLevels(10e3, noise=np.full(2, 1e-3), load=np.full(2, 10.0))
+    >>> decoupler = design_decoupling(model, DecouplingTarget(np.full(2, 300.0), np.full(2, 0.7)), recorded)
     >>> print(np.abs(decoupler.response(np.zeros(1))[0].real @ model.static_gain).round(6))
     [[1. 0.]
      [0. 1.]]
@@ -241,10 +243,12 @@ def design_decoupling(
 
 
 @dataclass(frozen=True, repr=False)
-class _Gains(Brief):
-    """The steady filter in units of noise and loads: x⁺ = m·x + k·y, innovations y - c·x, gains[i] of the innovation i
-    samples after the load, `left` (L + 1, D): mean square error of every load by delay; `size` (D,): mean
-    square of the load with the wanted dynamics."""
+class _KalmanGains(Brief):
+    """The steady filter in units of noise and loads: x⁺ = m·x + k·y, innovations y - c·x.
+
+    gains[i]: of the innovation i samples after the load. `left` (L + 1, D): mean square error of every load by delay.
+    `size` (D,): mean square of the load with the target dynamics.
+    """
 
     m: FloatArray
     k: FloatArray
@@ -255,7 +259,7 @@ class _Gains(Brief):
     size: FloatArray
 
 
-def _smoother(plant: StateSpace, wanted: StateSpace, delay: int) -> _Gains:
+def _smoother(plant: StateSpace, wanted: StateSpace, delay: int) -> _KalmanGains:
     """Return the steady Kalman filter of both systems with smoothing over a delay.
 
     Loads and noise have unit size.
@@ -281,11 +285,11 @@ def _smoother(plant: StateSpace, wanted: StateSpace, delay: int) -> _Gains:
     told = np.cumsum([np.einsum("dc,dc->d", gain, part) for gain, part in zip(gains, together, strict=True)], axis=0)
     moved = solve_discrete_lyapunov(wanted.a, wanted.b @ wanted.b.T)
     size = np.diag(wanted.c @ moved @ wanted.c.T + wanted.d @ wanted.d.T)
-    return _Gains(m, k, c, shown, gains, before - told, size)
+    return _KalmanGains(m, k, c, shown, gains, before - told, size)
 
 
 def _assembled(
-    model: MultiModel, target: DecouplingTarget, recorded: SignalLevels, kalman: _Gains, lag: int
+    model: MultiModel, target: DecouplingTarget, recorded: SignalLevels, kalman: _KalmanGains, lag: int
 ) -> DecouplingFilter:
     """Return the filter as taps and poles.
 

@@ -13,6 +13,8 @@ from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray, check_shape
 from shaker.labels import LOAD_COMPONENTS
 from shaker.lti.system import ModalModel, modal_poles
 from shaker.release.load_response import exponentials
+from shaker.release.release_notices import GROWING_POLE
+from shakercal._common.notices import Notice
 
 # Poles that outputs and loads share.
 
@@ -306,6 +308,14 @@ class MultiModel(Brief):
         own = n + n * outputs * component + np.arange(n * outputs)
         places = np.concatenate([np.arange(n), own])
         return slope, np.asarray(self.covariance[np.ix_(places, places)])
+
+
+def growing_pole_notices(model: MultiModel) -> list[Notice]:
+    """Return a notice on the fastest growing pole, if there is one."""
+    if model.stable:
+        return []
+    pole = model.poles[np.argmax(model.poles.real)]
+    return [Notice(GROWING_POLE, "model", frequency_hz=abs(pole) / (2.0 * np.pi))]
 
 
 # A sum of modes at the samples' times, for loads that go straight from sample to sample.

@@ -9,9 +9,10 @@ from typing import TypeAlias
 import numpy as np
 
 from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape
-from shaker.decoupling.model import MultiModel, Poles
+from shaker.decoupling.model import MultiModel, Poles, growing_pole_notices
 from shaker.decoupling.release_problem import covariances, model_covariance, search_options
 from shaker.fitting import BlockJacobian, LinearBlock, SeparablePoint, levenberg_marquardt
+from shaker.identification.identification_notices import MODEL_MISFIT
 from shakercal._common.notices import Notice
 
 _UNEXPLAINED = 1.5
@@ -75,8 +76,10 @@ def fit_responses(measured: Responses, most_modes: int = 12) -> ResponseFit:
 
     Parameters
     ----------
-    measured : frequency responses with covariance
-    most_modes : highest number of pole pairs, default 12
+    measured
+        frequency responses with covariance
+    most_modes
+        highest number of pole pairs, default 12
 
     Returns
     -------
@@ -89,10 +92,8 @@ def fit_responses(measured: Responses, most_modes: int = 12) -> ResponseFit:
     Notes
     -----
     Vector fitting gives the poles of 1 … `most_modes` pairs, some of which may be real. The number of least χ² +
-        ln(N)·P for P parameters is
-    selected. Levenberg-Marquardt steps then give the weighted least squares with projected residues, and unnecessary
-        poles are removed. If χ² is
-    above its degrees of freedom, the covariance is enlarged.
+    ln(N)·P for P parameters is selected. Levenberg-Marquardt steps then give the weighted least squares with projected
+    residues, and unnecessary poles are removed. If χ² is above its degrees of freedom, the covariance is enlarged.
 
     Examples
     --------
@@ -182,12 +183,8 @@ def _result(
     covariance, _ = model_covariance(model, spread, [outputs[0] for outputs in follows], np.ones(len(follows)))
     notices = []
     if excess > _UNEXPLAINED:
-        text = (
-            f"the model leaves {np.sqrt(excess):.1f} times what the covariance of the responses explains, which is in U"
-        )
-        notices.append(Notice("warning", text, "responses"))
-    if not model.stable:
-        notices.append(Notice("warning", "the model has a pole that grows", "model"))
+        notices.append(Notice(MODEL_MISFIT, "responses", factor=np.sqrt(excess)))
+    notices += growing_pole_notices(model)
     return ResponseFit(replace(model, covariance=covariance), chi_squared, dof, trials, tuple(notices))
 
 

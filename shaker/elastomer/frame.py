@@ -13,6 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from shaker.arrays import Brief, FloatArray, IntArray, check_shape, check_shapes
+from shaker.elastomer.elastomer_notices import PLATFORM_MISFIT, PLATFORM_NOT_VALIDATED
 from shaker.elastomer.geometry import CrossBeams, ElasticMaterial, Section, beam_matrices, lump_mass
 from shaker.fitting import LMOptions, WhitenedResiduals, levenberg_marquardt
 from shakercal._common.notices import Notice
@@ -335,11 +336,16 @@ def solve_frame(
 
     Parameters
     ----------
-    beams : dimensions and material of the cross
-    half_size_m : half the edge p of the platform, m
-    platform : mass, height and inertia of all rigid parts
-    pieces : divisions per arm, default 6
-    consistent : consistent mass matrix, default True; else lumped
+    beams
+        dimensions and material of the cross
+    half_size_m
+        half the edge p of the platform, m
+    platform
+        mass, height and inertia of all rigid parts
+    pieces
+        divisions per arm, default 6
+    consistent
+        consistent mass matrix, default True; else lumped
 
     Returns
     -------
@@ -349,8 +355,8 @@ def solve_frame(
     --------
     >>> from shaker import solve_frame
     >>> from shaker.elastomer.frame import block
-    >>> from shaker.elastomer.geometry import CrossBeams, Material
-    >>> cross = CrossBeams(Material(71e9, 0.33, 2810.0), 0.06, 0.006, 0.006, 0.002, 0.02, 0.006)
+    >>> from shaker.elastomer.geometry import CrossBeams, ElasticMaterial
+    >>> cross = CrossBeams(ElasticMaterial(71e9, 0.33, 2810.0), 0.06, 0.006, 0.006, 0.002, 0.02, 0.006)
     >>> print(solve_frame(cross, 0.012, block(2810.0, 0.012, 0.006)).modes.frequency_hz.round())
     [ 5830.  5830.  5130. 12575. 12575. 14082.]
     """
@@ -455,13 +461,9 @@ def fit_platform(beams: CrossBeams, half_size_m: float, target_hz: Mapping[str, 
     fit = levenberg_marquardt(point, start, LMOptions(predicted_decrease_share=1e-14)).point
     fitted, worst = platform(fit.parameters), float(np.max(np.abs(np.expm1(fit.residual))))
     where = f"platform of half-size {1e3 * half_size_m:g} mm"
-    text = (
-        "mass, height and moments of inertia are fitted to the frequencies: other half-sizes meet them too, with other "
-        "data, so that agreement does not validate the model; only platform data from a drawing or a balance can"
-    )
-    notices = [Notice("warning", text, where)]
+    notices = [Notice(PLATFORM_NOT_VALIDATED, where)]
     if worst > EXACT:
-        notices.append(Notice("warning", f"no platform meets all frequencies; {100.0 * worst:.2g} % are left", where))
+        notices.append(Notice(PLATFORM_MISFIT, where, misfit_percent=100.0 * worst))
     return PlatformFit(half_size_m, fitted, frame_modes(frame, fitted, 8).frequency_hz, worst, tuple(notices))
 
 

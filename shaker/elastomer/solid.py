@@ -167,7 +167,7 @@ class _Quarter:
             OPinv=LinearOperator((size, size), matvec=solver.solve, dtype=np.float64),
             v0=solver.solve(mean.sum(axis=1)),
         )
-        factor = shape.T @ weigh(_apart(rigid[free], weigh))
+        factor = shape.T @ weigh(_normalised(rigid[free], weigh))
         chosen = assign_names(factor)
         sign = np.where(factor[chosen, np.arange(len(chosen))] < 0.0, -1.0, 1.0)
         whole = np.zeros((3 * self.basis.N, len(chosen)))
@@ -226,8 +226,8 @@ def _inert(basis: Any) -> FloatArray:
     return local
 
 
-def _apart(rigid: FloatArray, weigh: Callable[[FloatArray], FloatArray]) -> FloatArray:
-    """Rigid motions (N, k) of mass 1, a turn being about the centre of mass instead of the origin."""
+def _normalised(rigid: FloatArray, weigh: Callable[[FloatArray], FloatArray]) -> FloatArray:
+    """Return rigid motions (N, k) of mass 1, rotations about the centre of mass."""
     motions = rigid.copy()
     for place in range(rigid.shape[1]):
         for other in range(place):

@@ -141,9 +141,8 @@ class MeasuredTransfer(Brief):
             check_shape(f"errors: {error.name}", error.relative, shape)
         for moved in self.placement_errors:
             if not REFERENCE_INDEX <= moved.response_index < shape[1]:
-                raise ValueError(
-                    f"placement_errors: expected a place of {REFERENCE_INDEX} to {shape[1] - 1}, found {moved.response_index}"
-                )
+                expected = f"a response index of {REFERENCE_INDEX} to {shape[1] - 1}"
+                raise ValueError(f"placement_errors: expected {expected}, found {moved.response_index}")
 
     @property
     def s(self) -> ComplexArray:

@@ -10,6 +10,7 @@ import numpy as np
 
 from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, check_shape
 from shaker.fitting import BlockJacobian, LinearBlock, LMOptions, SeparablePoint, levenberg_marquardt
+from shaker.identification.circle_fit import FEWEST_LINES, fit_circle
 from shaker.identification.measured_curves import (
     CurveResidual,
     MeasuredCurve,
@@ -88,10 +89,14 @@ def fit_resonance(
 
     Parameters
     ----------
-    curve : measured frequency response
-    kind : "transmissibility", "receptance", "mobility" or "accelerance"
-    delay : fit a factor exp(-sτ), default False
-    residual_terms : fit the contribution of other modes R₋/s² + R₊, added to the shape, default False
+    curve
+        measured frequency response
+    kind
+        "transmissibility", "receptance", "mobility" or "accelerance"
+    delay
+        fit a factor exp(-sτ), default False
+    residual_terms
+        fit the contribution of other modes R₋/s² + R₊, added to the shape, default False
 
     Raises
     ------
@@ -100,12 +105,10 @@ def fit_resonance(
     Notes
     -----
     With p = s/ω₀, s = a + jω and D = 1 + 2ζp + p²: transmissibility G·(1 + 2ζp)/D (base excitation), receptance G/D,
-        mobility
-    G·s/D, accelerance G·s²/D. G = 1/k for an oscillator driven by a force. The residuals are whitened by their
-        covariance; the
-    fit starts at `rational_poles`. If the covariance has few degrees of freedom, the weights follow from it and the
-        residuals
-    (`estimate_residual_noise`). The correlation between lines enters the covariance of the result.
+    mobility G·s/D, accelerance G·s²/D. G = 1/k for an oscillator driven by a force. The residuals are whitened by their
+    covariance; the fit starts at `rational_poles`. If the covariance has few degrees of freedom, the weights follow
+    from it and the residuals (`estimate_residual_noise`). The correlation between lines enters the covariance of the
+    result.
 
     Examples
     --------
@@ -242,127 +245,10 @@ def _adjusted(
     return vector, _real(whitening, (value - model)[:, None])[:, :, 0], _real(whitening, derivative)
 
 
-# The circle that a resonance draws in the complex plane, and the frequency and damping that its angles tell.
-
-_PASSES = 3
-_FEWEST_LINES = 5
-
-
-@dataclass(frozen=True, repr=False)
-class CircleFit(Brief):
-    """Frequency f₀ and damping ratio ζ with their `covariance` (2, 2).
-
-    `centre`, `radius`: the circle in the plane of H·(jf/f₀)/(1 + 2jζf/f₀).
-    """
-
-    frequency_hz: float
-    damping_ratio: float
-    covariance: FloatArray
-    centre: complex
-    radius: float
-
-
-def fit_circle(curve: MeasuredCurve, frequency_hz: float, damping_ratio: float) -> CircleFit | None:
-    """Return f₀ and ζ from the circle of a base-excited oscillator, None without a circle.
-
-    G·(1 + 2jζr)/(1 - r² + 2jζr) with r = f/f₀, multiplied by jr/(1 + 2jζr), is G/(2ζ + j(r - 1/r)). This is a circle.
-    The angle about its centre is θ = α + 2 atan((1/r - r)/(2ζ)), and f·tan((θ - α)/2) is a straight line over f². The
-    circle is fitted algebraically (Taubin, IEEE Trans. PAMI 13, 1991), then by least weighted distances. f₀, ζ and α
-    follow from the angles by weighted least squares (Kennedy and Pancoast, J. Aeronaut. Sci. 14, 1947; Ewins, Modal
-    Testing, 2000, 4.3). The constant contribution of other modes moves the circle but not the angles. `frequency_hz`
-    and `damping_ratio` are the start. They also select the lines: those above half the maximum, at least five.
-    """
-    f0, zeta = frequency_hz, damping_ratio
-    for _ in range(_PASSES):
-        distance = np.abs(curve.frequency_hz - f0)
-        nearest = float(np.sort(distance)[min(_FEWEST_LINES, len(distance)) - 1])
-        part = curve.at_lines(distance <= max(np.sqrt(3.0) * zeta * f0, nearest))
-        r = part.frequency_hz / f0
-        factor = 1j * r / (1.0 + 2j * zeta * r)
-        points = part.value * factor
-        circle = _geometric(points, part, factor)
-        angles = _angles(points, part, factor, circle[0], (f0, zeta)) if circle is not None else None
-        if circle is None or angles is None:
-            return None
-        (x, y, radius), by_point = circle
-        (f0, zeta), by_angle = angles
-    # f₀ and ζ change with every point by its own angle and by the centre that all points set.
-    out = points - complex(x, y)
-    tangent, normal = 1j * out / np.abs(out) ** 2, out / np.abs(out)
-    by_centre = np.stack([by_angle @ tangent.real, by_angle @ tangent.imag], axis=1)
-    gradient = (by_angle * tangent - (by_centre @ by_point[:2]) * normal) * factor.conj()
-    return CircleFit(f0, zeta, part.propagated(gradient), complex(x, y), float(radius))
-
-
-def _geometric(
-    points: ComplexArray, curve: MeasuredCurve, factor: ComplexArray
-) -> tuple[FloatArray, FloatArray] | None:
-    """Return the circle (3,) of least weighted distances and its derivatives (3, K).
-
-    The fit starts at the algebraic circle with Taubin's normalisation. Derivatives are by the distance of each point.
-    """
-    middle = points.mean()
-    around = points - middle
-    square = np.abs(around) ** 2
-    scale = 2.0 * np.sqrt(square.mean())
-    columns = np.stack([(square - square.mean()) / scale, around.real, around.imag], axis=1)
-    a, b, c = np.linalg.svd(columns, full_matrices=False)[2][2]
-    with np.errstate(all="ignore"):
-        shift = -complex(b, c) / (2.0 * a / scale)
-        centre = middle + shift
-    circle = np.array([centre.real, centre.imag, np.sqrt(abs(shift) ** 2 + square.mean())])
-    for _ in range(20):
-        if not np.all(np.isfinite(circle)):
-            return None
-        out = points - complex(circle[0], circle[1])
-        normal = out / np.maximum(np.abs(out), np.finfo(np.float64).tiny)
-        root = 1.0 / np.sqrt(curve.variance_along(normal * factor.conj()))
-        columns = np.stack([normal.real, normal.imag, np.ones(len(points))], axis=1)
-        change = np.linalg.pinv(columns * root[:, None]) * root
-        step = change @ (np.abs(out) - circle[2])
-        circle = circle + step
-        if np.abs(step).max() < 1e-12 * circle[2]:
-            break
-    return circle, change
-
-
-def _angles(
-    points: ComplexArray, curve: MeasuredCurve, factor: ComplexArray, circle: FloatArray, start: tuple[float, float]
-) -> tuple[tuple[float, float], FloatArray] | None:
-    """Return f₀ and ζ from the angles about the centre, and their derivatives (2, K) by the angles."""
-    frequency = curve.frequency_hz
-    out = points - complex(circle[0], circle[1])
-    tangent = 1j * out / np.abs(out) ** 2
-    root = 1.0 / np.sqrt(curve.variance_along(tangent * factor.conj()))
-    f0, zeta = start
-    alpha = float(np.angle(np.sum(out * np.exp(-1j * _angle_model(frequency, f0, zeta)[0]))))
-    for _ in range(30):
-        model, columns = _angle_model(frequency, f0, zeta)
-        change = np.linalg.pinv(columns * root[:, None]) * root
-        step = change @ np.angle(out * np.exp(-1j * (model + alpha)))
-        step *= min(1.0, 0.5 / max(abs(step[0]), abs(step[1])))
-        f0, zeta, alpha = f0 * np.exp(step[0] * zeta), zeta * np.exp(step[1]), alpha + step[2]
-        if not (np.isfinite(f0) and 1e-9 < zeta < 1.0):
-            return None
-        if np.abs(step).max() < 1e-12:
-            break
-    if np.abs(step).max() > 1e-6:
-        return None
-    return (float(f0), float(zeta)), change[:2] * np.array([[zeta * f0], [zeta]])
-
-
-def _angle_model(frequency_hz: FloatArray, f0: float, zeta: float) -> tuple[FloatArray, FloatArray]:
-    """Return 2 atan((1/r - r)/(2ζ)) (K,) and its derivatives (K, 3) by ln(f₀)/ζ, ln ζ, α."""
-    r = frequency_hz / f0
-    tangent = (1.0 / r - r) / (2.0 * zeta)
-    by_tangent = 2.0 / (1.0 + tangent**2)
-    columns = [by_tangent * (1.0 / r + r) / 2.0, -by_tangent * tangent, np.ones(len(r))]
-    return np.asarray(2.0 * np.arctan(tangent)), np.stack(columns, axis=1)
-
-
-# Where |H| of one resonance is largest and where it has fallen to a given share of that, between the lines.
+# The maximum of |H| and the points at a given share of it, between the lines.
 
 PeakWidth = Literal["half_power", "half_amplitude"]
+_PASSES = 3  # of the search; the third no longer changes the result
 LEVELS: dict[PeakWidth, float] = {"half_power": 2.0, "half_amplitude": 4.0}  # of 1/|H|², relative to the maximum
 
 
@@ -379,8 +265,8 @@ class PeakPoint(Brief):
     inverse_by_line: FloatArray
 
 
-def _nowhere(curve: MeasuredCurve) -> PeakPoint:
-    """Return the place that was not found."""
+def _no_point(curve: MeasuredCurve) -> PeakPoint:
+    """Return a point of NaN for one that was not found."""
     nothing = np.full(len(curve.frequency_hz), np.nan)
     return PeakPoint(np.nan, np.nan, nothing, nothing)
 
@@ -404,7 +290,7 @@ def read_shape(curve: MeasuredCurve) -> tuple[PeakPoint, dict[PeakWidth, tuple[P
     ends = [*below[below < largest][-1:], *below[below > largest][:1]]
     reach = float(np.min(np.abs(curve.frequency_hz[ends] - frequency))) if ends else float(np.ptp(curve.frequency_hz))
     low, high = frequency - reach, frequency + reach
-    top = _nowhere(curve)
+    top = _no_point(curve)
     crossings: dict[PeakWidth, tuple[PeakPoint, PeakPoint]] = {}
     for _ in range(_PASSES):
         width = high - low
@@ -463,7 +349,7 @@ def _top(curve: MeasuredCurve, frequency_hz: float, reach_hz: float) -> PeakPoin
     u = -0.5 * c1 / c2 if c2 > 0.0 else np.nan
     inverse = c0 + 0.5 * c1 * u
     if not (abs(u) < 2.0 and inverse > 0.0):
-        return _nowhere(curve)
+        return _no_point(curve)
     frequency, frequency_by_line = place(u, (c1 / c2 * by_line[2] - by_line[1]) / (2.0 * c2))
     return PeakPoint(frequency, float(inverse), frequency_by_line, np.array([1.0, u, u * u]) @ by_line)
 
@@ -471,14 +357,14 @@ def _top(curve: MeasuredCurve, frequency_hz: float, reach_hz: float) -> PeakPoin
 def _crossing(curve: MeasuredCurve, top: PeakPoint, level: float, frequency_hz: float, reach_hz: float) -> PeakPoint:
     """Return the point of a flank where 1/|H|² is `level` times that of the maximum."""
     if not curve.frequency_hz[0] <= frequency_hz <= curve.frequency_hz[-1]:
-        return _nowhere(curve)
+        return _no_point(curve)
     (c0, c1, c2), by_line, place = _parabola(curve, frequency_hz, reach_hz, 4)
     target, by_target = level * top.inverse, level * top.inverse_by_line
     root = c1 * c1 - 4.0 * c2 * (c0 - target)
     slope = np.sign(frequency_hz - top.frequency_hz) * np.sqrt(max(root, 0.0))
     u = 2.0 * (target - c0) / (slope + c1) if root > 0.0 else np.nan
     if not abs(u) < 3.0:
-        return _nowhere(curve)
+        return _no_point(curve)
     frequency, frequency_by_line = place(u, (by_target - np.array([1.0, u, u * u]) @ by_line) / slope)
     return PeakPoint(frequency, target, frequency_by_line, by_target)
 
@@ -490,11 +376,11 @@ def uncertainties(curve: MeasuredCurve, *by_inverse: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.diag(curve.propagated(gradient))))
 
 
-def wandering_hz2(curve: MeasuredCurve, top: PeakPoint, width_hz: float) -> float:
-    """Return the variance of the line of the largest |H| that comes from noise: which line wins, all equally spaced.
+def peak_line_variance_hz2(curve: MeasuredCurve, top: PeakPoint, width_hz: float) -> float:
+    """Return the variance in Hz² that noise causes in the line of the largest |H|.
 
-    The lines above half power are independent and normal about |H| of the oscillator; each wins with the probability
-    ∫ φₖ(a) Πⱼ Φⱼ(a) da.
+    The lines above half power are independent and normal about |H| of the oscillator, and equally spaced. Each is the
+    largest with the probability ∫ φₖ(a) Πⱼ Φⱼ(a) da.
     """
     from scipy.special import log_ndtr
 
@@ -560,8 +446,8 @@ def peak_readings(curve: MeasuredCurve) -> PeakReadings:
 
     The line spacing biases `maximum_bin` only.
     """
-    if len(curve.frequency_hz) < _FEWEST_LINES:
-        raise ValueError(f"frequency_hz: expected at least {_FEWEST_LINES} lines, found {len(curve.frequency_hz)}")
+    if len(curve.frequency_hz) < FEWEST_LINES:
+        raise ValueError(f"frequency_hz: expected at least {FEWEST_LINES} lines, found {len(curve.frequency_hz)}")
     top, crossings = read_shape(curve)
     width = crossings["half_power"][1].frequency_hz - crossings["half_power"][0].frequency_hz
     lines, note = width / curve.spacing_hz, ""
@@ -572,7 +458,7 @@ def peak_readings(curve: MeasuredCurve) -> PeakReadings:
         note += "taken to be that of one oscillator"
     # The line of the maximum is uncertain by half a spacing and by which line noise lets win.
     line_hz = float(curve.frequency_hz[np.argmax(np.abs(curve.value))])
-    wandering = wandering_hz2(curve, top, width) if np.isfinite(width) else np.nan
+    wandering = peak_line_variance_hz2(curve, top, width) if np.isfinite(width) else np.nan
     u_line = float(np.sqrt(curve.spacing_hz**2 / 12.0 + wandering))
     between = "" if np.isfinite(top.frequency_hz) else "no maximum between the lines of this band"
     half_power, half_amplitude = (_by_width(own, curve, top, *crossings[own], note) for own in LEVELS)

@@ -10,6 +10,7 @@ import numpy as np
 
 from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape
 from shaker.fitting import LMOptions, WhitenedResiduals, levenberg_marquardt
+from shaker.identification.identification_notices import FIT_NOT_CONVERGED, OUTPUT_LEADS, STATED_ERROR_TOO_SMALL
 from shaker.identification.measured_curves import (
     MeasuredSensitivity,
     NamedUnknown,
@@ -142,7 +143,7 @@ def fit_chain(
     lines = len(measured.frequency_hz)
     if lines < 4:
         raise ValueError(f"frequency_hz: expected at least 4 lines, found {lines}")
-    problem = _Problem.of(measured, kind, spring, spring_free)
+    problem = _ChainProblem.of(measured, kind, spring, spring_free)
     search = levenberg_marquardt(problem.point, problem.point(problem.start()), _RULES)
     point, count = search.point, len(problem.names)
     chi_squared, dof = point.loss, len(point.residual) - len(point.parameters)
@@ -173,11 +174,11 @@ def fit_chain(
 
 
 @dataclass(frozen=True)
-class _Problem:
-    """A measured sensitivity over unknowns x = [S₀, τ where unknown, chain, z of each common error].
+class _ChainProblem:
+    """A measured sensitivity over unknowns x = [S₀, τ if unknown, chain, z of common errors].
 
-    `names`: the unknowns but for z; `time_s`: τ where it is none of them, else where to start; `known`: (place, value,
-    u) of unknowns known beforehand, z among them; `relative` (K, E); `whitening` (K, 2, 2): noise to variance one.
+    `names`: the unknowns except z. `time_s`: τ if it is fixed, else its start. `priors`: (index, value, u) of unknowns
+    with a prior, z among them. `relative` (K, E). `whitening` (K, 2, 2): noise to variance one.
     """
 
     measured: MeasuredSensitivity
@@ -189,7 +190,9 @@ class _Problem:
     whitening: FloatArray
 
     @staticmethod
-    def of(measured: MeasuredSensitivity, kind: ChainKind, spring: SpringPrior | None, spring_free: bool) -> _Problem:
+    def of(
+        measured: MeasuredSensitivity, kind: ChainKind, spring: SpringPrior | None, spring_free: bool
+    ) -> _ChainProblem:
         known: list[tuple[int, float, float]] = []
         if measured.static is not None:
             if not measured.u_static > 0.0:
@@ -203,7 +206,7 @@ class _Problem:
         relative = [np.empty((len(measured.value), 0)), *(error.relative for error in measured.errors)]
         time_s = 0.0 if spring is None else spring.time_s
         whitening = whitening_matrices(measured.covariance)
-        return _Problem(measured, kind, names, time_s, tuple(known), np.concatenate(relative, axis=1), whitening)
+        return _ChainProblem(measured, kind, names, time_s, tuple(known), np.concatenate(relative, axis=1), whitening)
 
     def split(self, x: FloatArray) -> tuple[float, float, ChainModel]:
         """Return S₀, τ and the chain of the unknowns."""
@@ -218,7 +221,7 @@ class _Problem:
         return np.asarray(scale / (1.0 + laplace(hertz) * time) * chain.response(hertz) * errors)
 
     def point(self, x: FloatArray) -> WhitenedResiduals:
-        """Return measured less curve, whitened, then what is known beforehand: the sum of their squares is χ²."""
+        """Return whitened residuals and then those of the priors; the sum of squares is χ²."""
         _, time, chain = self.split(x)
         s, curve = laplace(self.measured.frequency_hz), self.curve(x)
         slopes = [np.full((len(s), 1), 1.0 / x[0])]
@@ -232,9 +235,9 @@ class _Problem:
         return WhitenedResiduals(x, both[:, 0], both[:, 1:])
 
     def start(self) -> FloatArray:
-        """Return starting values: sign and delay from the phases, the rest from the magnitudes.
+        """Return start values: sign and delay from the phases, the rest from the magnitudes.
 
-        1/|chain|² = 1 + (a₁² - 2a₂)ω² + a₂²ω⁴, so that its slope over ω² tells a lag from a delay.
+        1/|chain|² = 1 + (a₁² - 2a₂)ω² + a₂²ω⁴: its slope over ω² distinguishes a lag from a delay.
         """
         angular, value = 2.0 * np.pi * self.measured.frequency_hz, self.measured.value
         left = []
@@ -478,14 +481,12 @@ def _explained(fit: SensitivityFit, alone: bool) -> str:
 def _notices(fit: SensitivityFit, channel: str) -> Iterator[Notice]:
     """Yield doubts about the explanation in use."""
     if fit.chain.delay_s < -2.0 * fit.u("delay_s"):
-        lead = _microseconds(-fit.chain.delay_s, fit.u("delay_s"))
-        yield Notice("warning", f"the output leads by {lead}: no chain does, the reference is late", channel)
+        yield Notice(OUTPUT_LEADS, channel, lead_us=-1e6 * fit.chain.delay_s, expanded_us=2e6 * fit.u("delay_s"))
     if not fit.converged:
-        yield Notice("warning", "the fit of the chain did not settle: the readings leave it open", channel)
+        yield Notice(FIT_NOT_CONVERGED, channel, model="the measuring chain")
     for error in fit.unknowns:
         if abs(error.estimate) > FARTHEST_ERROR:
-            text = f"{error.name} is found {error.estimate:.1f} of its standard uncertainties away: stated too small"
-            yield Notice("warning", text, channel)
+            yield Notice(STATED_ERROR_TOO_SMALL, channel, cause=error.name, deviation=abs(error.estimate))
 
 
 def _microseconds(value_s: float, u_s: float) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape
 from shaker.fitting import covariance_root
 from shaker.frf.chain import ChainResponse, common_covariance, split_ratio
+from shaker.identification.identification_notices import SIGNAL_ABOVE_BAND
 from shaker.mechanics import laplace
 from shaker.sine.phasor import Phasors
 from shakercal._common.notices import Notice
@@ -343,9 +344,12 @@ def correct_phasors(phasors: Phasors, model: SensorModel, load: Load) -> Correct
 
     Parameters
     ----------
-    phasors : phasors of the output, one channel or more
-    model : identified sensor model
-    load : mass on the sensor and its excitation
+    phasors
+        phasors of the output, one channel or more
+    model
+        identified sensor model
+    load
+        mass on the sensor and its excitation
 
     Returns
     -------
@@ -372,12 +376,18 @@ def correct_record(
 
     Parameters
     ----------
-    output : (N,) record in the output unit of `model`
-    sample_rate_hz : sampling rate, Hz
-    model : identified sensor model
-    load : mass on the sensor and its excitation
-    band_hz : upper limit of the corrected band, Hz
-    u_noise : standard deviation of white noise of one sample, default 0
+    output
+        (N,) record in the output unit of `model`
+    sample_rate_hz
+        sampling rate, Hz
+    model
+        identified sensor model
+    load
+        mass on the sensor and its excitation
+    band_hz
+        upper limit of the corrected band, Hz
+    u_noise
+        standard deviation of white noise of one sample, default 0
 
     Returns
     -------
@@ -389,12 +399,10 @@ def correct_record(
 
     Notes
     -----
-    The spectrum is divided by `output_factor` and multiplied by a taper of zero phase: 1 up to `band_hz`, 0 from
-    (1 + `TRANSITION`)·`band_hz`. The taper is the response of a symmetric Kaiser-window filter of 2h + 1 taps. The
-        record is
+    The spectrum is divided by `output_factor` and multiplied by a taper of zero phase: 1 up to `band_hz`, 0 from (1 +
+    `TRANSITION`)·`band_hz`. The taper is the response of a symmetric Kaiser-window filter of 2h + 1 taps. The record is
     continued by its odd reflection over h samples and the delay of the chain at both ends. The covariance of the model
-        is
-    propagated by derivatives.
+    is propagated by derivatives.
 
     Examples
     --------
@@ -433,8 +441,7 @@ def correct_record(
     least = max(float(np.sqrt(np.mean(u**2))), 10.0 ** (-ATTENUATION_DB / 20.0) * float(np.abs(force).max()))
     unit, notices = split_ratio(model.unit)[1], []
     if beyond > least:  # more than uncertainty and ripple
-        text = f"the output holds {beyond:.3g} {unit} rms above {band_hz:g} Hz, which is removed, not corrected"
-        notices.append(Notice("warning", text, "band"))
+        notices.append(Notice(SIGNAL_ABOVE_BAND, "band", rms=beyond, unit=unit, band_hz=band_hz))
     return CorrectedRecord(force, u, errors, unit, sample_rate_hz, band_hz, settling, beyond, tuple(notices))
 
 

@@ -13,6 +13,20 @@ import numpy as np
 
 from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape
 from shaker.fitting import LMOptions, levenberg_marquardt
+from shaker.identification.identification_notices import (
+    DAMPING_UNDETERMINED,
+    FIT_UNSETTLED,
+    INERTIA_UNDETERMINED,
+    MODEL_MISFIT,
+    NEGATIVE_DAMPING,
+    NEGATIVE_INERTIA,
+    NEGATIVE_WITHIN_U,
+    RESIDUAL_NOISE,
+    STATED_ERROR_TOO_SMALL,
+    STATED_VALUE_CONTRADICTED,
+    STATED_VALUE_UNCHANGED,
+    STIFFNESS_UNDETERMINED,
+)
 from shaker.identification.identification_problem import (
     DELAY_UNIT_S,
     IdentificationProblem,
@@ -33,9 +47,9 @@ from shaker.identification.measured_curves import (
 )
 from shaker.identification.structures import MechanicalStructure
 from shaker.labels import typeset
-from shakercal._common.notices import Notice
+from shakercal._common.notices import Notice, Value
 
-# What an identification says: parameters, modes, named errors, how well the model explains the curves.
+# Result of an identification: parameters, modes, named errors, residuals.
 
 
 @dataclass(frozen=True)
@@ -89,8 +103,7 @@ class Identification(Brief):
     -----
     If χ²/dof is larger than noise explains, the noise is enlarged by the excess. The budget contains the change of the
     parameters for one standard deviation of each named error and of each stated number, and the contribution "noise".
-        Their
-    squares sum to the variances.
+    Their squares sum to the variances.
     """
 
     estimates: tuple[ParameterEstimate, ...]
@@ -141,7 +154,7 @@ class Identification(Brief):
         return correlation + np.diag(1.0 - correlation.diagonal())
 
 
-# Least squares over all recordings, and the covariance of what it finds.
+# Least squares over all recordings, and the covariance of the result.
 
 _RULES = LMOptions(
     predicted_decrease=1e-8,
@@ -313,20 +326,15 @@ def spread(problem: IdentificationProblem, state: FitState) -> UnknownsCovarianc
     return UnknownsCovariance(basis @ middle @ basis.T, directions[~determined], 1.0 / size, prior, unsettled)
 
 
-# What is to be said of an identification: what the recordings leave open, what contradicts what was stated.
+# Notices of an identification: undetermined parameters and contradicted statements.
 
-_UNKNOWN = 1.0 / 3.0  # u over value from which a parameter is called open
-_NEGLIGIBLE = 0.02  # part of the whole inertia below which an internal one need not be known
-_PULL = 3.0  # deviation in standard uncertainties that is named
-_NOISE_INFO, _NOISE_WARNING = 1.2, 4.0  # χ²/dof that is named
-_CHANCES = 5.0  # standard deviations by which χ²/dof exceeds what noise leaves
+_UNKNOWN = 1.0 / 3.0  # u over value above which a parameter counts as undetermined: 2u would reach 2/3 of it
+_NEGLIGIBLE = 0.02  # share of the whole inertia below which an internal one does not matter for the resonance
+_MAX_DEVIATION = 3.0  # standard uncertainties, the usual limit of 3 σ
+_NOISE_NOTE, _NOISE_WARNING = 1.2, 4.0  # χ²/dof: 10 % and a factor of 2 in the noise
+_CHANCES = 5.0  # standard deviations of χ²/dof for noise alone
 _SETTLED = 0.1  # standard uncertainties from the minimum that do not matter
-_UNTOUCHED = 0.95  # of a stated uncertainty, left: the recordings say nothing of it
-_HELPS = {
-    "internal": "loads that differ more tell it, or a stated value does",
-    "stiffness": "a band that holds its resonance tells it; where the masses are open, stiffness is too",
-    "damping": "lines closer to its resonance tell it",
-}
+_UNCHANGED = 0.95  # share of a stated uncertainty that remains if the recordings add no information
 
 
 def _notices(
@@ -336,69 +344,48 @@ def _notices(
     estimates: tuple[ParameterEstimate, ...],
     noise: ResidualNoise,
 ) -> Iterator[Notice]:
-    if noise.common >= max(_NOISE_INFO, 1.0 + _CHANCES * noise.chance):
-        far = noise.common >= _NOISE_WARNING
-        text = (
-            f"the curves depart from the model by {np.sqrt(noise.common):.2g} times their noise; the uncertainties are "
-            "enlarged by this factor"
-        )
-        text += ", and the parameters depend on the lines that are fitted" if far else ""
-        yield Notice("warning" if far else "note", text, "identification")
+    if noise.common >= max(_NOISE_NOTE, 1.0 + _CHANCES * noise.chance):
+        declared = MODEL_MISFIT if noise.common >= _NOISE_WARNING else RESIDUAL_NOISE
+        yield Notice(declared, "identification", factor=np.sqrt(noise.common))
     if found.unsettled >= _SETTLED:
-        text = (
-            f"the fit ended {found.unsettled:.2g} standard uncertainties before it settled; state what is known of "
-            "the parameters, or fit fewer components"
-        )
-        yield Notice("warning", text, "identification")
+        yield Notice(FIT_UNSETTLED, "identification", distance=found.unsettled)
     whole = np.nan_to_num(whole_inertia(problem, state.parameters))
-    for place in np.flatnonzero(~problem.fixed[: len(estimates)]).tolist():
-        estimate = estimates[place]
-        if problem.precision[place] > 0.0:
-            yield from _against_stated(estimate, problem.expected[place], problem.precision[place] ** -0.5)
-        elif estimate.u > _UNKNOWN * max(abs(estimate.value), _NEGLIGIBLE * whole[place]):
-            told = f"{estimate.u:.2g} {typeset(estimate.unit)}"
-            size = f": its uncertainty is {told}" if np.isfinite(estimate.u) else ""
-            helps = next((text for start, text in _HELPS.items() if estimate.name.startswith(start)), "state its value")
-            yield Notice("warning", f"the data cannot tell the {estimate.label}{size}; {helps}", estimate.name)
+    for index in np.flatnonzero(~problem.fixed[: len(estimates)]).tolist():
+        estimate = estimates[index]
+        if problem.precision[index] > 0.0:
+            yield from _against_stated(estimate, problem.expected[index], problem.precision[index] ** -0.5)
+        elif estimate.u > _UNKNOWN * max(abs(estimate.value), _NEGLIGIBLE * whole[index]):
+            kinds = {"stiffness": STIFFNESS_UNDETERMINED, "damping": DAMPING_UNDETERMINED}
+            declared = kinds.get(estimate.name.partition("_")[0], INERTIA_UNDETERMINED)
+            unit = typeset(estimate.unit)
+            yield Notice(declared, estimate.name, parameter=estimate.label, u=estimate.u, unit=unit)
             continue
         yield from _negative(estimate)
-    for place in range(len(estimates), len(problem.names)):
-        off, remaining = float(state.parameters[place]), float(found.covariance[place, place])
-        if problem.precision[place] > 0.0 and off**2 > _PULL**2 * max(1e-6, 1.0 - remaining):
-            name = problem.names[place].removeprefix("error: ")
-            text = f"the fit needs {name} to be off by {abs(off):.2g} times its standard uncertainty"
-            yield Notice("warning", text, name)
+    for index in range(len(estimates), len(problem.names)):
+        off, remaining = float(state.parameters[index]), float(found.covariance[index, index])
+        if problem.precision[index] > 0.0 and off**2 > _MAX_DEVIATION**2 * max(1e-6, 1.0 - remaining):
+            name = problem.names[index].removeprefix("error: ")
+            yield Notice(STATED_ERROR_TOO_SMALL, name, cause=name, deviation=abs(off))
 
 
 def _negative(estimate: ParameterEstimate) -> Iterator[Notice]:
-    """Say that a mass or a damping came out below zero."""
+    """Yield a notice if a mass or a damping is below zero."""
     if estimate.value >= 0.0 or not np.isfinite(estimate.u):
         return
-    number = f"{estimate.label} is {estimate.value:.4g} ± {estimate.u:.2g} {typeset(estimate.unit)} (k = 1)"
+    declared = NEGATIVE_INERTIA if estimate.name.startswith("internal") else NEGATIVE_DAMPING
     if estimate.value > -2.0 * estimate.u:
-        yield Notice("note", f"{number}: zero within its uncertainty", estimate.name)
-        return
-    text = "a delay or a mode outside the model turns the phase at the resonance"
-    if estimate.name.startswith("internal"):
-        text = (
-            "these resonances are not those of the load on the springs assumed, but of another motion, e.g. pitching "
-            "or a mount that gives"
-        )
-    yield Notice("warning", f"{number}, below zero: {text}", estimate.name)
+        declared = NEGATIVE_WITHIN_U
+    unit = typeset(estimate.unit)
+    yield Notice(declared, estimate.name, parameter=estimate.label, value=estimate.value, u=estimate.u, unit=unit)
 
 
 def _against_stated(estimate: ParameterEstimate, stated: float, u: float) -> Iterator[Notice]:
-    """Say that a stated parameter is contradicted, or that the recordings add nothing to it."""
-    known = f"{stated:.6g} ± {u:.2g} {typeset(estimate.unit)}"
-    if estimate.u > _UNTOUCHED * u:
-        text = f"the {estimate.label} is as stated, {known}: the data cannot tell it better"
-        yield Notice("note", text, estimate.name)
-    elif (pull := abs(estimate.value - stated) / float(np.sqrt(u**2 - estimate.u**2))) >= _PULL:
-        text = (
-            f"the {estimate.label} stated, {known}, is contradicted by the recordings: together they give "
-            f"{estimate.value:.6g} {typeset(estimate.unit)}, {pull:.2g} standard deviations off"
-        )
-        yield Notice("warning", text, estimate.name)
+    """Yield a notice if a stated parameter is contradicted or not improved."""
+    values: dict[str, Value] = {"parameter": estimate.label, "value": stated, "u": u, "unit": typeset(estimate.unit)}
+    if estimate.u > _UNCHANGED * u:
+        yield Notice(STATED_VALUE_UNCHANGED, estimate.name, **values)
+    elif (pull := abs(estimate.value - stated) / float(np.sqrt(u**2 - estimate.u**2))) >= _MAX_DEVIATION:
+        yield Notice(STATED_VALUE_CONTRADICTED, estimate.name, **values, estimate=estimate.value, deviation=pull)
 
 
 # All recordings in one complex least-squares fit.
@@ -420,22 +407,27 @@ def identify(
 
     Parameters
     ----------
-    records : transfer functions of the recordings, each with a different name
-    structure : the structure, e.g. `SpringSuspension`
-    stated_values : (value, u) of parameters that are stated; u = 0 fixes the parameter
-    each_recording : names of the parameters that have a separate value in every recording
-    gain, delay : channels whose complex gain or delay is free in every recording, because their scale is not stated
+    records
+        transfer functions of the recordings, each with a different name
+    structure
+        the structure, e.g. `SpringSuspension`
+    stated_values
+        (value, u) of parameters that are stated; u = 0 fixes the parameter
+    each_recording
+        names of the parameters that have a separate value in every recording
+    gain, delay
+        channels whose complex gain or delay is free in every recording, because their scale is not stated
 
     Notes
     -----
     The measured ratio is H(s) · exp(Σ z r) with relative errors r by name and unknowns z ~ N(0, 1). Equal names are one
     unknown. Uncertain numbers of the load, positions and directions of transducers, and the clock rate are unknowns
-        too.
+    too.
     """
     problem = build_problem(records, structure, stated_values or {}, each_recording, gain, delay)
     lines = sum(2 * record.ratio.value.size for record in records)
     if lines <= np.count_nonzero((problem.precision == 0.0) & ~problem.fixed):
-        raise ValueError(f"records: expected more real values than unknowns, found {lines} for {len(problem.names)}")
+        raise ValueError(f"records: expected more real values than {len(problem.names)} unknowns, found {lines}")
     tried: list[FitState] = []
     vectors = starting_vectors(problem, structure.starts(records))
     starts = filter(None, (evaluate(problem, vector) for vector in vectors))

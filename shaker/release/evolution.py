@@ -61,8 +61,8 @@ def evolve(
 def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile a function and cache it if a cache folder exists."""
 
-    class Cache(FunctionCache):  # type: ignore[misc]
-        """A cache without which a run goes on: where it is damaged, or its disk takes nothing."""
+    class TolerantCache(FunctionCache):  # type: ignore[misc]
+        """A cache that ignores damaged entries and failed writes."""
 
         def load_overload(self, *key: Any) -> Any:
             with suppress(Exception):  # a damaged pickle may raise anything
@@ -74,7 +74,7 @@ def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
 
     kernel = numba.njit(nogil=True)(function)
     with suppress(RuntimeError, OSError):  # no folder for it
-        kernel._cache = Cache(function)
+        kernel._cache = TolerantCache(function)
     compiled: Callable[..., Any] = kernel
     return compiled
 

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
-from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, check_shape
+from shaker.arrays import FloatArray
 from shaker.fitting import WhitenedResiduals, levenberg_marquardt
 from shaker.labels import mechanical_units, typeset
-from shaker.release.load_model import LoadModel, upper_poles
+from shaker.release.load_model import LoadModel
 from shaker.release.load_modes import (
     SEARCH,
     FreeDecay,
@@ -21,175 +20,19 @@ from shaker.release.load_modes import (
     coloured_normal,
     project_amplitudes,
 )
-from shakercal._common.notices import Notice, Severity
-
-# Rows and unknowns of a fit of load models to resonances.
-
-LARGEST = 100.0  # logarithm of a stiffness or damping, in size, from which a step has gone astray
-FLOOR = 1e-8  # relative uncertainty that stands where none is stated and none has shown yet
-
-
-@dataclass(frozen=True)
-class SeriesProblem:
-    """A fit of ln f and ln ζ of the observed modes; a rigid load has first modes only.
-
-    Unknown x (X,): logarithms of k and, unless `rigid`, k_L; then of c and c_L if a damping is measured; then the named
-    mass errors in standard uncertainties.
-    """
-
-    measured: Resonances
-    masses: SeriesMasses
-    rigid: bool
-
-    def __post_init__(self) -> None:
-        check_shape("masses", self.masses.load, (len(self.measured.names),))
-        if not self.rigid and (self.rows[0].sum() < 2 or not np.any(self.masses.load > 0)):
-            raise ValueError(
-                "measured: expected two resonances, one of them with a load, to tell the coupling's stiffness, found "
-                f"{int(self.rows[0].sum())}"
-            )
-
-    @cached_property
-    def rows(self) -> tuple[BoolArray, BoolArray]:
-        """Masks of the frequencies and of the dampings (R, 2) in the fit."""
-        seen = np.isfinite(self.measured.frequency_hz)
-        seen[:, 1] &= (self.masses.load > 0) & (not self.rigid)
-        return seen, seen & (np.nan_to_num(self.measured.damping_ratio) > 0)
-
-    @cached_property
-    def powers(self) -> FloatArray:
-        """Powers (P, S) of the exponentials of springs and dampers in k, c or k, c, k_L, c_L.
-
-        c_L = c·k_L/k if only one damping is measured; all dampings are 0 without any.
-        """
-        springs = 1 if self.rigid else 2
-        dampers = min(springs, int(self.rows[1].sum()))
-        powers = np.zeros((2 * springs, springs + dampers))
-        powers[::2, :springs] = np.eye(springs)
-        powers[1::2, springs:] = np.eye(springs, dampers)
-        if dampers == 1 and springs == 2:
-            powers[3] = [-1.0, 1.0, 1.0]
-        return powers
-
-    @property
-    def springs(self) -> int:
-        """Number of stiffnesses."""
-        return len(self.powers) // 2
-
-    @property
-    def dampers(self) -> int:
-        """Number of dampings that the measured ones determine."""
-        return int(self.powers.shape[1]) - self.springs
-
-    @property
-    def dof(self) -> tuple[int, int]:
-        """Degrees of freedom of the frequencies and of the dampings."""
-        f, z = self.rows
-        return int(f.sum()) - self.springs, int(z.sum()) - self.dampers
-
-    def numbers(self, x: FloatArray) -> FloatArray:
-        """Return k, c or k, c, k_L, c_L of unknowns x; dampings are 0 if none is measured."""
-        numbers = np.exp(self.powers @ x[: self.powers.shape[1]])
-        numbers[1::2] *= self.dampers > 0
-        return np.asarray(numbers)
-
-    def unknowns(self, fit: SeriesFit) -> FloatArray:
-        """Return the unknowns (X,) that a fit found."""
-        springs, dampers = fit.numbers[::2], fit.numbers[1::2][: self.dampers]
-        return np.concatenate([np.log(springs), np.log(dampers), fit.deviates])
-
-    def deviates(self, x: FloatArray) -> FloatArray:
-        """Return the named mass errors (Q,) among the unknowns."""
-        return x[self.powers.shape[1] :]
-
-    def is_sound(self, x: FloatArray) -> bool:
-        """Return whether the unknowns x are in the range of a real sensor."""
-        moving, loads = self.masses.at(self.deviates(x))
-        logarithms = np.abs(x[: self.powers.shape[1]])
-        return bool(np.all(logarithms < LARGEST) and moving > 0.0 and np.all(loads[self.masses.load > 0] > 0.0))
-
-    def number_rates(self, x: FloatArray) -> FloatArray:
-        """Return the derivatives (P, S) of the numbers by the logarithms of springs and dampers."""
-        return np.asarray(self.numbers(x)[:, None] * self.powers)
-
-    def poles(self, x: FloatArray, record: int) -> tuple[ComplexArray, ComplexArray]:
-        """Return the upper poles (M,) of one record and their derivatives (M, X)."""
-        moving, loads = self.masses.at(self.deviates(x))
-        load = float(loads[record]) if self.masses.load[record] > 0 else 0.0
-        poles, moved = upper_poles(self.numbers(x), moving, load)
-        by_mass = np.outer(moved[:, -2], self.masses.moving_effect)
-        by_mass = by_mass + np.outer(moved[:, -1], self.masses.load_effect[record])
-        return poles, np.hstack([moved[:, :-2] @ self.number_rates(x), by_mass])
-
-    def modes(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return frequencies and damping ratios [f, ζ] (2, R, 2), and derivatives of ln f and ζ.
-
-        The derivatives (2, R, 2, X) are by the unknowns x (X,).
-        """
-        values = np.full((2, len(self.masses.load), 2), np.nan)
-        rates = np.zeros((*values.shape, len(x)))
-        for r in range(values.shape[1]):
-            poles, change = self.poles(x, r)
-            count, size = len(poles), np.abs(poles)
-            along = (np.conj(poles)[:, None] * change).real / size[:, None] ** 2
-            values[0, r, :count], values[1, r, :count] = size / (2.0 * np.pi), -poles.real / size
-            rates[0, r, :count] = along
-            rates[1, r, :count] = -change.real / size[:, None] + (poles.real / size)[:, None] * along
-        return values, rates
-
-    def residual(self, x: FloatArray, sigma: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return weighted residuals (N + Q,) and their derivatives (N + Q, X).
-
-        `sigma` (N,) of ln f, then of ln ζ.
-        """
-        (f, z), rates = self.modes(x)
-        f_rows, z_rows = self.rows
-        left, slopes = [np.log(f[f_rows] / self.measured.frequency_hz[f_rows])], [rates[0][f_rows]]
-        if self.dampers:
-            with np.errstate(invalid="ignore", divide="ignore"):
-                left.append(np.log(z[z_rows] / self.measured.damping_ratio[z_rows]))
-                slopes.append(rates[1][z_rows] / z[z_rows][:, None])
-        own, by_own = self.prior(x)
-        residual = np.concatenate([np.concatenate(left) / sigma, own])
-        return residual, np.vstack([np.vstack(slopes) / sigma[:, None], by_own])
-
-    def prior(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the stated masses as residuals (Q,) with their derivatives (Q, X)."""
-        own = self.deviates(x)
-        return own, np.eye(len(x))[len(x) - len(own) :]
-
-    def stated(self) -> tuple[FloatArray, FloatArray]:
-        """Return the stated relative standard uncertainties of the fitted frequencies and dampings."""
-        f_rows, z_rows = self.rows
-        seen = self.measured
-        f = seen.u_frequency_hz[f_rows] / seen.frequency_hz[f_rows]
-        z = seen.u_damping_ratio[z_rows] / seen.damping_ratio[z_rows] if self.dampers else np.zeros(0)
-        return np.nan_to_num(f), np.nan_to_num(z)
-
-    def groups(self, x: FloatArray) -> list[tuple[FloatArray, FloatArray, int]]:
-        """Return deviations, stated relative uncertainties and degrees of freedom of ln f and of ln ζ."""
-        f, z = self.stated()
-        left = self.residual(x, np.ones(len(f) + len(z)))[0]
-        parts = left[: len(f)], left[len(f) : len(f) + len(z)]
-        return list(zip(parts, (f, z), self.dof, strict=True))
-
-    def sigma(self, scatter: tuple[float, float]) -> FloatArray:
-        """Return relative standard deviations (N,) of all rows, with a scatter in addition to the stated ones."""
-        parts = [np.sqrt(u**2 + tau**2 + FLOOR**2) for u, tau in zip(self.stated(), scatter, strict=True)]
-        return np.concatenate(parts)
-
-    def start(self, ratio: float) -> FloatArray:
-        """Return unknowns (X,) of a ratio k_L/k that give resonance and damping of the lightest load."""
-        lightest = int(np.argmin(self.masses.load))
-        shape = np.array([1.0, 0.0] if self.rigid else [1.0, 0.0, ratio, 0.0])
-        load = float(self.masses.load[lightest])
-        omega = 2.0 * np.pi * float(self.measured.frequency_hz[lightest, 0])
-        k = (omega / abs(upper_poles(shape, self.masses.moving, load)[0][0])) ** 2
-        springs = np.log(k * shape[::2])
-        zeta = self.measured.damping_ratio[self.rows[1]]
-        dampers = springs[: self.dampers] + (np.log(2.0 * np.median(zeta) / omega) if self.dampers else 0.0)
-        return np.concatenate([springs, dampers, np.zeros(len(self.masses.names))])
-
+from shaker.release.release_notices import (
+    AMBIGUOUS_SOLUTIONS,
+    MASS_CONTRADICTED,
+    NO_SERIES_UNCERTAINTY,
+    SCATTER_UNCERTAINTY,
+    SECOND_MODE_EXCLUDED,
+    SERIES_SCATTER,
+    THREE_MASSES,
+    TWO_MASSES_ASSUMED,
+    TWO_MASSES_SUFFICIENT,
+)
+from shaker.release.series_problem import SeriesFit, SeriesProblem
+from shakercal._common.notices import Notice, Value
 
 # Stiffnesses and dampings from the resonances of several loads.
 
@@ -200,28 +43,6 @@ COARSE = (1e-2, 1e-1)
 FARTHEST = 1e4  # ratio of the stiffnesses beyond which one of them means nothing
 INDISTINCT = 3.84  # difference of chi-squared up to which a second minimum cannot be excluded (95 %)
 CHANCE = 1e-3  # chance below which deviations are not explained by what is stated
-
-
-@dataclass(frozen=True, repr=False)
-class SeriesFit(Brief):
-    """Parameters of a load model from a series of R records.
-
-    `numbers` (P,): stiffness and damping, and those of the coupling unless rigid; dampings are 0 if none was measured.
-    `deviates` (Q,): named mass errors in standard uncertainties. `covariance` (P + Q, P + Q) of both, None if the
-    scatter is unknown. `frequency_hz`, `damping_ratio` (R, 2) of the model. `scatter`: relative standard deviations of
-    frequencies and of dampings about the model in addition to the stated ones. `chi_squared` of both for the stated
-    uncertainties, with `dof`. `excess`: χ² above that of the best minimum.
-    """
-
-    numbers: FloatArray
-    deviates: FloatArray
-    covariance: FloatArray | None
-    frequency_hz: FloatArray
-    damping_ratio: FloatArray
-    scatter: tuple[float, float]
-    chi_squared: tuple[float, float]
-    dof: tuple[int, int]
-    excess: float = 0.0
 
 
 def fit_resonances(measured: Resonances, masses: SeriesMasses, *, rigid: bool) -> tuple[SeriesFit, ...]:
@@ -456,11 +277,16 @@ def identify_loads(
 
     Parameters
     ----------
-    measured : resonances and dampings of R records
-    masses : moving mass and load masses with their errors
-    output : output channel and its static sensitivity
-    decays : free decays of the R records, default none: the model is fitted to the resonances alone
-    noise : (R,) standard deviations of the records' residuals, output unit, default None
+    measured
+        resonances and dampings of R records
+    masses
+        moving mass and load masses with their errors
+    output
+        output channel and its static sensitivity
+    decays
+        free decays of the R records, default none: the model is fitted to the resonances alone
+    noise
+        (R,) standard deviations of the records' residuals, output unit, default None
 
     Returns
     -------
@@ -469,27 +295,26 @@ def identify_loads(
     Notes
     -----
     Three masses are selected if a second mode was observed, or if a rigid load contradicts the first ones (chance below
-        1 in 100). Second
-    modes that no coupling explains are excluded. The fit to the resonances replaces that to the records if the
-        resonances scatter more than
-    stated and the records are not explained within their noise. It includes that scatter.
+    1 in 100). Second modes that no coupling explains are excluded. The fit to the resonances replaces that to the
+    records if the resonances scatter more than stated and the records are not explained within their noise. It includes
+    that scatter.
 
     Examples
     --------
     >>> import numpy as np
     >>> from shaker import identify_loads
-    >>> from shaker.release.load_modes import Output, stated_masses, stated_resonances
+    >>> from shaker.release.load_modes import SeriesOutput, stated_masses, stated_resonances
     >>> load = np.array([0.0, 0.5, 1.0, 2.0])  # kg on 0.3 kg that move, on a spring of 4 N/µm
     >>> seen = stated_resonances(np.sqrt(4e6 / (0.3 + load)) / (2 * np.pi))
-    >>> found = identify_loads(seen, stated_masses(0.3, 0.0, load), Output("Fz", "Fz", "V"))
+    >>> found = identify_loads(seen, stated_masses(0.3, 0.0, load), SeriesOutput("Fz", "Fz", "V"))
     >>> print(f"{found.model.stiffness:.3g} N/m")
     4e+06 N/m
     """
-    seen, unit = measured, output.mass_unit
+    observed, unit = measured, output.mass_unit
     measured, foreign = belonging(measured, masses)
     rigid = fit_resonances(measured, masses, rigid=True)[0]
-    told = np.isfinite(measured.frequency_hz) & np.stack([np.ones_like(masses.load), masses.load], axis=1).astype(bool)
-    different = sum(len(np.unique(masses.load[told[:, mode]])) for mode in range(2))  # repeats of a load tell no more
+    used = np.isfinite(measured.frequency_hz) & np.stack([np.ones_like(masses.load), masses.load], axis=1).astype(bool)
+    different = sum(len(np.unique(masses.load[used[:, mode]])) for mode in range(2))  # repeats do not count
     enough = different >= 2 and bool(np.any(masses.load > 0))
     elastic = fit_resonances(measured, masses, rigid=False) if enough else ()
     supported, reason = _supports(measured, masses, rigid, elastic, unit)
@@ -503,38 +328,39 @@ def identify_loads(
     if supported:
         chosen = tuple(sorted(chosen, key=lambda fit: -float(fit.numbers[2])))
     models = tuple(_model(fit, masses, output, n, len(chosen)) for n, fit in enumerate(chosen, 1))
-    remarks: list[tuple[Severity, str]] = []
+    where, notices = output.component, list[Notice]()
     if foreign:
-        places = ", ".join(f"{seen.frequency_hz[r, 1]:.5g} Hz with {_mass(masses.load[r], unit)}" for r in foreign)
-        remarks.append(("warning", f"modes that no coupling of the load explains are left out: {places}"))
-    remarks.append(("note", f"{'three' if supported else 'two'} masses: {reason}"))
-    remarks += _remarks(masses, output, chosen[0], models, bool(np.any(measured.u_frequency_hz[:, 0] > 0)))
-    notices = tuple(Notice(severity, text, output.component) for severity, text in remarks)
-    return LoadIdentification(rigid, elastic, chosen, from_records, models, reason, notices)
+        modes = ", ".join(f"{observed.frequency_hz[r, 1]:.5g} Hz with {_mass(masses.load[r], unit)}" for r in foreign)
+        notices.append(Notice(SECOND_MODE_EXCLUDED, where, modes=modes))
+    notices.append(reason.at(where))
+    notices += _remarks(masses, output, chosen[0], models, bool(np.any(measured.u_frequency_hz[:, 0] > 0)))
+    text = f"{reason.text} {reason.effect}"
+    return LoadIdentification(rigid, elastic, chosen, from_records, models, text, tuple(notices))
 
 
 def _supports(
     measured: Resonances, masses: SeriesMasses, rigid: SeriesFit, elastic: tuple[SeriesFit, ...], unit: str
-) -> tuple[bool, str]:
+) -> tuple[bool, Notice]:
     """Return whether the data support three masses, and the code of the reason with its values."""
     from scipy.special import chdtrc, fdtrc
 
     if not elastic:
-        return False, "one resonance of one load cannot tell the coupling's stiffness: the load is taken as rigid"
+        return False, Notice(TWO_MASSES_ASSUMED)
 
-    def largest(fit: SeriesFit) -> str:
-        deviation = 100.0 * (fit.frequency_hz[:, 0] / first - 1.0)
-        place = int(np.argmax(np.abs(deviation)))
-        size = float(abs(deviation[place]))
-        told = f"{size:.2g} %" if size > NEGLIGIBLE else f"less than {NEGLIGIBLE:g} %"
-        return f"{told} with {_mass(masses.load[place], unit)}"
+    def largest(fit: SeriesFit) -> tuple[float, str]:
+        deviation = 100.0 * np.abs(fit.frequency_hz[:, 0] / first - 1.0)
+        index = int(np.argmax(deviation))
+        size = float(deviation[index])
+        return size if size > NEGLIGIBLE else 0.0, _mass(masses.load[index], unit)
 
     first, seen = measured.frequency_hz[:, 0], np.isfinite(measured.frequency_hz[:, 1]) & (masses.load > 0)
-    told = f"two masses miss the resonance by {largest(rigid)}, three by {largest(elastic[0])}"
+    (two, two_load), (three, three_load) = largest(rigid), largest(elastic[0])
+    values: dict[str, Value] = {"two_percent": two, "two_load": two_load}
+    values |= {"three_percent": three, "three_load": three_load}
     if seen.any():
-        place = int(np.flatnonzero(seen)[0])
-        second = f"{measured.frequency_hz[place, 1]:.5g} Hz with {_mass(masses.load[place], unit)}"
-        return True, f"a second resonance is seen ({second}), which a rigid load does not have; {told}"
+        index = int(np.flatnonzero(seen)[0])
+        second = f"{measured.frequency_hz[index, 1]:.5g} Hz with {_mass(masses.load[index], unit)}"
+        return True, Notice(THREE_MASSES, evidence=f"a second resonance at {second}", **values)
     scatter, freedom = elastic[0].scatter[0], elastic[0].dof[0]
     variance = (measured.u_frequency_hz[:, 0] / first) ** 2 + scatter**2
     if np.all(variance > 0.0):
@@ -543,8 +369,8 @@ def _supports(
         )
         gain = max(float(of_two - of_three), 0.0)
         if (fdtrc(1, freedom, gain) if scatter > 0.0 else chdtrc(1, gain)) < CONTRADICTED:
-            return True, f"a rigid load contradicts the resonances: {told}"
-    return False, f"a rigid load explains the resonances: {told}"
+            return True, Notice(THREE_MASSES, evidence="the first resonances", **values)
+    return False, Notice(TWO_MASSES_SUFFICIENT, **values)
 
 
 def _mass(load: float, unit: str) -> str:
@@ -586,31 +412,20 @@ def _model(fit: SeriesFit, masses: SeriesMasses, output: SeriesOutput, number: i
 
 def _remarks(
     masses: SeriesMasses, output: SeriesOutput, fit: SeriesFit, models: tuple[LoadModel, ...], stated: bool
-) -> Iterator[tuple[Severity, str]]:
+) -> Iterator[Notice]:
     """Yield notices on ambiguous solutions, scatter about the model and contradicted masses."""
+    where = output.component
     if len(models) > 1:
         unit = typeset(mechanical_units(output.component).stiffness)
         pairs = " or ".join(f"k = {m.stiffness:.4g}, k_L = {m.coupling_stiffness:.4g} {unit}" for m in models)
-        bare = " or ".join(f"{abs(m.poles(0.0)[0]) / (2.0 * np.pi):.5g} Hz" for m in models)
-        yield (
-            "warning",
-            f"the recorded loads cannot tell {len(models)} solutions apart: {pairs}; all are given. Another load mass "
-            f"does: without load the resonance would be {bare}",
-        )
-    for tau, what, known in zip(fit.scatter, ("resonances", "damping ratios"), (stated, True), strict=True):
-        if tau > 0.0 and known:
-            yield (
-                "warning",
-                f"{what} scatter about the model by {100.0 * tau:.2g} % more than their uncertainties explain: U holds "
-                "it, and the model is fitted to them, not to the records",
-            )
-        elif tau > 0.0:
-            yield (
-                "note",
-                f"no uncertainties of the {what} are stated: U follows from their scatter of {100.0 * tau:.2g} %",
-            )
+        unloaded = " or ".join(f"{abs(m.poles(0.0)[0]) / (2.0 * np.pi):.5g} Hz" for m in models)
+        yield Notice(AMBIGUOUS_SOLUTIONS, where, count=len(models), solutions=pairs, unloaded=unloaded)
+    for tau, quantity, known in zip(fit.scatter, ("resonances", "damping ratios"), (stated, True), strict=True):
+        if tau > 0.0:
+            declared = SERIES_SCATTER if known else SCATTER_UNCERTAINTY
+            yield Notice(declared, where, quantity=quantity, scatter_percent=100.0 * tau)
     if fit.covariance is None:
-        yield "warning", "neither stated uncertainties nor more resonances than unknowns: no U can be given"
+        yield Notice(NO_SERIES_UNCERTAINTY, where)
     for name, value in zip(masses.names, fit.deviates, strict=True):
         if abs(value) > UNLIKELY:
-            yield "warning", f"{name}: the resonances ask for {value:+.1f} standard uncertainties"
+            yield Notice(MASS_CONTRADICTED, where, cause=name, deviation=value)

@@ -24,7 +24,19 @@ from shaker.release.output_error import (
 )
 from shaker.release.poles import UNCLEAR, decimate, instrumental_variables, matrix_pencil, peaks_hz, start_poles
 from shaker.release.record import ReleaseReading, StepRecord
-from shakercal._common.notices import Notice, Severity
+from shaker.release.release_notices import (
+    COLOURED_NOISE,
+    DOUBTFUL_MODE,
+    DOUBTFUL_REAL_POLE,
+    GROWING_POLE,
+    MODE_NEAR_SAMPLING_LIMIT,
+    ONSET_CONTRADICTED,
+    ONSET_UNCERTAIN,
+    OUTPUT_AT_LIMIT,
+    RELEASE_OUTSIDE_SEARCH,
+    RESIDUAL_ABOVE_NOISE,
+)
+from shakercal._common.notices import Notice
 
 # The modes that ring after a release: how many, and where the fit with the release starts from.
 
@@ -103,10 +115,10 @@ _LAG = (0.0, 0.08, 0.17, 0.25)  # periods by which the half-way point follows th
 _LOOSE = (1.5, 2.0)  # standard deviations of what the grid says of logarithms of real poles and of the length
 
 
-def first_vectors(
+def start_vectors(
     structure: PoleStructure, load: ReleaseLoad, samples: BlockMeans, modes: ComplexArray, reading: ReleaseReading
 ) -> list[FloatArray]:
-    """Return, for every number of numerator terms up to all, the grid point that leaves least about the release."""
+    """Return the best grid point for every number of numerator terms, by the residual at the release."""
     lowest = float(np.abs(modes).min()) / (2 * np.pi)
     rise = min(reading.rise_s, 3.0 / lowest + reading.release_s)
     near = samples.between(reading.onset_s - 2.0 / lowest, reading.onset_s + reading.release_s + rise + 2.0 / lowest)
@@ -251,7 +263,7 @@ def _fit_one(search: OrderSearch, load: ReleaseLoad, modes: ComplexArray, reals:
     margin = 0.5 / lowest + 3.0 * whole.step_s
     end = reading.onset_s + reading.release_s + 2.0 * margin
     samples = reduce_to_blocks(whole, reading.onset_s - margin, end, block_length(1.0 / whole.step_s, highest))
-    starts = first_vectors(structure, load, samples, modes, reading)
+    starts = start_vectors(structure, load, samples, modes, reading)
     problem = OutputErrorProblem(structure, load, samples, starts[0], starts[0], reading.onset_s, search.colour)
     return add_numerator_terms(solve(*with_loose_prior(problem, starts[0], highest)), starts, highest)
 
@@ -277,9 +289,9 @@ def add_numerator_terms(found: OutputErrorFit, starts: list[FloatArray], highest
     return found
 
 
-# What the user should know of an identification.
+# Notices of an identification.
 
-_MORE = 1.5  # residual's variance over that of the noise before the release that a right model would leave
+_MORE = 1.5  # variance of the residual over that of the noise before the release; a correct model leaves about 1
 
 
 def fit_notices(
@@ -287,41 +299,38 @@ def fit_notices(
 ) -> tuple[Notice, ...]:
     """Return notices on the poles, the residual and the release."""
     where = f"{record.name}, {reading.channel}"
-    told = [*_of_poles(model, record.sample_rate_hz), *_of_residual(reading, known)]
-    told += [*_of_release(record, solution, known)]
-    return tuple(Notice(severity, text, where) for severity, text in told)
+    notices = [*_of_poles(model, record.sample_rate_hz, where), *_of_residual(reading, known, where)]
+    return (*notices, *_of_release(record, solution, known, where))
 
 
-def _of_poles(model: ModalModel, rate_hz: float) -> Iterator[tuple[Severity, str]]:
+def _of_poles(model: ModalModel, rate_hz: float, where: str) -> Iterator[Notice]:
     """Yield notices on growing poles, poles near the sampling limit, and uncertain ones."""
     assert model.covariance is not None
     u, modes = np.sqrt(np.diag(model.covariance)), len(model.frequency_hz)
     for hz, zeta, u_zeta in zip(model.frequency_hz, model.damping_ratio, u[modes : 2 * modes], strict=True):
         if zeta < 0:
-            yield "warning", f"the mode at {hz:.5g} Hz grows, ζ = {zeta:.3g}: the model is unstable"
+            yield Notice(GROWING_POLE, where, frequency_hz=hz)
         elif u_zeta > UNCLEAR * zeta or zeta > 0.6:
-            yield "warning", f"the mode at {hz:.5g} Hz, ζ = {zeta:.2g} ± {u_zeta:.1g}, may be none of the sensor's"
+            yield Notice(DOUBTFUL_MODE, where, frequency_hz=hz, damping_ratio=zeta, u_damping_ratio=u_zeta)
         if hz > 0.4 * rate_hz:
-            yield "warning", f"the mode at {hz:.5g} Hz lies near half the sampling rate of {rate_hz:.6g} Hz"
+            yield Notice(MODE_NEAR_SAMPLING_LIMIT, where, frequency_hz=hz, rate_hz=rate_hz)
     for hz, u_hz in zip(model.real_hz, u[4 * modes :], strict=False):
         if hz > 0.5 * rate_hz or u_hz > UNCLEAR * abs(hz):
-            yield "warning", f"the real pole at {hz:.3g} ± {u_hz:.1g} Hz is hardly told by the record"
+            yield Notice(DOUBTFUL_REAL_POLE, where, frequency_hz=hz, u_hz=u_hz)
 
 
-def _of_residual(reading: ReleaseReading, known: FitCovariance) -> Iterator[tuple[Severity, str]]:
+def _of_residual(reading: ReleaseReading, known: FitCovariance, where: str) -> Iterator[Notice]:
     """Yield notices on the order of the model and on the noise."""
     ratio = float(np.std(known.residual)) / reading.noise if reading.noise > 0 else np.inf
     if ratio**2 > _MORE:
-        text = f"the residual is {ratio:.3g} times the noise before the release: the model's order is doubtful"
-        yield "warning", text
+        yield Notice(RESIDUAL_ABOVE_NOISE, where, factor=ratio)
     elif not known.white:
-        text = f"the noise is coloured: the uncertainty of the poles is {np.sqrt(known.excess):.2g} times as large"
-        yield "note", text
+        yield Notice(COLOURED_NOISE, where, factor=np.sqrt(known.excess))
     if reading.clipped:
-        yield "warning", "the output ran into its limit: what was cut off bends the model"
+        yield Notice(OUTPUT_AT_LIMIT, where)
 
 
-def _of_release(record: StepRecord, solution: OutputErrorFit, known: FitCovariance) -> Iterator[tuple[Severity, str]]:
+def _of_release(record: StepRecord, solution: OutputErrorFit, known: FitCovariance, where: str) -> Iterator[Notice]:
     """Yield notices on the onset and the release."""
     load, samples = solution.problem.load, solution.problem.samples
     if not load.timed:
@@ -329,14 +338,9 @@ def _of_release(record: StepRecord, solution: OutputErrorFit, known: FitCovarian
     middle, length = solution.problem.release(solution.vector)
     fastest = float(np.exp(np.max(solution.vector[: solution.problem.structure.modes]))) / (2 * np.pi)
     if known.u_onset_s > 0.1 / fastest:
-        yield (
-            "note",
-            f"the onset is known to {known.u_onset_s:.1g} s only, and with it the phases of the residues; "
-            "poles and static gain do not depend on it",
-        )
+        yield Notice(ONSET_UNCERTAIN, where, u_onset_s=known.u_onset_s)
     coarse = samples.time_s[samples.length > 1]
     if np.any(np.abs(coarse - middle) < 0.5 * length):
-        yield "warning", f"the release at {middle:.6g} s lies outside the part of the record where it was looked for"
+        yield Notice(RELEASE_OUTSIDE_SEARCH, where, middle_s=middle)
     if record.onset_s is not None and abs(record.onset_s - middle + 0.5 * length) > 1.0 / fastest:
-        onset_s = middle - 0.5 * length
-        yield "warning", f"the onset found, {onset_s:.6g} s, is not the one stated, {record.onset_s:.6g} s"
+        yield Notice(ONSET_CONTRADICTED, where, found_s=middle - 0.5 * length, stated_s=record.onset_s)

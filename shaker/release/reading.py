@@ -34,7 +34,15 @@ from shaker.release.record import (
     ringing_level,
     spectrum_peaks,
 )
-from shakercal._common.notices import Notice, Severity
+from shaker.release.release_notices import (
+    FORCE_CONTRADICTS_AMPLITUDE,
+    LEVEL_DRIFT,
+    OTHER_CHANNEL_TIMES,
+    OUTPUT_AT_LIMIT,
+    RELEASE_BY_LINE,
+    RELEASE_MISFIT,
+)
+from shakercal._common.notices import Notice
 
 # Onset and length of a release with what noise, and an unknown lag behind the sensor, leave open of them.
 
@@ -243,7 +251,7 @@ class Timing(Interval):
     `misfit`: standard deviation of the fit's residual over the noise at rest.
     """
 
-    of: str
+    reference_channel: str
     lag_s: float
     rise_s: float
     u_rise_s: float
@@ -252,8 +260,8 @@ class Timing(Interval):
     misfit: float
 
 
-def places_of(record: StepRecord) -> list[Location]:
-    """Return where every channel's release is, roughly; a record without one is refused."""
+def locate_channels(record: StepRecord) -> list[Location]:
+    """Return the approximate release of every channel; a record without one is refused."""
     near = None if record.onset_s is None else round((record.onset_s - record.start_s) * record.sample_rate_hz)
     places = [locate(samples, near) for samples in record.samples]
     strength = max(place.strength for place in places)
@@ -310,8 +318,10 @@ def read_release(record: StepRecord, channel: str) -> ReleaseReading:
 
     Parameters
     ----------
-    record : outputs during one release
-    channel : name of the output
+    record
+        outputs during one release
+    channel
+        name of the output
 
     Returns
     -------
@@ -335,7 +345,7 @@ def read_release(record: StepRecord, channel: str) -> ReleaseReading:
     """
     if channel not in record.channels:
         raise ValueError(f"channel: expected one of {', '.join(record.channels)}, found {channel!r}")
-    places = places_of(record)
+    places = locate_channels(record)
     own = record.channels.index(channel)
     timed = own if places[own].strength >= STRONG else _strongest(places)
     return _reading(record, own, places[own], timing_of(record, timed, places[timed]))
@@ -348,7 +358,7 @@ def initial_release(record: StepRecord) -> tuple[float, float, ReleaseShape]:
     order a lag behind the sensor acts like a later and longer release: the middle of the fitted release is later by the
     lag, and its second moment adds to the release's.
     """
-    places = places_of(record)
+    places = locate_channels(record)
     shape: ReleaseShape
     if record.force is not None:
         interval, _, _, shape = read_force(record.force, record.sample_rate_hz, record.start_s)
@@ -359,12 +369,12 @@ def initial_release(record: StepRecord) -> tuple[float, float, ReleaseShape]:
         middle_s, shape = fit.centre_s, fit.shape
         length_s = float(np.sqrt(fit.release_s**2 + fit.lag_s**2 / MOMENTS[shape]))
     ends = (middle_s + length_s * np.array([-0.5, 0.5]) - record.start_s) * record.sample_rate_hz
-    _check_room(record, float(ends[0]), float(ends[1]) + 1.0)
+    _check_length(record, float(ends[0]), float(ends[1]) + 1.0)
     return middle_s, length_s, shape
 
 
-def _check_room(record: StepRecord, rests_to: float, rings_from: float) -> None:
-    """Refuse a record with too few samples before the onset or after the release, which are at such samples."""
+def _check_length(record: StepRecord, rests_to: float, rings_from: float) -> None:
+    """Refuse a record with too few samples before the onset or after the release."""
     count = record.samples.shape[1]
     if rests_to < _LEAST or rings_from > count - _LEAST:
         raise ValueError(
@@ -375,7 +385,7 @@ def _check_room(record: StepRecord, rests_to: float, rings_from: float) -> None:
 
 def read_releases(record: StepRecord) -> tuple[ReleaseReading, ...]:
     """Return the readings of all channels of a record, as `read_release`."""
-    places = places_of(record)
+    places = locate_channels(record)
     strongest = _strongest(places)
     common = timing_of(record, strongest, places[strongest])
     readings = []
@@ -396,7 +406,7 @@ def _reading(record: StepRecord, channel: int, place: Location, timing: Timing) 
     rests_to = (timing.onset_s - 2.0 * timing.u_onset_s - record.start_s) * rate
     end_s = timing.onset_s + timing.release_s + 2.0 * timing.u_release_s + _SETTLED * timing.lag_s
     rings_from = (end_s - record.start_s) * rate + 1.0
-    _check_room(record, rests_to, rings_from)
+    _check_length(record, rests_to, rings_from)
     poles, after = np.zeros(0, dtype=np.complex128), int(np.ceil(rings_from))
     if timing.fit is not None:
         poles = np.asarray(timing.fit.poles[: len(timing.fit.frequency_hz)] / rate)
@@ -436,36 +446,30 @@ def _remarks(
     record: StepRecord, reading: ReleaseReading, timing: Timing, levels: tuple[Level, Level]
 ) -> tuple[Notice, ...]:
     """Return the notices of a reading."""
-    told: list[tuple[Severity, str]] = []
-    strength = abs(reading.steady - reading.baseline) / reading.noise
+    where, notices = reading.channel, list[Notice]()
     if reading.clipped:
-        told.append(("warning", "the output stands at its limit: the record is cut, its peaks and poles are wrong"))
-    if timing.of != reading.channel:
-        text = f"changes by {strength:.2g} standard deviations of its noise: read at the times of {timing.of}"
-        told.append(("note", text))
+        notices.append(Notice(OUTPUT_AT_LIMIT, where))
+    if timing.reference_channel != reading.channel:
+        strength = abs(reading.steady - reading.baseline) / reading.noise
+        notices.append(Notice(OTHER_CHANNEL_TIMES, where, strength=strength, channel=timing.reference_channel))
     elif timing.fit is None:
-        text = "modes behind a lag do not describe the release: onset and length by a straight line from 10 % to 90 %"
-        told.append(("warning", text))
+        notices.append(Notice(RELEASE_BY_LINE, where))
     elif timing.misfit > _MISFIT:
-        text = (
-            f"modes that start together behind one lag leave {timing.misfit:.3g} times the noise at rest around the "
-            "release: onset and length are less certain than stated"
-        )
-        told.append(("warning", text))
-    for level, name in zip(levels, ("before the release", "after the ringing"), strict=True):
+        notices.append(Notice(RELEASE_MISFIT, where, factor=timing.misfit))
+    for level, stage in zip(levels, ("before the release", "after the ringing"), strict=True):
         if abs(level.drift_over_u) > _DRIFTS:
             share = level.drift / (reading.steady - reading.baseline)
-            told.append(("warning", f"the level {name} drifts by {share:.2g} of the change over its samples"))
+            notices.append(Notice(LEVEL_DRIFT, where, stage=stage, share=share))
     if record.force is not None:
         force = read_force(record.force, record.sample_rate_hz, record.start_s)
         u = float(np.hypot(force.u_change, record.u_amplitude * record.amplitude))
         if abs(force.change - record.amplitude) >= max(3.0 * u, 0.01 * abs(record.amplitude)):
-            text = f"the force changes by {force.change:.5g}, stated are {record.amplitude:.5g}"
-            told.append(("warning", f"{text}: the gain is over the stated one"))
-    return tuple(Notice(severity, text, reading.channel) for severity, text in told)
+            measured, stated = force.change, record.amplitude
+            notices.append(Notice(FORCE_CONTRADICTS_AMPLITUDE, where, measured=measured, stated=stated))
+    return tuple(notices)
 
 
-# Comparison of what lets go: which release is fastest, and which repeats best.
+# Comparison of release devices: rise time and repeatability.
 
 
 @dataclass(frozen=True)

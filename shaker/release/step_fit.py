@@ -26,9 +26,10 @@ from shaker.release.model_order import (
 from shaker.release.output_error import OutputErrorProblem, PoleStructure, fit_covariance, modal_model, solve, squares
 from shaker.release.reading import read_release
 from shaker.release.record import ReleaseReading, ReleaseShape, StepRecord
+from shaker.release.release_notices import NO_CONTINUOUS_MODEL, OUTPUT_DIVERGES, RELEASE_SHAPE_UNDETERMINED
 from shakercal._common.notices import Notice
 
-# What an identification from a step response returns, whatever the method.
+# Result of an identification from a step response, for all methods.
 
 Method = Literal["pencil", "arx", "sim", "sim_zoh", "evolution", "evolution_coefficients"]
 
@@ -73,7 +74,7 @@ class StepFit(Brief):
         check_shapes(self, self.time_s.shape, "fitted", "residual")
 
 
-# A solution as what an identification returns.
+# A solution as a result.
 
 
 def as_step_fit(
@@ -136,13 +137,19 @@ def fit_step(
 
     Parameters
     ----------
-    record : outputs during one release
-    channel : name of the output
-    reading : result of `read_release` for this channel, default None: it is read first
-    modes, real_poles : numbers of oscillating modes and real poles, default None: selected by rule
-    method : start values from a matrix "pencil" (default) or an "arx" model
-    release : "step", "ramp", "smooth" or "measured"; default None: the measured force, else the likelier of ramp and
-        half cosine
+    record
+        outputs during one release
+    channel
+        name of the output
+    reading
+        result of `read_release` for this channel, default None: it is read first
+    modes, real_poles
+        numbers of oscillating modes and real poles, default None: selected by rule
+    method
+        start values from a matrix "pencil" (default) or an "arx" model
+    release
+        "step", "ramp", "smooth" or "measured"; default None: the measured force, else the likelier of ramp and half
+        cosine
 
     Returns
     -------
@@ -151,8 +158,7 @@ def fit_step(
     Notes
     -----
     The covariance contains the noise of the record, coloured or white, the baseline, the release and the amplitude of
-        the load. It
-    also contains the effect of the other shape of the release if the record does not reject it.
+    the load. It also contains the effect of the other shape of the release if the record does not reject it.
 
     Examples
     --------
@@ -169,10 +175,13 @@ def fit_step(
     reading = reading or read_release(record, channel)
     fits = fit_shapes(record, channel, reading, modes, real_poles, method, release)
     fit = merge_alternatives(fits)
-    told = [text for other in fits[1:] if other.excess < REJECT_CHI2 and (text := describe_difference(fits[0], other))]
+    shapes = [
+        text for other in fits[1:] if other.excess < REJECT_CHI2 and (text := describe_difference(fits[0], other))
+    ]
     where = f"{record.name}, {channel}"
-    notices = [Notice("note", f"the record does not tell whether the release is {text}", where) for text in told]
-    return replace(fit, notices=(*fit.notices, *notices))
+    return replace(
+        fit, notices=(*fit.notices, *(Notice(RELEASE_SHAPE_UNDETERMINED, where, alternatives=text) for text in shapes))
+    )
 
 
 def fit_shapes(
@@ -223,13 +232,13 @@ def describe_difference(first: StepFit, other: StepFit) -> str:
     """Return a sentence on the other release shape and its model, "" for a small difference."""
     if first.model is None or other.model is None or first.model.covariance is None:
         return ""
-    away = np.abs(other.model.vector - first.model.vector)
-    if not np.any(away > np.sqrt(np.diag(first.model.covariance))):
+    difference = np.abs(other.model.vector - first.model.vector)
+    if not np.any(difference > np.sqrt(np.diag(first.model.covariance))):
         return ""
     shapes = [SHAPES[fit.shape] for fit in (first, other)]
     poles = [" and ".join(f"{hz:.3g}" for hz in np.sort(fit.model.real_hz)) for fit in (first, other) if fit.model]
-    of_poles = f"the real pole is {poles[0]} Hz or {poles[1]} Hz, and " if poles[0] else ""
-    return f"{shapes[0]} or {shapes[1]}: {of_poles}gains between rest and resonance depend on which; U holds both"
+    of_poles = f" (real pole at {poles[0]} Hz or {poles[1]} Hz)" if poles[0] else ""
+    return f"{shapes[0]} or {shapes[1]}{of_poles}"
 
 
 def candidate_loads(
@@ -373,12 +382,12 @@ def difference_fit(
     try:
         system = sampled.continuous(conversion)
     except ValueError as error:
-        notices = (Notice("warning", f"no continuous model: {error}", where),)
+        notices = (Notice(NO_CONTINUOUS_MODEL, where, reason=str(error)),)
     notices += pole_notices(system, rate)
     with np.errstate(over="ignore", invalid="ignore"):
         fitted = np.asarray(sosfilt(sampled.sections(), load))
     if not np.all(np.isfinite(fitted)):
-        notices += (Notice("warning", "the model's output grows without bound: shown is the output's mean", where),)
+        notices += (Notice(OUTPUT_DIVERGES, where),)
         fitted = np.full_like(output, output.mean())
     with np.errstate(over="ignore"):
         accounted = 1.0 - float(np.sum((output - fitted) ** 2) / np.sum((output - output.mean()) ** 2))

@@ -212,9 +212,12 @@ def fit_weights(records: Sequence[RotationRecord], outputs: SensorOutputs, u_ang
 
     Parameters
     ----------
-    records : first harmonics of each recording
-    outputs : sensitivity of the outputs with its uncertainty
-    u_angle_rad : standard uncertainty of the head's angle errors twice per revolution, rad, default 0
+    records
+        first harmonics of each recording
+    outputs
+        sensitivity of the outputs with its uncertainty
+    u_angle_rad
+        standard uncertainty of the head's angle errors twice per revolution, rad, default 0
 
     Returns
     -------
@@ -227,10 +230,10 @@ def fit_weights(records: Sequence[RotationRecord], outputs: SensorOutputs, u_ang
     Notes
     -----
     In sensor axes gravity rotates backwards: force = W·U·exp(jθ₀), moment = μ × U·exp(jθ₀), U = d + j n × d with the
-        axis n and gravity's direction d at zero angle. Every element of the sensitivity is an unknown with its stated
+    axis n and gravity's direction d at zero angle. Every element of the sensitivity is an unknown with its stated
     uncertainty, common to all recordings. Errors of the head's angle twice per revolution (ε_s sin 2θ + ε_c cos 2θ,
-        `u_angle_rad` each) are unknowns too. They alone affect first harmonics: A → A - (j/2)·conj(A)·(ε_c - jε_s).
-    Outputs are weighted by their noise.
+    `u_angle_rad` each) are unknowns too. They alone affect first harmonics: A → A - (j/2)·conj(A)·(ε_c - jε_s). Outputs
+    are weighted by their noise.
 
     An F test checks the residuals of all outputs and of the force outputs. If the chance is below 1 in 1000 (for few
     readings: 1 in 100), every first harmonic has an additional uncertainty, a share of the weight that makes χ² equal
@@ -240,11 +243,11 @@ def fit_weights(records: Sequence[RotationRecord], outputs: SensorOutputs, u_ang
     --------
     >>> import numpy as np
     >>> from shaker import fit_weights
-    >>> from shaker.static_rotation.masses import SensorOutputs, Turned
+    >>> from shaker.static_rotation.masses import SensorOutputs, RotationRecord
     >>> axis, down = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, -1.0])
     >>> turning = down + 1j * np.cross(axis, down)
     >>> load = np.concatenate([10.0 * turning, np.cross([0.0, 0.0, 0.3], turning)])  # 10 N, 30 mm above the origin
-    >>> record = Turned("bar", load, 1e-8 * np.eye(12), 20.0, axis, down)
+    >>> record = RotationRecord("bar", load, 1e-8 * np.eye(12), 20.0, axis, down)
     >>> fit = fit_weights([record], SensorOutputs(np.eye(6), np.zeros((6, 6))))
     >>> print(np.abs(fit.value[:4]).round(6))  # weight in N, first moment in N·m
     [10.   0.   0.   0.3]
@@ -253,8 +256,8 @@ def fit_weights(records: Sequence[RotationRecord], outputs: SensorOutputs, u_ang
 
     if not records:
         raise ValueError("records: expected at least one, found none")
-    problem = _Problem(tuple(records), outputs, u_angle_rad)
-    fit = _Fit.of(problem)
+    problem = _WeightProblem(tuple(records), outputs, u_angle_rad)
+    fit = _WeightSolution.of(problem)
     noise_dof = sum(record.dof for record in records)
     chance = CHANCE if noise_dof >= FEW_DOF else CHANCE_OF_FEW
     if all(test.dof < 0.5 or fdtrc(test.dof, noise_dof, test.excess) >= chance for test in fit.tests):
@@ -262,7 +265,7 @@ def fit_weights(records: Sequence[RotationRecord], outputs: SensorOutputs, u_ang
     low, high = _SMALLEST_DEPARTURE, 1.0
     while high > low * _DEPARTURE_STEP:
         middle = float(np.sqrt(low * high))
-        fit = _Fit.of(replace(problem, departure=middle))
+        fit = _WeightSolution.of(replace(problem, departure=middle))
         low, high = (middle, high) if max(test.excess for test in fit.tests) > 1.0 else (low, middle)
     return _result(fit)
 
@@ -280,8 +283,11 @@ class _Test(NamedTuple):
 
 
 @dataclass(frozen=True)
-class _Problem:
-    """All recordings with one sensor as a least-squares problem of real rows; unknowns: recordings', then shared."""
+class _WeightProblem:
+    """All recordings with one sensor as a least-squares problem of real rows.
+
+    Unknowns: those of the recordings, then the shared ones.
+    """
 
     records: tuple[RotationRecord, ...]
     outputs: SensorOutputs
@@ -290,13 +296,13 @@ class _Problem:
 
     @cached_property
     def start(self) -> FloatArray:
-        """Unknowns before the first step."""
+        """Start values of the unknowns."""
         own = [start_values(record, self.outputs) for record in self.records]
         return np.concatenate([*own, np.zeros(self.shared)])
 
     @cached_property
     def departures(self) -> FloatArray:
-        """What `departure` makes of every real row: that share of the weight, of moments at the usual lever."""
+        """Standard deviation of every real row from `departure`, moments at the usual lever."""
         lever = np.repeat([1.0, USUAL_LEVER_M], FORCES)
         size = np.max(np.abs(self.outputs.sensitivity) * lever, axis=1)
         weights = self.start[: UNKNOWNS_PER_RECORD * len(self.records) : UNKNOWNS_PER_RECORD]
@@ -304,7 +310,7 @@ class _Problem:
 
     @cached_property
     def forces(self) -> BoolArray:
-        """Which outputs answer to forces rather than moments (C,)."""
+        """Mask (C,) of outputs that respond to forces rather than moments."""
         size = np.abs(self.outputs.sensitivity)
         return np.asarray(size[:, :FORCES].sum(axis=1) > USUAL_LEVER_M * size[:, FORCES:].sum(axis=1))
 
@@ -315,7 +321,7 @@ class _Problem:
 
     @property
     def shared(self) -> int:
-        """Number of unknowns that all recordings share: elements, then twice-per-turn errors (cos, sin) of the head."""
+        """Number of shared unknowns: elements, then twice-per-revolution errors (cos, sin) of the head."""
         return len(self.elements) + (2 if self.u_angle_rad > 0.0 else 0)
 
     @cached_property
@@ -334,7 +340,7 @@ class _Problem:
         return np.array([*weights, *([1.0] * self.shared)])
 
     def point(self, vector: FloatArray) -> WhitenedResiduals:
-        """Model less outputs at a vector over the noise, then the unknowns over their prior deviation."""
+        """Return the weighted residuals, and the unknowns over their prior standard deviation."""
         residuals, blocks = [], []
         own = UNKNOWNS_PER_RECORD * len(self.records)
         elements, matrix = self.elements, self.outputs.sensitivity.copy()
@@ -363,25 +369,25 @@ class _Problem:
 
 
 @dataclass(frozen=True)
-class _Fit:
-    """A problem at its solution: the unknowns and their covariance, of variance one in all rows."""
+class _WeightSolution:
+    """A solved problem: the unknowns and their covariance for rows of variance one."""
 
-    problem: _Problem
+    problem: _WeightProblem
     point: WhitenedResiduals
     inverse: FloatArray
 
     @staticmethod
-    def of(problem: _Problem) -> _Fit:
+    def of(problem: _WeightProblem) -> _WeightSolution:
         point = problem.point(problem.start)
         for _ in range(2):  # what is little beside the loss of a far start may be much beside the noise
             point = levenberg_marquardt(problem.point, point, _RULES).point
         normal, _ = point.normal
         scale = 1.0 / np.sqrt(np.diag(normal))
-        return _Fit(problem, point, scale[:, None] * np.linalg.inv(normal * np.outer(scale, scale)) * scale)
+        return _WeightSolution(problem, point, scale[:, None] * np.linalg.inv(normal * np.outer(scale, scale)) * scale)
 
     @property
     def tests(self) -> tuple[_Test, _Test]:
-        """χ² of all outputs and of those of forces."""
+        """χ² of all outputs and of the force outputs."""
         problem, count = self.problem, len(self.problem.records)
         own, shares = np.split(self.point.residual**2, [len(problem.weight)])
         known = (problem.prior * np.diag(self.inverse))[: UNKNOWNS_PER_RECORD * count]
@@ -392,7 +398,7 @@ class _Fit:
         return every, _Test(forces + float(shares.sum()), float(freedom))
 
 
-def _result(fit: _Fit) -> WeightFit:
+def _result(fit: _WeightSolution) -> WeightFit:
     """Return values, sources and the test of a fit."""
     problem, vector, names = fit.problem, fit.point.parameters, tuple(record.name for record in fit.problem.records)
     loads, value = np.full((len(names), 6), np.nan, dtype=np.complex128), np.empty((len(names), ROWS))
@@ -404,7 +410,7 @@ def _result(fit: _Fit) -> WeightFit:
     return WeightFit(names, value.ravel(), tuple(_sources(fit)), loads, every.chi_squared, every.dof, problem.departure)
 
 
-def _projection(problem: _Problem, r: int, vector: FloatArray) -> ComplexArray:
+def _projection(problem: _WeightProblem, r: int, vector: FloatArray) -> ComplexArray:
     """Return factors (3,) from a force component to the weight, NaN for small components.
 
     The weight is the real part of the product.
@@ -416,7 +422,7 @@ def _projection(problem: _Problem, r: int, vector: FloatArray) -> ComplexArray:
     return np.asarray(np.where(seen, np.conj(phasor) / np.where(seen, size, 1.0) ** 2, np.nan))
 
 
-def _sources(fit: _Fit) -> Iterator[WeightErrorSource]:
+def _sources(fit: _WeightSolution) -> Iterator[WeightErrorSource]:
     """Yield every cause of error with its effect on all values.
 
     Deviations that represent the same cause share one effect.

@@ -23,12 +23,12 @@ from shaker.fitting import (
     eliminate,
     levenberg_marquardt,
 )
+from shaker.identification.circle_fit import fit_circle
 from shaker.identification.measured_curves import MeasuredCurve
 from shaker.identification.oscillator import (
     PeakReadings,
     Resonance,
     ResonanceKind,
-    fit_circle,
     fit_resonance,
     peak_readings,
     transmissibility_levels,
