@@ -76,7 +76,7 @@ def target_for_bandwidth(
     tried = np.array([lowest(damping) for damping in dampings])
     if not np.any(np.isfinite(tried)):
         raise ValueError(
-            f"bandwidth_hz: expected one that the poles which are not compensated leave within ±{permitted_error:.2g}"
+            f"bandwidth_hz: expected a band that uncompensated poles leave within ±{permitted_error:.2g}"
             f" of the static gain, found {bandwidth_hz:g}; compensate more modes or the real poles, "
             "or raise the low-pass"
         )

@@ -110,7 +110,7 @@ def loaded_dynamics(model: LoadModel, load_mass: float, *, modes: int = 1) -> Se
     system = model.system(load_mass)
     upper = np.flatnonzero(system.poles.imag > 0)
     if not len(upper):
-        raise ValueError(f"load_mass: expected a load that lets the sensor oscillate, found {load_mass} kg")
+        raise ValueError(f"load_mass: expected a load with which the sensor oscillates, found {load_mass} kg")
     if modes < 0:
         raise ValueError(f"modes: expected 0 or more, found {modes}")
     chosen = np.sort(np.argsort(-step_shares(system)[upper], kind="stable")[:modes])
@@ -195,7 +195,7 @@ def target_poles(sensor: SensorDynamics, target: CompensationTarget) -> list[Com
         poles = [mode_poles(float(f), target.damping_ratio) for f in frequencies]
     if len(sensor.real_hz):
         if target.real_hz is None:
-            raise ValueError("real_hz: expected where the slowest real pole shall lie, found none")
+            raise ValueError("real_hz: expected the target of the slowest real pole, found none")
         factor = target.real_hz / np.min(sensor.real_hz)
         poles += [np.array([-2 * np.pi * factor * f + 0j]) for f in sensor.real_hz]
     return poles

@@ -168,7 +168,7 @@ def _posed(
         [average_blocks(part, size) for part in decays], [record.component for record in records], rate / size
     )
     if not len(swings):
-        raise ValueError("records: expected outputs that swing after the release, found none")
+        raise ValueError("records: expected outputs that oscillate after the release, found none")
     poles = Poles(np.abs(swings) / (2 * np.pi), np.clip(-swings.real / np.abs(swings), 1e-4, 0.9), np.zeros(0))
     components = sort_components(record.component for record in records)
     return StepProblem(tuple(sampled), components), poles

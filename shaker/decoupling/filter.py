@@ -226,7 +226,7 @@ def design_decoupling(
      [0. 1.]]
     """
     if not model.stable:
-        raise ValueError("model: expected one whose poles all decay, found one that grows")
+        raise ValueError("model: expected decaying poles, found a growing one")
     check_shape("frequency_hz", target.frequency_hz, (len(model.components),))
     shape, rate = recorded.load / recorded.noise[:, None], recorded.sample_rate_hz
     plant = sampled_modes(model.poles, [residue * shape for residue in (*model.residue, *model.real_residue)], rate)

@@ -415,4 +415,6 @@ def check_separable(static_gain: FloatArray, channels: Sequence[str], components
     _, singular, right = np.linalg.svd(static_gain / size)
     if singular[-1] < _SEPARATE:
         mixed = [name for name, share in zip(components, np.abs(right[-1]), strict=True) if share > 0.3]
-        raise ValueError(f"components: expected loads that the outputs tell apart, found {' and '.join(mixed)} alike")
+        raise ValueError(
+            f"components: expected loads that the outputs distinguish, found {' and '.join(mixed)} in one direction"
+        )

@@ -223,7 +223,7 @@ def fit_poles(
 
     first = at(start[fixed_count:])
     if first is None:
-        raise ValueError(f"start: expected poles that swing and decay within their records, found {start.tolist()}")
+        raise ValueError(f"start: expected poles that oscillate and decay within their records, found {start.tolist()}")
     smallest = np.concatenate([poles.scale, np.tile([problem.step_s, 0.1], len(releases))])[fixed_count:]
     solution = levenberg_marquardt(
         at, first, search_options(steps, min_gain, target_loss), smallest, problem.prior(start, poles, fixed_count)

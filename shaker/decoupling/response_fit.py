@@ -134,7 +134,7 @@ def _fitted(measured: Responses, start: Poles) -> Point:
 
     first = at(start.vector)
     if first is None:
-        raise ValueError(f"start: expected poles that swing and decay, found {start.vector.tolist()}")
+        raise ValueError(f"start: expected poles that oscillate and decay, found {start.vector.tolist()}")
     point = levenberg_marquardt(at, first, search_options(60, 1e-2), start.scale).point
     return start.with_vector(point.parameters), point
 

@@ -439,7 +439,7 @@ def fit_platform(beams: CrossBeams, half_size_m: float, target_hz: Mapping[str, 
     unknown = [name for name in target_hz if name not in MODE_NAMES]
     if unknown or any(not any(name in target_hz for name in group) for group in NEEDED):
         expected = "Tz, Rz, one of Tx, Ty and one of Rx, Ry"
-        raise ValueError(f"wanted_hz: expected {expected}, found {', '.join(target_hz) or 'none'}")
+        raise ValueError(f"target_hz: expected {expected}, found {', '.join(target_hz) or 'none'}")
     frame = cross_frame(beams, half_size_m, PIECES)
     targets = np.array([np.mean([target_hz[name] for name in group if name in target_hz]) for group in NEEDED])
 

@@ -310,17 +310,21 @@ def _check(
         raise ValueError(f"records: expected different names, found {', '.join(r.name for r in records)}")
     have = [parameter.name for parameter in structure.parameters]
     measured = {channel for record in records for channel in record.ratio.channels}
-    wanted = (("known", known, have), ("each_recording", each_recording, have), ("gain, delay", channels, measured))
+    wanted = (
+        ("stated_values", known, have),
+        ("each_recording", each_recording, have),
+        ("gain, delay", channels, measured),
+    )
     for argument, names, allowed in wanted:
         for name in names:
             if name not in allowed:
                 raise ValueError(f"{argument}: expected some of {', '.join(allowed)}, found {name}")
     for name, (_, u) in known.items():
         if not u >= 0.0:
-            raise ValueError(f"known: expected an uncertainty of 0 or more for {name}, found {u}")
+            raise ValueError(f"stated_values: expected an uncertainty of 0 or more for {name}, found {u}")
     for record in records:
         if abs(float(record.base.row @ record.drive)) < 1e-9 * float(np.abs(record.drive).max()):
-            raise ValueError(f"records: expected a reference that sees the drive of {record.name}, found one across it")
+            raise ValueError(f"records: expected a reference along the drive of {record.name}, found one across it")
 
 
 def _parameters(

@@ -236,9 +236,7 @@ def _adjusted(
     assert first is not None
     search = levenberg_marquardt(point, first, _RULES)
     if not search.converged:
-        raise ValueError(
-            "value: expected a transfer function with a resonance inside its band, found none that a fit meets"
-        )
+        raise ValueError("value: expected a transfer function with a resonance inside its band, found none")
     vector = start.copy()
     vector[~linear], vector[linear] = search.point.parameters, search.point.coefficients[0][:, 0]
     model, derivative = _evaluate(kind, names, s, vector)

@@ -271,7 +271,7 @@ def sensor_model(fit: SensitivityFit, mechanics: FloatArray, covariance: FloatAr
     variance = float(slope @ covariance @ slope)
     known = "spring_time_s" in fit.parameters
     if known != (variance > 0.0) or (not known and fit.spring_time_s != b / k):
-        raise ValueError("fit: expected one that holds b/k by these k and b, found another")
+        raise ValueError("fit: expected one with b/k of these k and b, found another")
     others = [place for place, name in enumerate(fit.parameters) if name != "spring_time_s"]
     joined = np.zeros((3 + len(others), 3 + len(others)))
     joined[:3, :3] = covariance

@@ -168,7 +168,7 @@ class SensorModel(Brief):
         """Return √(k/(m + m_i))/2π, the undamped resonance with a load."""
         total = load.mass + self.internal_mass
         if not total > 0.0:
-            raise ValueError(f"load: expected a mass that with the internal one is above 0, found {total:g}")
+            raise ValueError(f"load: expected a positive sum of load and internal mass, found {total:g}")
         return float(np.sqrt(self.stiffness / total) / (2.0 * np.pi))
 
     def output_factor(self, frequency_hz: FloatArray, load: Load) -> ComplexArray:

@@ -305,7 +305,7 @@ def change_limit(model: LoadModel, permitted: float) -> LoadLimit | None:
 def frequency_limit(model: LoadModel, target_hz: float) -> LoadLimit | None:
     """Return the load mass up to which the resonance is at least `target_hz`, None if it never is."""
     if not target_hz > 0:
-        raise ValueError(f"wanted_hz: expected a frequency above 0, found {target_hz}")
+        raise ValueError(f"target_hz: expected a frequency above 0, found {target_hz}")
     if first_mode_hz(model, 0.0) < target_hz:
         return None
     return _limit(model, lambda changed, load: target_hz / first_mode_hz(changed, load) - 1.0)

@@ -91,7 +91,7 @@ def _least(
 
     begin = at(start)
     if begin is None:
-        raise ValueError("start: expected unknowns that a sensor may have, found others")
+        raise ValueError("start: expected unknowns within the range of a sensor, found others")
     return levenberg_marquardt(at, begin, replace(SEARCH, predicted_decrease_share=tolerance)).point
 
 

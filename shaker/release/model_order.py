@@ -60,7 +60,8 @@ def decay_modes(
     decay = whole.between(min(start, float(whole.time_s[len(whole.time_s) * 3 // 4])), np.inf)
     near = peaks_hz(decay.value, decay.step_s, count or 1)
     if not near.size:
-        raise ValueError(f"{reading.record}, {reading.channel}: no oscillation above the noise after the release")
+        where = f"{reading.record}, {reading.channel}"
+        raise ValueError(f"{where}: expected an oscillation above the noise after the release, found none")
     values, coarse = decimate(decay.value, decay.step_s, float(near.max()))
     find = matrix_pencil if method == "pencil" else instrumental_variables
     modes = start_poles(find(values - values.mean(), coarse, 2 * (count or 1) + 1), count or 1, near)

@@ -31,7 +31,7 @@ class SeriesProblem:
         check_shape("masses", self.masses.load, (len(self.measured.names),))
         if not self.rigid and (self.rows[0].sum() < 2 or not np.any(self.masses.load > 0)):
             raise ValueError(
-                "measured: expected two resonances, one of them with a load, to tell the coupling's stiffness, found "
+                "measured: expected two resonances, one of them with a load, to determine the coupling, found "
                 f"{int(self.rows[0].sum())}"
             )
 

@@ -242,7 +242,7 @@ def fit_angles(channels: tuple[str, ...], angle_rad: FloatArray, reading: FloatA
     design = np.stack([columns for _, columns in terms], axis=1)
     if len(angle) <= design.shape[1] or np.linalg.cond(design) > LARGEST_CONDITION:
         spread = f"{len(angle)} readings at {len(_distinct(np.mod(angle, 2.0 * np.pi)))} angles"
-        raise ValueError(f"angle_rad: expected at least four angles spread over most of a turn, found {spread}")
+        raise ValueError(f"angle_rad: expected at least four angles over most of a revolution, found {spread}")
     digit = np.array([_last_digit(column) for column in values.T])
     floor = digit**2 / 12.0 + (ROUNDING * np.abs(values).max(axis=0)) ** 2
     names = [name for name, _ in terms]

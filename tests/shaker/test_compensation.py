@@ -115,7 +115,7 @@ def test_bandwidth_target_is_that_of_the_closed_form_for_one_mode_and_counts_the
     sensor = modal_dynamics(_chain(1700.0, 0.015, 6000.0))
     found = target_for_bandwidth(sensor, 2000.0, 0.1)
     assert _band_hz(sensor, found) > 2000.0
-    refused("compensate more modes or the real poles", target_for_bandwidth, sensor, 8000.0, 0.01)
+    refused("^bandwidth_hz: .*8000", target_for_bandwidth, sensor, 8000.0, 0.01)
 
 
 def _band_hz(sensor: SensorDynamics, target: CompensationTarget) -> float:
@@ -239,15 +239,15 @@ def test_covariance_of_modes_reaches_the_sensor_and_that_of_a_load_follows_the_r
 
 
 def test_wrong_calls_name_the_argument():
-    refused("damping_ratio: expected 0 or more", single_mode, 500.0, -0.01)
-    refused("frequency_hz: expected a positive number", CompensationTarget, 0.0, 0.5)
-    refused("sample_rate_hz: expected at least", discretise, PUBLISHED, 2000.0)
+    refused("^damping_ratio: ", single_mode, 500.0, -0.01)
+    refused("^frequency_hz: ", CompensationTarget, 0.0, 0.5)
+    refused("^sample_rate_hz: ", discretise, PUBLISHED, 2000.0)
     with pytest.raises(ValueError, match="method"):
         discretise(PUBLISHED, 2e4, "zoh")  # type: ignore[arg-type]
     refused("permitted_error", best_damping, 1.5)
-    refused("modes: expected 0 to 1", modal_dynamics, _chain(1700.0, 0.015, 6000.0), modes=2)
-    refused("modes: expected 0 or more", loaded_dynamics, TWO_MASSES, 0.0, modes=-1)
-    refused("a mode or a real pole", SensorDynamics, np.zeros(0), np.zeros(0), np.zeros(0), 1.0, PUBLISHED.system)
+    refused("^modes: ", modal_dynamics, _chain(1700.0, 0.015, 6000.0), modes=2)
+    refused("^modes: ", loaded_dynamics, TWO_MASSES, 0.0, modes=-1)
+    refused("^frequency_hz: ", SensorDynamics, np.zeros(0), np.zeros(0), np.zeros(0), 1.0, PUBLISHED.system)
 
 
 RATE = 50e3
@@ -368,12 +368,12 @@ def test_every_sample_lies_within_its_uncertainty_as_often_as_it_should():
 
 def test_a_block_of_gaps_is_refused():
     stream = CompensationFilter(discretise(_uncertain(), RATE), 2)
-    refused("block: expected finite samples", stream, np.array([[1.0, np.nan], [0.0, 0.0]]))
-    refused("block: expected an array of shape", stream, np.zeros((3, 5)))
+    refused("^block: ", stream, np.array([[1.0, np.nan], [0.0, 0.0]]))
+    refused("^block: ", stream, np.zeros((3, 5)))
     assert stream(np.zeros((2, 0))).shape == (2, 0)
-    refused("sections: expected 1, found 3", stream.switch, _sections(0.1))
-    refused("sections: expected a rate", stream.switch, discretise(_uncertain(), 2 * RATE))
-    refused("sos: expected sections with a0 = 1", Sections, np.ones((1, 6)) * 2.0, 1.0, RATE)
+    refused("^sections: .*3", stream.switch, _sections(0.1))
+    refused("^sections: ", stream.switch, discretise(_uncertain(), 2 * RATE))
+    refused("^sos: ", Sections, np.ones((1, 6)) * 2.0, 1.0, RATE)
 
 
 LOAD = 0.198
@@ -465,6 +465,6 @@ def test_a_hand_at_rest_in_the_ball_is_in_balance_and_noise_of_the_sensor_reache
 
 def test_three_masses_and_wrong_calls():
     assert is_stable(replace(LOOP, force_gain=0.1), THREE_MASSES.system(LOAD), None)
-    refused("mass: expected a positive number", replace, LOOP, mass=0.0)
-    refused("force_gain: expected 0 or more", replace, LOOP, force_gain=-1.0)
-    refused("sensor: expected more poles", is_stable, LOOP, PUBLISHED.system, None)
+    refused("^mass: ", replace, LOOP, mass=0.0)
+    refused("^force_gain: ", replace, LOOP, force_gain=-1.0)
+    refused("^sensor: ", is_stable, LOOP, PUBLISHED.system, None)

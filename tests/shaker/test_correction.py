@@ -14,6 +14,7 @@ from scipy import signal
 from sensitivity_factory import DAMPING, FREQUENCY, LAG, STATIC, STIFFNESS, lag, measured, resonance
 
 from shaker.arrays import ComplexArray, FloatArray
+from shaker.identification.identification_notices import SIGNAL_ABOVE_BAND
 from shaker.identification.sensitivity import fit_chain, sensor_model
 from shaker.identification.sensor import (
     NO_CHAIN,
@@ -164,7 +165,7 @@ def test_sensitivity_and_mechanics_join():
         errors.append(error / size)
     assert np.mean(distance) == pytest.approx(5.0, abs=4.5 * np.sqrt(10.0 / 150))
     assert np.std(errors, axis=0) == pytest.approx(np.ones(5), abs=0.18)
-    with pytest.raises(ValueError, match="fit: expected one that holds b/k"):
+    with pytest.raises(ValueError, match=r"^fit: "):
         sensor_model(fit_chain(measured(lag(FREQUENCY)), "lag", None), mechanics, root @ root.T)
 
 
@@ -187,7 +188,7 @@ def test_phasors_are_corrected_with_the_uncertainty_of_the_model():
     for line in range(3):
         expected = np.cov(spread[:, line].real, spread[:, line].imag)
         assert np.allclose(corrected.covariance[line], expected, atol=0.12 * expected.trace())
-    refused("phasors: expected the output in V/V, found V", correct_phasors, replace(phasors, unit=("V",)), one, load)
+    refused("^phasors: .*V", correct_phasors, replace(phasors, unit=("V",)), one, load)
 
 
 RATE, BAND = 100e3, 4000.0
@@ -265,19 +266,20 @@ def test_what_lies_beyond_the_band_is_said():
     found = correct_record(tone, RATE, one, load, BAND)
     assert found.removed_rms == pytest.approx(np.sqrt(0.5) / (1.0 + INTERNAL / MASS), rel=0.02)
     (notice,) = found.notices
-    assert "above 4000 Hz, which is removed, not corrected" in notice.text
+    assert notice.code == SIGNAL_ABOVE_BAND.code
+    assert (notice.values["rms"], notice.values["band_hz"]) == (found.removed_rms, BAND)
 
 
 def test_wrong_calls_are_refused():
     one, load = model(), Load(MASS, "base")
-    with pytest.raises(ValueError, match="band_hz: expected up to 40000 Hz for 100000 Hz, found 45000"):
+    with pytest.raises(ValueError, match=r"^band_hz: .* 40000 .* 45000"):
         correct_record(np.zeros(4000), RATE, one, load, 45e3)
-    refused("output: expected more than", correct_record, np.zeros(100), RATE, one, load, 1000.0)
-    refused("permitted: expected a share", usable_band, one, load, 1.0)
+    refused("^output: ", correct_record, np.zeros(100), RATE, one, load, 1000.0)
+    refused("^permitted: ", usable_band, one, load, 1.0)
     refused("permitted_phase_rad", usable_band, one, load, 0.1, 4.0)
     refused("mass, u_mass", Load, 0.0, "base")
-    refused("stiffness: expected k > 0", replace, one, stiffness=-1.0)
-    with pytest.raises(ValueError, match="load: expected a mass that with the internal one is above 0"):
+    refused("^stiffness: ", replace, one, stiffness=-1.0)
+    with pytest.raises(ValueError, match=r"^load: "):
         usable_band(replace(one, internal_mass=-0.1), Load(0.05, "force"), 0.1)
 
 

@@ -137,7 +137,7 @@ def test_one_spring_and_internal_mass_of_several_resonances():
     loads = np.array([0.5, 2.0, 4.236, 7.0, 8.798])
     resonances = np.sqrt(4.75e8 / (loads + 1.28)) / (2.0 * np.pi)
     assert shared_spring(resonances, loads) == pytest.approx((4.75e8, 1.28), rel=1e-9)
-    refused("two different loads", shared_spring, TWO_RESONANCES, np.array([4.0, 4.0]))
+    refused("^mass: ", shared_spring, TWO_RESONANCES, np.array([4.0, 4.0]))
 
 
 TRUE = {"k": 4.753e8, "b_adapter": 2600.0, "b": 699.0, "m_adapter": 2.4, "m_i": 0.769}
@@ -206,16 +206,16 @@ def test_dampers_act_between_neighbours_and_a_hand_lowers_the_resonance_of_an_os
         assert held.modes()[0][0] == pytest.approx(oscillator_hz(1.3e6, 0.05 + hand), rel=1e-3)
     assert oscillator_hz(1.824e5, 0.049) == pytest.approx(307.07, abs=0.01)
     assert required_stiffness(oscillator_hz(3.0, 0.7), 0.7) == pytest.approx(3.0)
-    refused("stiffness, mass: expected both above 0", oscillator_hz, 1.0, 0.0)
+    refused("^stiffness, mass: ", oscillator_hz, 1.0, 0.0)
 
 
 def test_stages_need_names_of_their_own_and_wrong_ones_are_named():
     for stages in ((), ("a", "a"), ("base",)):
-        refused("stages: expected different names", MassChain, stages, *np.ones((3, len(stages))))
-    refused("stage: expected one of base, adapter, sensor, load, found top", TRIPLE.transfer, FREQUENCY, "top")
-    refused("damping: expected none negative", MassChain, ("a",), np.ones(1), np.ones(1), -np.ones(1))
-    refused("stiffness: expected an array of shape", MassChain, ("a",), np.ones(1), np.ones(2), np.ones(1))
-    refused("component: expected one of 0 to 5, found 6", ChainStructure, 6)
+        refused("^stages: ", MassChain, stages, *np.ones((3, len(stages))))
+    refused("^stage: .*top", TRIPLE.transfer, FREQUENCY, "top")
+    refused("^damping: ", MassChain, ("a",), np.ones(1), np.ones(1), -np.ones(1))
+    refused("^stiffness: ", MassChain, ("a",), np.ones(1), np.ones(2), np.ones(1))
+    refused("^component: .*6", ChainStructure, 6)
 
 
 DECADES_HZ = np.geomspace(10.0, 5000.0, 400)
@@ -383,13 +383,13 @@ def test_units_of_ratios():
 
 
 def test_wrong_calls_are_refused_by_name():
-    refused("poles: expected conjugate pairs", PoleModel, poles=np.array([-1 + 2j]))
-    refused("poles: expected real parts of at most 0, found 1", PoleModel, poles=np.array([1 + 0j]))
-    refused("gain: expected a number other than 0", PoleModel, gain=0.0)
-    refused("order: expected 1 to 12, found 0", filter_poles, "bessel", 0, 1.0)
-    refused("order: expected 2", filter_poles, "resonance", 3, 1.0)
-    refused("corner_hz: expected a frequency above 0", filter_poles, "butterworth", 2, 0.0)
-    refused("frequency_hz: expected frequencies other than a zero", pole_response, np.zeros(1), HIGHPASS)
-    refused("found 6000", table_response, _table(OCTAVES, OCTAVES + 0j), np.array([5e3, 6e3]))
-    refused("ascending", _table, OCTAVES[::-1], OCTAVES + 0j)
-    refused("magnitude: expected positive values", _table, OCTAVES, 0j * OCTAVES)
+    refused("^poles: ", PoleModel, poles=np.array([-1 + 2j]))
+    refused("^poles: .*1", PoleModel, poles=np.array([1 + 0j]))
+    refused("^gain: ", PoleModel, gain=0.0)
+    refused("^order: .*0", filter_poles, "bessel", 0, 1.0)
+    refused("^order: ", filter_poles, "resonance", 3, 1.0)
+    refused("^corner_hz: ", filter_poles, "butterworth", 2, 0.0)
+    refused("^frequency_hz: ", pole_response, np.zeros(1), HIGHPASS)
+    refused("^frequency_hz: .*6000", table_response, _table(OCTAVES, OCTAVES + 0j), np.array([5e3, 6e3]))
+    refused("^frequency_hz: ", _table, OCTAVES[::-1], OCTAVES + 0j)
+    refused("^magnitude: ", _table, OCTAVES, 0j * OCTAVES)

@@ -344,8 +344,8 @@ def test_rounding_ranges_in_closed_form():
 
 
 def test_wrong_arguments_are_refused():
-    refused("k: expected a stiffness above 0, found 0", relative_sensitivity, np.ones(1), 0.0, 1.0)
-    refused("relative: expected more than 0 and at most 1", damping_from_sensitivity, 1.2, 1000.0, K1)
-    refused("phase_rad: expected a phase between", damping_from_phase, -2.0, 800.0, K1)
+    refused("^k: .*0", relative_sensitivity, np.ones(1), 0.0, 1.0)
+    refused("^relative: ", damping_from_sensitivity, 1.2, 1000.0, K1)
+    refused("^phase_rad: ", damping_from_phase, -2.0, 800.0, K1)
     for arguments, name in (((np.ones(3), np.ones(2), 1e5), "last_digit"), ((np.ones(1), np.ones(1), 1e5), "denom")):
         refused(name, rounding_range, *arguments)

@@ -1,5 +1,6 @@
 """One resonance, fitted and read: derivatives, exact parameters, bounds, coverage at any spacing; the fitting core."""
 
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -93,7 +94,7 @@ def test_delay_and_the_rest_of_the_structure_come_back():
     np.testing.assert_allclose(fit.model(FREQUENCY), value, rtol=1e-6)
     assert len(fit.parameters) == 9
     assert fit.u("delay_s") > 0.0
-    refused("expected one of frequency_hz", fit.u, "mass_kg")
+    refused("^parameter: .*mass_kg", fit.u, "mass_kg")
 
 
 def test_errors_are_those_of_the_bound_and_intervals_hold():
@@ -143,8 +144,8 @@ def test_a_misfit_enlarges_the_uncertainty():
 
 def test_what_cannot_be_fitted_is_refused_with_a_reason():
     few = MeasuredCurve(FREQUENCY[:2], ONE[:2], even(ONE[:2], 1e-3))
-    refused("more than 2 lines", fit_resonance, few, "receptance")
-    refused("covariance: expected positive definite", fitted, ONE, 0.0 * even(ONE, 1e-3))
+    refused("^frequency_hz: .* 2 ", fit_resonance, few, "receptance")
+    refused("^covariance: ", fitted, ONE, 0.0 * even(ONE, 1e-3))
     refused("covariance", MeasuredCurve, FREQUENCY, ONE, np.zeros((3, 2, 2)))
     refused("dof", fitted, ONE, even(ONE, 1e-3), dof=np.ones(3))
 
@@ -362,15 +363,15 @@ def test_the_circle_loses_little_to_a_fit_of_the_curve_and_other_modes_do_not_tu
 def test_what_the_lines_do_not_resolve_and_the_band_does_not_hold_is_noted():
     grids = {zeta: lines(F0, zeta, SPACING) for zeta in (0.5 / 800.0, 0.5 / 66.0)}
     narrow, wide = (read(grid, transmissibility(grid, F0, zeta), 1e-3) for zeta, grid in grids.items())
-    assert narrow.half_power.note.startswith("2.4 lines in the half-power width, fewer than 4")
-    assert "damping overstated by √3; 2.4 lines" in narrow.half_amplitude.note
+    assert re.findall(r"[\d.]+", narrow.half_power.note) == ["2.4", "4"]
+    assert re.findall(r"√?[\d.]+", narrow.half_amplitude.note) == ["√3", "2.4", "4"]
     assert not wide.half_power.note
-    assert wide.half_amplitude.note == "damping overstated by √3"
+    assert re.findall(r"√?[\d.]+", wide.half_amplitude.note) == ["√3"]
     zeta, frequency = 0.5 / 66.0, np.arange(F0 - 6.0, F0 + 6.0, SPACING)
     found = read(frequency, transmissibility(frequency, F0, zeta), 1e-4)
     assert found.maximum.frequency_hz == pytest.approx(transmissibility_levels(zeta)[0] * F0, rel=1e-6)
     assert np.isnan(found.half_power.damping_ratio)
-    assert "does not fall to 1/√2" in found.half_power.note
+    assert "1/√2" in found.half_power.note
     assert found.circle.note
 
 
@@ -385,15 +386,15 @@ def test_of_two_peaks_the_higher_is_read():
 
 def test_wrong_curves_are_refused_by_name():
     frequency, ones = np.arange(10.0) + 1.0, np.ones(10, dtype=np.complex128)
-    refused("at least 5 lines, found 3", read, frequency[:3], frequency[:3] + 0j, 0.1)
-    refused("ascending positive", read, np.arange(10.0), frequency + 0j, 0.1)
+    refused("^frequency_hz: .* 5 .* 3$", read, frequency[:3], frequency[:3] + 0j, 0.1)
+    refused("^frequency_hz: ", read, np.arange(10.0), frequency + 0j, 0.1)
 
     def reading(value: ComplexArray, covariance: FloatArray) -> PeakReadings:
         return peak_readings(MeasuredCurve(frequency, value, covariance))
 
-    refused("value: expected finite", reading, np.nan * ones, even(ones, 0.1))
-    refused("covariance: expected an array of shape", reading, frequency + 0j, np.ones((10, 2)))
-    refused("covariance: expected positive definite", reading, frequency + 0j, np.zeros((10, 2, 2)))
+    refused("^value: ", reading, np.nan * ones, even(ones, 0.1))
+    refused("^covariance: ", reading, frequency + 0j, np.ones((10, 2)))
+    refused("^covariance: ", reading, frequency + 0j, np.zeros((10, 2, 2)))
 
 
 TIME, RULES = np.linspace(0.0, 4.0, 60), LMOptions(predicted_decrease_share=1e-14)
@@ -427,12 +428,12 @@ def test_a_narrow_valley_is_followed_to_its_end():
     assert np.all(np.diff(end.losses) < 0)
 
 
-def test_a_search_that_will_not_get_where_it_is_wanted_is_given_up():
+def test_a_search_that_cannot_reach_its_tolerance_ends():
     data = _data()
 
-    def search(wanted: float) -> Minimum[SeparablePoint]:
+    def search(tolerance: float) -> Minimum[SeparablePoint]:
         start = _decays(np.array([0.5, 5.0]), data)
-        return levenberg_marquardt(lambda x: _decays(x, data), start, replace(RULES, wanted=wanted))
+        return levenberg_marquardt(lambda x: _decays(x, data), start, replace(RULES, tolerance=tolerance))
 
     end = search(np.inf)
     reached, missed = search(1.01 * end.point.loss), search(0.5 * end.point.loss)
@@ -491,5 +492,5 @@ def test_dependent_columns_share_and_the_root_is_that_of_the_covariance():
 
 
 def test_a_start_without_a_loss_is_refused():
-    with pytest.raises(ValueError, match="start: expected parameters"):
+    with pytest.raises(ValueError, match=r"^start: "):
         levenberg_marquardt(lambda x: None, WhitenedResiduals(np.zeros(1), np.array([np.inf]), np.ones((1, 1))), RULES)

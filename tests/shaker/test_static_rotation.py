@@ -41,7 +41,7 @@ def test_gravity_falls_with_height_as_outside_a_sphere():
     ground, low, high = (normal_gravity(np.radians(50.0), height) for height in (0.0, 1000.0, 8000.0))
     assert (low - ground) / 1000.0 == pytest.approx(-3.086e-6, rel=1e-3)
     assert high == pytest.approx(ground / (1.0 + 8000.0 / 6_356_800.0) ** 2, rel=2e-5)
-    refused("latitude_rad: expected an angle", normal_gravity, 52.3, 0.0)
+    refused("^latitude_rad: ", normal_gravity, 52.3, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -68,7 +68,7 @@ def test_air_is_that_of_the_shorter_formula_of_oiml(pressure_pa, temperature_c, 
 def test_dry_air_is_nearly_an_ideal_gas_and_the_standard_atmosphere_that_of_iso_2533():
     ideal = 101_325.0 * 28.96546e-3 / (8.314472 * 293.15)
     assert moist_air_density(101_325.0, 20.0, 0.0) == pytest.approx(ideal / 0.99963, rel=5e-5)  # Z at 20 °C, 1 atm
-    refused("humidity: expected a number from 0 to 1, found 50", moist_air_density, 101_325.0, 20.0, 50.0)
+    refused("^humidity: .*50", moist_air_density, 101_325.0, 20.0, 50.0)
     assert standard_pressure(0.0) == 101_325.0
     assert [standard_pressure(h) for h in (1000.0, 5000.0)] == pytest.approx([89_874.6, 54_019.9], rel=2e-5)
 
@@ -172,7 +172,7 @@ def test_coarse_readings_are_as_uncertain_as_their_last_digit_and_those_without_
     fit = fit_angles(CHANNELS, STEPS, values)
     assert fit.orders == (1, 2)
     np.testing.assert_allclose(fit.amplitude(), [1.0, -1.0j], atol=1e-12)
-    refused("order: expected one of", fit.amplitude, 4)
+    refused("^order: ", fit.amplitude, 4)
     assert abs(fit_angles(("a",), STEPS, 4e-318 * np.sin(STEPS)[:, None]).amplitude()[0]) < 1e-317
 
 
@@ -194,13 +194,11 @@ def test_angles_in_any_order_give_one_answer(angles, size, turn):
 
 
 def test_readings_that_tell_no_sine_are_refused():
-    few = "at least four angles spread over most of a turn, found 5 readings at 1 a"
-    refused(few, fit_angles, ("F",), np.zeros(5), np.zeros((5, 1)))
-    refused("found 3 readings", fit_angles, ("F",), np.arange(3.0), np.zeros((3, 1)))
-    refused("spread over most of a turn", fit_angles, ("F",), np.linspace(0.0, 0.5, 20), np.zeros((20, 1)))
-    wrong = r"reading: expected an array of shape \(6, 1\)"
-    refused(wrong, fit_angles, ("F",), np.arange(6.0), np.zeros((5, 1)))
-    refused("finite", fit_angles, ("F",), np.arange(6.0), np.full((6, 1), np.nan))
+    refused("^angle_rad: .* 5 .* 1 ", fit_angles, ("F",), np.zeros(5), np.zeros((5, 1)))
+    refused("^angle_rad: .* 3 ", fit_angles, ("F",), np.arange(3.0), np.zeros((3, 1)))
+    refused("^angle_rad: .* 20 ", fit_angles, ("F",), np.linspace(0.0, 0.5, 20), np.zeros((20, 1)))
+    refused(r"^reading: .*\(6, 1\)", fit_angles, ("F",), np.arange(6.0), np.zeros((5, 1)))
+    refused("^reading: ", fit_angles, ("F",), np.arange(6.0), np.full((6, 1), np.nan))
 
 
 X, Y, Z = np.eye(3)
@@ -322,11 +320,11 @@ def test_channels_that_disagree_enlarge_the_uncertainty():
 def test_readings_that_are_no_weight_are_refused():
     record = _turned(_load(20.0))
     for change, match in (
-        ({"axis": -Z}, "axis: expected the sense of turning for which gravity turns backwards"),
-        ({"amplitude": np.zeros(6, np.complex128)}, "amplitude: expected forces that change with the angle"),
+        ({"axis": -Z}, "^axis: "),
+        ({"amplitude": np.zeros(6, np.complex128)}, "^amplitude: "),
     ):
         refused(match, start_values, replace(record, **change), _outputs())
-    refused("axis: expected one across gravity", replace, record, axis=Y)
+    refused("^axis: ", replace, record, axis=Y)
     along, only = _outputs(SENSITIVITY[2:3]), replace(record, amplitude=record.amplitude[2:3], covariance=np.eye(2))
-    refused("an output for a force across the axis", start_values, only, along)
-    refused("records: expected at least one", fit_weights, [], along)
+    refused("^sensitivity: ", start_values, only, along)
+    refused("^records: ", fit_weights, [], along)

@@ -95,7 +95,7 @@ def test_only_what_changes_a_reading_becomes_an_unknown():
     names = [error.name for error in effective_placement_errors(turning, SpringSuspension((4,)).body)]
     assert names == [*expected, "base z", "base towards z"]
     nowhere = (PlacementError("a", 2, np.ones(6)),)
-    refused("placement_errors: expected a place of -1 to 1, found 2", replace, record, placement_errors=nowhere)
+    refused("^placement_errors: .*2", replace, record, placement_errors=nowhere)
 
 
 def test_one_translation_does_not_see_where_it_is_measured():
