@@ -42,7 +42,7 @@ def target_for_bandwidth(
     real_hz: float | None = None,
     low_pass_hz: float | None = None,
 ) -> CompensationTarget:
-    """Return the target of lowest frequency that keeps the sensor within 1 ± δ up to `bandwidth_hz`.
+    """Return the lowest target frequency that keeps a bandwidth within 1 ± δ.
 
     All poles and zeros of the sensor count, including the uncancelled ones. A tenth of δ is reserved for the
     uncertainty of the model. The lowest natural frequency passes the least noise.
@@ -93,10 +93,10 @@ def target_for_frequency(
     real_hz: float | None = None,
     low_pass_hz: float | None = None,
 ) -> CompensationTarget:
-    """Return the target of a frequency whose damping ratio gives the widest band of 1 ± δ.
+    """Return the target of a frequency with the widest band of 1 ± δ.
 
-    The band is that of the whole sensor. A tenth of δ is reserved for the uncertainty of the model. For one mode the
-    result is `best_damping` of the remainder.
+    The damping ratio is varied. The band is that of the whole sensor. A tenth of δ is reserved for the uncertainty of
+    the model. For one mode the result is `best_damping` of the remainder.
     """
     allowed = (1.0 - MODEL_ERROR_SHARE) * permitted_error
     start = best_damping(allowed)

@@ -102,10 +102,10 @@ def modal_dynamics(model: ModalModel, *, modes: int = 1, real_poles: bool = Fals
 
 
 def loaded_dynamics(model: LoadModel, load_mass: float, *, modes: int = 1) -> SensorDynamics:
-    """Return the dynamics with a load mass in kg: modes of largest share in the step response.
+    """Return the dynamics of a sensor with a load mass in kg.
 
-    The covariance includes stiffnesses, dampings, moving mass and static sensitivity. A load without mass has one mode,
-    for any value of `modes`.
+    Selected are the modes with the largest share in the step response. The covariance includes stiffnesses, dampings,
+    moving mass and static sensitivity. A load without mass has one mode, for any value of `modes`.
     """
     system = model.system(load_mass)
     upper = np.flatnonzero(system.poles.imag > 0)
@@ -156,9 +156,10 @@ class CompensationTarget:
 
 
 def best_damping(permitted_error: float) -> float:
-    """Return the damping ratio with the widest band |H|/H(0) within 1 ± δ for one mode.
+    """Return the damping ratio with the widest band within 1 ± δ.
 
-    Its peak 1/(2ζ√(1 - ζ²)) is 1 + δ: ζ² = [1 - √(1 - (1 + δ)⁻²)]/2; 0.540 for 10 %, 0.590 for 5 %.
+    The band is that of |H|/H(0) for one mode. Its peak 1/(2ζ√(1 - ζ²)) is 1 + δ: ζ² = [1 - √(1 - (1 + δ)⁻²)]/2; 0.540
+    for 10 %, 0.590 for 5 %.
     """
     if not 0 < permitted_error < 1:
         raise ValueError(f"permitted_error: expected above 0 and below 1, found {permitted_error}")
@@ -207,7 +208,10 @@ def low_pass_poles(target: CompensationTarget) -> list[ComplexArray]:
 
 
 def mode_poles(frequency_hz: float, damping_ratio: float) -> ComplexArray:
-    """Return both poles in rad/s of a mode; they are real for a damping ratio of 1 or more."""
+    """Return both poles in rad/s of a mode.
+
+    They are real for a damping ratio of 1 or more.
+    """
     root = np.sqrt(complex(damping_ratio**2 - 1.0))
     return np.asarray(2 * np.pi * frequency_hz * np.array([-damping_ratio + root, -damping_ratio - root]))
 
@@ -270,9 +274,10 @@ class Compensation:
         return LinearSystem(whole.zeros, np.concatenate([self.sensor.other_poles, made.poles]), made.gain * whole.gain)
 
     def sensitivities(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return ∂ ln G_c/∂θ (K, P) of the parameters θ of `sensor.vector` at frequencies (K,) in Hz.
+        """Return ∂ ln G_c/∂θ (K, P) by the parameters of `sensor.vector`.
 
-        A mode has the factor N = 1 + 2ζs/ω + s²/ω², a real pole N = 1 + s/a; the static gain counts if calibrated.
+        At frequencies (K,) in Hz. A mode has the factor N = 1 + 2ζs/ω + s²/ω², a real pole N = 1 + s/a; the static gain
+        counts if calibrated.
         """
         s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)[:, None]
         omega, a = 2 * np.pi * self.sensor.frequency_hz, 2 * np.pi * self.sensor.real_hz
@@ -348,9 +353,9 @@ def pad_sections(sections: Sections, count: int) -> Sections:
 
 
 def section_row(zeros: ComplexArray, poles: ComplexArray, rate_hz: float, method: Discretisation) -> FloatArray:
-    """Return one section (6,) of one or two zeros and poles in rad/s, with static gain 1.
+    """Return one section (6,) of zeros and poles, with static gain 1.
 
-    A low-pass, which has no zeros, always uses Tustin's rule, prewarped at its corner.
+    One or two each, in rad/s. A low-pass, which has no zeros, always uses Tustin's rule, prewarped at its corner.
     """
     constant = None
     if method == "tustin" or not len(zeros):
@@ -364,7 +369,10 @@ def section_row(zeros: ComplexArray, poles: ComplexArray, rate_hz: float, method
 
 
 def _polynomial(roots: ComplexArray, rate_hz: float, constant: float | None) -> tuple[FloatArray, float]:
-    """Return Π(1 - r z⁻¹) (3,) of the images r of roots in rad/s, and its value at z = 1."""
+    """Return Π(1 - r z⁻¹) (3,) and its value at z = 1.
+
+    r are the images of roots in rad/s.
+    """
     if constant is None:
         images, rest = np.exp(roots / rate_hz), -np.expm1(roots / rate_hz)
     else:
@@ -409,7 +417,7 @@ def parameter_sections(
 
 
 def discretisation_error(compensation: Compensation, sections: Sections, frequency_hz: FloatArray) -> ComplexArray:
-    """Return G_d/G_c - 1 (K,) of the digital and the continuous filter at frequencies (K,) in Hz."""
+    """Return G_d/G_c - 1 (K,) of the digital and the continuous filter."""
     return np.asarray(sections.response(frequency_hz) / compensation.system.response(frequency_hz) - 1.0)
 
 
@@ -442,7 +450,8 @@ class CompensationFilter:
     >>> import numpy as np
     >>> from shaker import Compensation, CompensationFilter
     >>> from shaker.compensation.filter import CompensationTarget, discretise, single_mode
-    >>> run = CompensationFilter(discretise(Compensation(single_mode(300.0, 0.02), CompensationTarget(1000.0, 0.7)), 20e3), level=None)
+    >>> sections = discretise(Compensation(single_mode(300.0, 0.02), CompensationTarget(1000.0, 0.7)), 20e3)
+    >>> run = CompensationFilter(sections, level=None)
     >>> first, second = run(np.ones((1, 100))), run(np.ones((1, 100)))
     >>> print(first[0, -1].round(9), second[0, -1].round(9))  # a constant load stays what it is
     1.0 1.0

@@ -1,7 +1,8 @@
-"""Simulated force feedback: a user pushes a haptic handle with a sensor against a virtual ball.
+"""Simulated force feedback of a haptic handle with a force sensor.
 
-Section VI of the publication on load characteristics of force sensors, on simulated data. Compared are the applied and
-the fed-back force without compensation, with a compensation for no load, and with one for the actual load.
+A user pushes the handle against a virtual ball. Section VI of the publication on load characteristics of force sensors,
+on simulated data. Compared are the applied and the fed-back force without compensation, with a compensation for no
+load, and with one for the actual load.
 """
 
 from __future__ import annotations
@@ -51,10 +52,11 @@ class HapticLoop:
 
 @dataclass(frozen=True, repr=False)
 class FeedbackRun(Brief):
-    """Forces of user, sensor and ball, samples (N,) in N; NaN after the loop became unstable.
+    """Forces of user, sensor and ball.
 
-    `applied` F_u, `indicated`: its value from the sensor, `fed_back` F_v of the ball. `tracking_error`: rms of F_u -
-    F_v over rms of F_v during contact, infinite for an unstable run.
+    Samples (N,) in N; NaN after the loop became unstable. `applied` F_u, `indicated`: its value from the sensor,
+    `fed_back` F_v of the ball. `tracking_error`: rms of F_u - F_v over rms of F_v during contact, infinite for an
+    unstable run.
     """
 
     time_s: FloatArray
@@ -67,7 +69,10 @@ class FeedbackRun(Brief):
 
 @dataclass(frozen=True, repr=False)
 class _Matrices(Brief):
-    """z[n+1] = A z[n] + B [x_h, v_h, wall, noise]; rows for F_u, indicated force and F_v."""
+    """Sampled loop: state matrices and rows of the forces.
+
+    z[n+1] = A z[n] + B [x_h, v_h, wall, noise]; rows for F_u, indicated force and F_v.
+    """
 
     a: FloatArray
     b: FloatArray
@@ -125,7 +130,10 @@ def is_stable(loop: HapticLoop, sensor: LinearSystem, sections: Sections | None)
 
 
 def largest_stable_gain(loop: HapticLoop, sensor: LinearSystem, sections: Sections | None) -> float:
-    """Return the force gain at the limit of stability, 0 if it is never stable, at most 10 000."""
+    """Return the force gain at the limit of stability.
+
+    0 if the loop is never stable, at most 10 000.
+    """
 
     def stable(gain: float) -> bool:
         return is_stable(replace(loop, force_gain=gain), sensor, sections)
@@ -193,7 +201,10 @@ def _plant(loop: HapticLoop, sensor: LinearSystem) -> tuple[FloatArray, FloatArr
 
 
 def _modal(sensor: LinearSystem) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return A, B, C of a sensor over its static gain as decoupled modes and real poles."""
+    """Return A, B, C of a sensor as decoupled modes.
+
+    Over its static gain; real poles follow.
+    """
     from scipy.linalg import block_diag
 
     if len(sensor.zeros) >= len(sensor.poles):

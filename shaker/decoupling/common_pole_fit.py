@@ -55,7 +55,7 @@ _BEFORE, _AFTER = 0.3, 2.0  # time constants of the slowest mode that the number
 
 
 def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most_reals: int = 2) -> MultiFit:
-    """Fit a model with common poles of all outputs over all loads to records of releases.
+    """Fit a model with common poles of all outputs and loads to releases.
 
     Parameters
     ----------
@@ -192,10 +192,10 @@ _SCATTERED = 3.0
 
 @dataclass(frozen=True, repr=False)
 class ReleaseFit(Brief):
-    """One release: middle and duration of the load change in s with standard uncertainties, and its shape.
+    """One release: middle, duration and shape of the load change.
 
-    `gain`: size of the outputs over that of the model of all releases of its load, with `u_gain` of the noise. `misfit`
-    (C,): standard deviation of the residual of each output over its noise.
+    In s with standard uncertainties. `gain`: size of the outputs over that of the model of all releases of its load,
+    with `u_gain` of the noise. `misfit` (C,): standard deviation of the residual of each output over its noise.
     """
 
     record: str
@@ -304,7 +304,10 @@ def multi_fit(
 
 
 def _model(records: Sequence[StepRecord], problem: StepProblem, fit: PoleFit, scaled: FloatArray) -> MultiModel:
-    """Return the model of a fit; `scaled` (C,): noise of a mean, the weight of the outputs."""
+    """Return the model of a fit.
+
+    `scaled` (C,): noise of a mean, the weight of the outputs.
+    """
     parts = [fit.poles.smooth @ own for own in fit.solution.point.coefficients]
     table = np.stack(parts, axis=2) * scaled[:, None]
     return MultiModel.of_poles(fit.poles, table, (records[0].channels, problem.components), records[0].unit)
@@ -407,10 +410,10 @@ def _alternative_notices(problem: StepProblem, fit: PoleFit, others: Sequence[Po
 
 
 def mode_ranks(model: MultiModel, u: FloatArray) -> tuple[ModeRank, ...]:
-    """Return the ranks of the residues of every mode, then of every real pole; `u` (P,) of the vector.
+    """Return the ranks of the residues of modes, then of real poles.
 
-    For random residues over standard uncertainties the largest singular value is about √C + √D, for complex ones √2
-    times that. A significant one is at least twice as large.
+    `u` (P,): standard uncertainties of the model's vector. For random residues over standard uncertainties the largest
+    singular value is about √C + √D, for complex ones √2 times that. A significant one is at least twice as large.
     """
     spread = model.parts(u)
     pairs: list[tuple[ComplexArray | FloatArray, FloatArray]] = [

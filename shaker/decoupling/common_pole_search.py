@@ -104,9 +104,10 @@ def select_pole_count(
 
 
 def select_release_shape(problem: StepProblem, near: StepProblem, fit: PoleFit) -> PoleFit:
-    """Return the fit with each release as a ramp or half a cosine, by the significantly smaller loss.
+    """Return the fit with the better shape of each release.
 
-    `near`: the problem restricted to the samples around the releases, which determine the shape.
+    The shapes are a ramp and half a cosine; the loss must differ significantly. `near`: the problem restricted to the
+    samples around the releases, which determine the shape.
     """
     releases = tuple(
         _better_shape(near, fit, i) if release.duration_s > _TOLD_SAMPLES * problem.step_s else release
@@ -157,7 +158,10 @@ def try_other_durations(problem: StepProblem, fit: PoleFit) -> tuple[PoleFit, li
 def equally_likely(
     problem: StepProblem, fit: PoleFit, others: Sequence[AlternativeTimes]
 ) -> tuple[PoleFit, tuple[PoleFit, ...]]:
-    """Return the best fit from these releases and from `others`, and those that are not rejected."""
+    """Return the best fit and the alternatives that are not rejected.
+
+    From these releases and from `others`.
+    """
     found = [fit]
     for places, times in others:
         releases = list(fit.releases)
@@ -215,9 +219,9 @@ def _charge(problem: StepProblem, poles: Poles) -> float:
 
 
 def removal_losses(poles: Poles, point: SeparablePoint) -> FloatArray:
-    """Return the growth of the loss without each pole (M + Q,), for fixed other poles.
+    """Return the growth of the loss without each pole (M + Q,).
 
-    b'·[(A'A)⁻¹ of its columns]⁻¹·b.
+    The other poles are fixed. b'·[(A'A)⁻¹ of its columns]⁻¹·b.
     """
     losses = np.zeros(poles.modes + len(poles.real_hz))
     for part in point.solved:
@@ -265,7 +269,10 @@ def _smaller(problem: StepProblem, here: PoleFit, most: int | None) -> PoleFit |
 
 
 def _larger(problem: StepProblem, here: PoleFit, most: int | None, reals: int) -> PoleFit | None:
-    """Return the fit with the additional mode or lag of least criterion, None at the limits."""
+    """Return the fit with the best additional mode or lag.
+
+    None at the highest numbers.
+    """
     tried = []
     if (most is None or here.poles.modes < most) and (mode := _left(problem, here)) is not None:
         tried.append(fit_poles(problem, here.poles.with_mode(mode), here.releases, _FEW_STEPS, _ROUGH))

@@ -17,7 +17,10 @@ from shaker.decoupling.model import MultiModel, Poles, StateSpace, sampled_modes
 
 @dataclass(frozen=True, repr=False)
 class FilterState(Brief):
-    """State of a filter between blocks: the last inputs (L, C) and the states of its poles (N,)."""
+    """State of a filter between blocks.
+
+    The last inputs (L, C) and the states of its poles (N,).
+    """
 
     inputs: FloatArray
     poles: ComplexArray
@@ -96,7 +99,7 @@ class DecouplingFilter(Brief):
         return loads.T.copy(), FilterState(whole[:, count:].T.copy(), held)
 
     def impulse_response(self, count: int) -> FloatArray:
-        """Return the loads (N, D, C) of N samples for a unit impulse of each output."""
+        """Return the loads (N, D, C) for a unit impulse of each output."""
         rings = np.zeros((count, len(self.poles)), dtype=np.complex128)
         rings[self.delay + 1 :] = self.poles ** np.arange(max(0, count - self.delay - 1))[:, None]
         pairs = self.shown.T[:, :, None] * self.driven[:, None, :]
@@ -244,10 +247,10 @@ def design_decoupling(
 
 @dataclass(frozen=True, repr=False)
 class _KalmanGains(Brief):
-    """The steady filter in units of noise and loads: x⁺ = m·x + k·y, innovations y - c·x.
+    """The steady Kalman filter in units of noise and loads.
 
-    gains[i]: of the innovation i samples after the load. `left` (L + 1, D): mean square error of every load by delay.
-    `size` (D,): mean square of the load with the target dynamics.
+    x⁺ = m·x + k·y with innovations y - c·x. gains[i]: of the innovation i samples after the load. `left` (L + 1, D):
+    mean square error of every load by delay. `size` (D,): mean square of the load with the target dynamics.
     """
 
     m: FloatArray
@@ -334,12 +337,12 @@ _SHORTENED = 0.05
 
 @dataclass(frozen=True, repr=False)
 class Crosstalk(Brief):
-    """Loads read over loads applied at one stage, in N or N·m per N or N·m.
+    """Loads read over loads applied at one stage.
 
-    `stage`: "raw" (each load by the output of its name over its sensitivity), "static" (inverse of the static matrix),
-    "filtered". `value` (K, D, D) complex at `frequency_hz` (K,): reading i for load j, with standard uncertainty `u`
-    (K, D, D) of its modulus by the model. `peak` (D, D): largest |reading| i during a unit step of load j, with
-    `u_peak`.
+    In N or N·m per N or N·m. `stage`: "raw" (each load by the output of its name over its sensitivity), "static"
+    (inverse of the static matrix), "filtered". `value` (K, D, D) complex at `frequency_hz` (K,): reading i for load j,
+    with standard uncertainty `u` (K, D, D) of its modulus by the model. `peak` (D, D): largest |reading| i during a
+    unit step of load j, with `u_peak`.
     """
 
     stage: str
@@ -352,7 +355,10 @@ class Crosstalk(Brief):
 
 
 def static_inverse(model: MultiModel, noise: FloatArray) -> FloatArray:
-    """Return the matrix (D, C) from outputs to loads at rest, weighted least squares if C > D."""
+    """Return the matrix (D, C) from outputs to loads at rest.
+
+    Weighted least squares if there are more outputs than loads.
+    """
     weight = 1.0 / noise
     return np.asarray(np.linalg.pinv(weight[:, None] * model.static_gain) * weight)
 
@@ -419,7 +425,10 @@ def crosstalks(
 
 
 def step_readings(model: MultiModel, reader: Reader, time_s: FloatArray) -> FloatArray:
-    """Return the loads read (N, D, D) at equally spaced times for unit steps of each load at t = 0."""
+    """Return the loads read (N, D, D) for unit steps of each load.
+
+    At equally spaced times; the step is at t = 0.
+    """
     return _reads(reader, len(time_s))(model.step(time_s))
 
 
@@ -451,9 +460,10 @@ def _root(covariance: FloatArray) -> FloatArray:
 
 
 def _reads(reader: Reader, count: int) -> Callable[[FloatArray], FloatArray]:
-    """Return a function from outputs (N, C, D) of `count` samples to readings (N, D, D).
+    """Return a function from outputs to readings.
 
-    For a filter its impulse response is transformed once for all outputs.
+    Outputs (N, C, D) of `count` samples give readings (N, D, D). For a filter its impulse response is transformed once
+    for all outputs.
     """
     if not isinstance(reader, DecouplingFilter):
         return lambda outputs: np.asarray(reader @ outputs)

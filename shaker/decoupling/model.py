@@ -65,9 +65,9 @@ class Poles(Brief):
         return places, np.concatenate([by_frequency, by_damping, self.values[m:]])
 
     def basis(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return the columns (K, 2M + Q) of Re and Im of the residues and of the real residues.
+        """Return the columns of real and imaginary parts of the residues.
 
-        At frequencies (K,).
+        (K, 2M + Q), the real residues last. At frequencies (K,).
         """
         s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)[:, None]
         upper, real = np.split(self.values, [self.modes])
@@ -75,9 +75,9 @@ class Poles(Brief):
         return np.concatenate([above + below, 1j * (above - below), 1 / (s - real)], axis=1)
 
     def response_slopes(self, frequency_hz: FloatArray, residues: ComplexArray) -> ComplexArray:
-        """Return derivatives (…, K, 2M + Q) of Σ R/(s - p) with conjugates by the parameters.
+        """Return derivatives (…, K, 2M + Q) of the response by the parameters.
 
-        Residues (…, M + Q).
+        The response is Σ R/(s - p) with conjugates. Residues (…, M + Q).
         """
         s, (which, slope) = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)[:, None], self.slopes
         own = (slope * residues[..., which])[..., None, :]
@@ -105,14 +105,20 @@ class Poles(Brief):
         return replace(self, real_hz=np.append(self.real_hz, hz))
 
     def without(self, index: int) -> Poles:
-        """Return the poles without one: a mode, or with an index above the modes a real pole."""
+        """Return the poles without one.
+
+        An index above the modes is that of a real pole.
+        """
         if index < self.modes:
             return Poles(np.delete(self.frequency_hz, index), np.delete(self.damping_ratio, index), self.real_hz)
         return replace(self, real_hz=np.delete(self.real_hz, index - self.modes))
 
     @cached_property
     def smooth(self) -> FloatArray:
-        """Basis (2M + Q, 2M - 1) of outputs with a smooth start: Σ R·p^k = 0, k = 0 … Q."""
+        """Basis (2M + Q, 2M - 1) of outputs with a smooth start.
+
+        Σ R·p^k = 0, k = 0 … Q.
+        """
         return np.asarray(np.linalg.qr(self._moments()[0], mode="complete")[0][:, len(self.real_hz) + 1 :])
 
     @cached_property
@@ -126,7 +132,7 @@ class Poles(Brief):
         return np.asarray(-held @ (np.transpose(slopes, (0, 2, 1)) @ self.smooth))
 
     def _moments(self) -> tuple[FloatArray, FloatArray]:
-        """Return the matrix of Σ R·p^k (2M + Q, Q + 1) and its derivatives by every parameter.
+        """Return the matrix of Σ R·p^k (2M + Q, Q + 1) and its derivatives.
 
         In units of the fastest pole.
         """
@@ -157,7 +163,10 @@ Names: TypeAlias = tuple[str, ...]
 
 @dataclass(frozen=True, repr=False)
 class ModelParts(Brief):
-    """Numbers arranged as the parameters of a model: modes (M,), residues (M, C, D), real poles (Q,), (Q, C, D)."""
+    """Numbers arranged as the parameters of a model.
+
+    Modes (M,), residues (M, C, D), real poles (Q,) and their residues (Q, C, D).
+    """
 
     frequency_hz: FloatArray
     damping_ratio: FloatArray
@@ -201,7 +210,7 @@ class MultiModel(Brief):
 
     @property
     def shared(self) -> int:
-        """Number 2M + Q of parameters of the poles, which is also that of each element."""
+        """Number 2M + Q of parameters of the poles, and of each element."""
         return 2 * len(self.frequency_hz) + len(self.real_hz)
 
     @staticmethod
@@ -218,7 +227,10 @@ class MultiModel(Brief):
 
     @property
     def table(self) -> FloatArray:
-        """Coefficients (2M + Q, C, D) of `Poles.basis`: Re and Im of the residues, then the real ones."""
+        """Coefficients (2M + Q, C, D) of `Poles.basis`.
+
+        Re and Im of the residues, then the real ones.
+        """
         return np.concatenate([self.residue.real, self.residue.imag, self.real_residue])
 
     @property
@@ -264,9 +276,9 @@ class MultiModel(Brief):
         return np.asarray(self.response(np.zeros(1))[0].real)
 
     def step(self, time_s: FloatArray) -> FloatArray:
-        """Return the responses (N, C, D) to a unit step of each load at t = 0.
+        """Return the responses (N, C, D) to a unit step of each load.
 
-        Σ R/p·(exp(pt) - 1), zero before.
+        At t = 0. Σ R/p·(exp(pt) - 1), zero before.
         """
         rings = exponentials(self.poles, np.maximum(np.asarray(time_s, dtype=np.float64), 0.0)) - 1.0
         upper, real = np.split(rings / self.poles[:, None], [len(self.frequency_hz)])
@@ -399,9 +411,10 @@ def missing_loads(
 
 
 def check_separable(static_gain: FloatArray, channels: Sequence[str], components: Sequence[str]) -> None:
-    """Raise `ValueError` with the loads (D,) that outputs of a static matrix (C, D) do not distinguish.
+    """Raise `ValueError` for loads that the outputs do not distinguish.
 
-    Columns are compared by direction: the smallest singular value of the matrix of unit columns must be at least 0.001.
+    Of a static matrix (C, D) of C outputs and D loads; the loads are named. Columns are compared by direction: the
+    smallest singular value of the matrix of unit columns must be at least 0.001.
     """
     if len(channels) < len(components):
         raise ValueError(

@@ -49,10 +49,10 @@ PoleCandidate: TypeAlias = tuple[Poles, tuple[ReleaseTiming, ...]]
 
 
 class ExplainedData(NamedTuple):
-    """Record (A, C) without its mean, as the poles and a release explain it: `basis` @ `triangle`.
+    """A record as the poles and a release explain it.
 
-    `basis` (A, B) is orthonormal; `along` (B, C): the data along it; `orthogonal` (A, C): the data that no residues
-    explain.
+    The record (A, C) is without its mean; responses (A, B) are `basis` @ `triangle`. `basis` (A, B) is orthonormal;
+    `along` (B, C): the data along it; `orthogonal` (A, C): the data that no residues explain.
     """
 
     basis: FloatArray
@@ -157,9 +157,10 @@ class StepProblem:
         return there, tuple(moved)
 
     def point(self, poles: Poles, releases: Sequence[ReleaseTiming], fixed_count: int = 0) -> SeparablePoint:
-        """Return poles and releases as a point of the search, with one block of rows per load component.
+        """Return poles and releases as a point of the search.
 
-        The first `fixed_count` parameters are fixed and not part of the point.
+        It has one block of rows per load component. The first `fixed_count` parameters are fixed and not part of the
+        point.
         """
         blocks = tuple(
             _block(self, poles, releases, self.record_indices(name), fixed_count) for name in self.components
@@ -236,11 +237,11 @@ def fit_poles(
 def covariances(
     point: SeparablePoint, variances: Sequence[FloatArray], prior_precision: FloatArray
 ) -> tuple[FloatArray, list[list[FloatArray]]]:
-    """Return the covariance (P, P) of the parameters, and the dependence of all coefficients on them.
+    """Return the covariance of the parameters and the dependence of the coefficients.
 
-    `variances`: of the columns (C,) of every block, in units of the weights. `prior_precision` (P,): reciprocal prior
-    variances of the parameters. Element [i][c] (B, P + B): change of the coefficients with the parameters, and a square
-    root of their covariance for fixed parameters.
+    (P, P) of the parameters. `variances`: of the columns (C,) of every block, in units of the weights.
+    `prior_precision` (P,): reciprocal prior variances of the parameters. Element [i][c] (B, P + B): change of the
+    coefficients with the parameters, and a square root of their covariance for fixed parameters.
     """
     inverse, count = _inverse(point.normal[0] + np.diag(prior_precision)), len(point.parameters)
     spread, follows = np.diag(prior_precision), []
@@ -267,10 +268,11 @@ def _inverse(normal: FloatArray) -> FloatArray:
 def model_covariance(
     model: MultiModel, spread: FloatArray, follows: Sequence[FloatArray], scale: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the covariance (P, P) of the model's vector from that of a fit, poles first.
+    """Return the covariance (P, P) of the model's vector from a fit.
 
-    `follows`: dependence of the coefficients of each element as in `covariances`, load by load and output by output,
-    and their `scale`. Returned too: standard uncertainties (P,) from the noise of each element alone, 0 for the poles.
+    The poles are first. `follows`: dependence of the coefficients of each element as in `covariances`, load by load and
+    output by output, and their `scale`. Returned too: standard uncertainties (P,) from the noise of each element alone,
+    0 for the poles.
     """
     count, n = len(model.vector), model.shared
     rows, own = np.zeros((count, len(spread))), np.zeros((count, count))
@@ -331,7 +333,10 @@ def widen_for_lags(fit: PoleFit, spread: FloatArray) -> FloatArray:
 def _block(
     problem: StepProblem, poles: Poles, releases: Sequence[ReleaseTiming], places: Sequence[int], held: int
 ) -> LinearBlock:
-    """Return the block of all records of one load, each rotated to the basis of its responses."""
+    """Return the block of all records of one load.
+
+    Each record is rotated to the basis of its responses.
+    """
     records, smooth = [problem.records[i] for i in places], poles.smooth
     shown = [record.explained(poles, releases[i]) for i, record in zip(places, records, strict=True)]
     edges = np.cumsum([0, *(len(part.along) for part in shown)])
@@ -375,7 +380,9 @@ def _block(
 def _moving(
     here: BlockResponses, residues: ComplexArray, poles: Poles | None, duration_s: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the derivatives of one record's rows, (R, A) minus their means, with weights (C, p, R).
+    """Return the derivatives of one record's rows, with weights.
+
+    Rows (R, A) minus their means, weights (C, p, R).
 
     Parameters (p,): those of the poles, None for fixed ones, middle and logarithm of the duration.
     """

@@ -1,4 +1,4 @@
-"""Model of all outputs over all loads from frequency responses, such as those of chirps and sines."""
+"""Model of all outputs over all loads from frequency responses."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ def _fitted(measured: Responses, start: Poles) -> Point:
 
 
 def _point(measured: Responses, poles: Poles) -> Point:
-    """Return poles as a point of the search, with one block of rows per element, load by load."""
+    """Return poles as a point of the search, one block per element."""
     basis, m, blocks = poles.basis(measured.frequency_hz), poles.modes, []
     for d, c in np.ndindex(measured.value.shape[:0:-1]):
         weight = measured.whitener[:, c, d]
@@ -220,7 +220,7 @@ def fitted_poles(frequency_hz: FloatArray, responses: ComplexArray, weights: Flo
 
 
 def _zeros(poles: Poles, own: FloatArray) -> Poles:
-    """Return the zeros of 1 + Σ d/(s - a), reflected to the left half plane.
+    """Return the zeros of 1 + Σ d/(s - a), reflected to the left.
 
     They are eigenvalues of diag(a) - 1·d in real form.
     """

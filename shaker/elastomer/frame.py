@@ -48,7 +48,10 @@ class RigidPart(Brief):
 
     @property
     def mass_matrix(self) -> FloatArray:
-        """Mass matrix (6, 6) over (ux uy uz rx ry rz) of the origin, in the plane of the beams."""
+        """Mass matrix (6, 6) of the origin, in the plane of the beams.
+
+        Over (ux uy uz rx ry rz).
+        """
         m, h = self.mass_kg, self.height_m
         matrix = np.diag(np.concatenate([[m, m, m], self.inertia_kgm2 + m * h**2 * np.array([1.0, 1.0, 0.0])]))
         matrix[0, 4] = matrix[4, 0] = m * h
@@ -57,7 +60,7 @@ class RigidPart(Brief):
 
 
 def block(density_kgm3: float, half_size_m: float, thickness_m: float, height_m: float = 0.0) -> RigidPart:
-    """Return a square block of edge 2p and thickness H with its centre at a height."""
+    """Return a square block of edge 2p and thickness H at a height."""
     edge = 2.0 * half_size_m
     mass = density_kgm3 * edge**2 * thickness_m
     across = mass * (edge**2 + thickness_m**2) / 12.0
@@ -158,9 +161,9 @@ class BeamFrame(Brief):
 
 
 def rigid_motion(offset_m: FloatArray) -> FloatArray:
-    """Return the motion (6, 6) of a point at an offset (3,) per motion of the origin.
+    """Return the motion (6, 6) of a point per motion of the origin.
 
-    The motion is (ux uy uz rx ry rz).
+    The point is at an offset (3,). The motion is (ux uy uz rx ry rz).
     """
     x, y, z = offset_m
     matrix = np.eye(6)
@@ -198,7 +201,10 @@ class NamedModes(Brief):
 
 
 def dense_modes(stiffness: FloatArray, mass: FloatArray, count: int = 12) -> tuple[FloatArray, FloatArray]:
-    """Return the lowest frequencies in Hz (K,) and shapes (D, K) of K φ = ω² M φ, φᵀMφ = 1."""
+    """Return the lowest frequencies (K,) in Hz and shapes (D, K).
+
+    Of K φ = ω² M φ with φᵀMφ = 1.
+    """
     from scipy.linalg import eigh
 
     last = min(count, len(stiffness)) - 1
@@ -209,11 +215,11 @@ def dense_modes(stiffness: FloatArray, mass: FloatArray, count: int = 12) -> tup
 def named_modes(
     frequency_hz: FloatArray, shape: FloatArray, weigh: Callable[[FloatArray], FloatArray], rigid: FloatArray
 ) -> NamedModes:
-    """Return the named modes among modes (K,), (D, K) by the assignment of largest total mass.
+    """Return the modes that deserve each name.
 
-    `weigh`: multiplies by the mass matrix. `rigid` (D, 6): translations, and rotations about the centre of mass. Modes
-    of equal frequency are combined so that each follows one axis. The sign is such that the motion that gives a mode
-    its name is positive.
+    Among modes (K,), (D, K) the assignment of largest total mass is selected. `weigh`: multiplies by the mass matrix.
+    `rigid` (D, 6): translations, and rotations about the centre of mass. Modes of equal frequency are combined so that
+    each follows one axis. The sign is such that the motion that gives a mode its name is positive.
     """
     from scipy.linalg import polar, qr
 
@@ -251,10 +257,10 @@ SAME_M = 1e-9
 
 
 def cross_frame(beams: CrossBeams, half_size_m: float, pieces: int = 6, consistent: bool = True) -> BeamFrame:
-    """Return the frame: arms from a platform of edge 2p to the axes of the compliant beams.
+    """Return the frame of a cross with a platform of edge 2p.
 
-    Arms start at the faces of the platform, move with it, and are l/2 - p long. `pieces`: divisions of every arm and of
-    every half of a compliant beam.
+    Arms end at the axes of the compliant beams. Arms start at the faces of the platform, move with it, and are l/2 - p
+    long. `pieces`: divisions of every arm and of every half of a compliant beam.
     """
     beams.arm_m(half_size_m)
     outer, half = 0.5 * beams.span_m, 0.5 * beams.compliant_length_m
@@ -475,7 +481,10 @@ def platform_family(
 
 
 def _start(stiffness: FloatArray, targets: FloatArray) -> FloatArray:
-    """Return start values: a mass for Tz, a height for Tx, gyrations for Rx and Rz."""
+    """Return start values of mass, height and radii of gyration.
+
+    Mass from Tz, height from Tx, radii from Rx and Rz.
+    """
     omega = (2.0 * np.pi * targets) ** 2
     mass = stiffness[2] / omega[1]
     turning = stiffness[3] / omega[2] / mass

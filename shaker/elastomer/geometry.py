@@ -101,7 +101,10 @@ class CrossBeams:
         return Section(self.compliant_thickness_m, self.compliant_height_m)
 
     def arm_m(self, half_size_m: float) -> float:
-        """Return the free length of a cross beam, from the platform's face to the compliant beam's axis."""
+        """Return the free length of a cross beam.
+
+        From the platform's face to the compliant beam's axis.
+        """
         arm = 0.5 * self.span_m - half_size_m
         if half_size_m < 0.0 or arm <= 0.0:
             raise ValueError(f"half_size_m: expected from 0 to below half the span {self.span_m}, found {half_size_m}")
@@ -169,7 +172,10 @@ def lump_mass(mass: FloatArray) -> FloatArray:
 
 
 def _symmetric(force: float, a: float, b: float, c: float) -> FloatArray:
-    """Return a matrix (4, 4) over deflection and slope of both ends, zero for a common deflection."""
+    """Return a matrix (4, 4) over deflection and slope of both ends.
+
+    It is zero for a common deflection.
+    """
     return np.array([[force, a, -force, a], [a, b, -a, c], [-force, -a, force, -a], [a, c, -a, b]])
 
 
@@ -190,11 +196,11 @@ def _translation(phi: float, length: float) -> FloatArray:
 
 @dataclass(frozen=True)
 class PublishedStatics:
-    """Equations 5 to 11 of J. Sensors 2018, 6216979, as printed, for comparison with correct ones.
+    """Published beam formulas as printed, for comparison.
 
-    They deviate from mechanics in four points. The shear modulus is twice too large. Compliant beams are cantilevers of
-    half their length (eq. 6); by symmetry the slope at mid-span is zero, which makes them four times as stiff. Their
-    shear is four times too large (eq. 6). The platform is a point.
+    Equations 5 to 11 of J. Sensors 2018, 6216979. They deviate from mechanics in four points. The shear modulus is
+    twice too large. Compliant beams are cantilevers of half their length (eq. 6); by symmetry the slope at mid-span is
+    zero, which makes them four times as stiff. Their shear is four times too large (eq. 6). The platform is a point.
     """
 
     beams: CrossBeams
@@ -222,7 +228,10 @@ class PublishedStatics:
 
     @property
     def beam_share(self) -> float:
-        """F_Q/F of that ratio r: F = 2F_Q + 4F_c gives r/(2r + 4); equation 10 gives 0.4."""
+        """Share F_Q/F of that ratio r.
+
+        F = 2F_Q + 4F_c gives r/(2r + 4); equation 10 gives 0.4.
+        """
         return self.force_ratio / (2.0 * self.force_ratio + 4.0)
 
     def stiffness(self, beam_share: float = 0.4) -> float:
@@ -235,7 +244,10 @@ class PublishedStatics:
 
 @dataclass(frozen=True)
 class BeamStiffness:
-    """Forces per displacement of a platform without rotation, in N/m: along x (and y), and z."""
+    """Forces per displacement of a platform without rotation.
+
+    In N/m: along x (and y), and along z.
+    """
 
     x: float
     z: float
@@ -276,7 +288,10 @@ def beam_stiffness(beams: CrossBeams, half_size_m: float) -> BeamStiffness:
 
 
 def _end(beams: CrossBeams, length: float, bending_m4: float, area_m2: float) -> FloatArray:
-    """Return the stiffness (2, 2) of a beam's end for deflection and slope, its other end clamped."""
+    """Return the stiffness (2, 2) of a beam's free end.
+
+    For deflection and slope; the other end is clamped.
+    """
     bending = beams.material.youngs_modulus_pa * bending_m4
     shear = beams.shear_factor * beams.material.shear_modulus_pa * area_m2
     compliance = np.array([[length**2 / 3.0, length / 2.0], [length / 2.0, 1.0]]) * length / bending

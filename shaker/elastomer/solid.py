@@ -217,7 +217,10 @@ def _elastic(basis: Any, first: float, second: float) -> FloatArray:
 
 
 def _inert(basis: Any) -> FloatArray:
-    """Return the mass (C, L, 3, L, 3) of every cell at unit density: ∫ N_i N_j δ_ab dV."""
+    """Return the mass (C, L, 3, L, 3) of every cell at unit density.
+
+    ∫ N_i N_j δ_ab dV.
+    """
     value = np.stack([np.broadcast_to(np.asarray(field), basis.dx.shape) for (field,) in basis.basis], axis=1)
     product = (value * basis.dx[:, None, :]) @ value.transpose(0, 2, 1)
     local = np.zeros((*product.shape[:2], 3, product.shape[2], 3))

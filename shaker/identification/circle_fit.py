@@ -1,4 +1,4 @@
-"""Circle of a resonance in the complex plane, and the frequency and damping from its angles."""
+"""Circle of a resonance in the complex plane, with frequency and damping."""
 
 from __future__ import annotations
 
@@ -95,7 +95,10 @@ def _geometric(
 def _angles(
     points: ComplexArray, curve: MeasuredCurve, factor: ComplexArray, circle: FloatArray, start: tuple[float, float]
 ) -> tuple[tuple[float, float], FloatArray] | None:
-    """Return f₀ and ζ from the angles about the centre, and their derivatives (2, K) by the angles."""
+    """Return f₀ and ζ from the angles about the centre, with derivatives.
+
+    The derivatives (2, K) are by the angles.
+    """
     frequency = curve.frequency_hz
     out = points - complex(circle[0], circle[1])
     tangent = 1j * out / np.abs(out) ** 2
@@ -118,7 +121,10 @@ def _angles(
 
 
 def _angle_model(frequency_hz: FloatArray, f0: float, zeta: float) -> tuple[FloatArray, FloatArray]:
-    """Return 2 atan((1/r - r)/(2ζ)) (K,) and its derivatives (K, 3) by ln(f₀)/ζ, ln ζ, α."""
+    """Return the angle 2 atan((1/r - r)/(2ζ)) (K,) and its derivatives.
+
+    The derivatives (K, 3) are by ln(f₀)/ζ, ln ζ and α.
+    """
     r = frequency_hz / f0
     tangent = (1.0 / r - r) / (2.0 * zeta)
     by_tangent = 2.0 / (1.0 + tangent**2)

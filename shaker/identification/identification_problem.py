@@ -106,7 +106,10 @@ class LoadBending(Brief):
         )
 
     def derivatives(self, response: MechanicalResponse, s: ComplexArray) -> ComplexArray:
-        """Return the derivatives (K, C, V) of the ratios; an inertial load f changes them by -y·s²·f."""
+        """Return the derivatives (K, C, V) of the ratios.
+
+        An inertial load f changes them by -y·s²·f.
+        """
         pull = np.einsum("vkij,kj->vki", self.mass[1:], response.motion) + self.forcing[1:]
         read = np.einsum("vkcj,kj->kcv", self.rows[1:], response.motion) + self.offset[1:].transpose(1, 2, 0)
         moved = np.einsum("kci,vki->kcv", response.adjoint, pull) * s[:, None, None] ** 2
@@ -330,7 +333,10 @@ def _check(
 def _parameters(
     records: Sequence[MeasuredTransfer], structure: MechanicalStructure, each_recording: Collection[str]
 ) -> tuple[tuple[StructureParameter, ...], list[int], IntArray]:
-    """Return the fitted parameters, their index in the structure, and the indices (R, P) by recording."""
+    """Return the fitted parameters and their indices by structure and by recording.
+
+    The latter have the shape (R, P).
+    """
     fitted: list[StructureParameter] = []
     kinds: list[int] = []
     places = np.zeros((len(records), len(structure.parameters)), dtype=np.int64)
@@ -353,7 +359,10 @@ def factor_name(kind: str, record: MeasuredTransfer, channel: str) -> str:
 
 
 def _free(record: MeasuredTransfer, gain: Collection[str], delay: Collection[str]) -> dict[str, ComplexArray]:
-    """Return the change (K, C) of the logarithm of the ratios for one unit of each free factor."""
+    """Return the effect of each free factor on the logarithm of the ratios.
+
+    The change (K, C) is for one unit of the factor.
+    """
     free: dict[str, ComplexArray] = {}
     for c, channel in enumerate(record.ratio.channels):
         column = np.zeros(record.ratio.value.shape, dtype=np.complex128)
@@ -434,7 +443,7 @@ def _significant(record: MeasuredTransfer, roots: ComplexArray) -> ComplexArray:
     fractions = [np.stack([unit / (s - root), unit / (s - root.conjugate())], axis=1) for root in roots]
 
     def misfit(columns: Sequence[ComplexArray]) -> float:
-        """Return χ² of the best sums of columns for the ratios, with separate coefficients for each."""
+        """Return χ² of the best sums of columns, separately for each ratio."""
         total = 0.0
         for c in range(value.shape[1]):
             right = value[:, c] / noise[:, c]

@@ -34,7 +34,10 @@ class Placement(Brief):
 
     @property
     def row(self) -> FloatArray:
-        """Row (6,) from the motion of the sensor origin to the reading: [d, r × d], of a rotation [0, d]."""
+        """Row (6,) from the motion of the sensor origin to the reading.
+
+        It is [d, r × d], for a rotation [0, d].
+        """
         if self.turning:
             return np.concatenate([np.zeros(3), self.direction])
         return np.concatenate([self.direction, np.cross(self.point_m, self.direction)])
@@ -85,11 +88,11 @@ class PlacementError(Brief):
 
 @dataclass(frozen=True, repr=False)
 class Bending(Brief):
-    """Elastic behaviour of a load at K lines, per motion A (6,) of the body on the springs.
+    """Elastic behaviour of a load at K lines.
 
-    `inertia` (1+V, K, 6, 6): inertial load in addition to the mass matrix, per A. `stretch` (1+V, K, C, 6): reading of
-    C responses in addition to their rows, per A. The first element is the stated one; the others are the changes for
-    one standard deviation of each unknown in `names` (V,).
+    All terms are per motion A (6,) of the body on the springs. `inertia` (1+V, K, 6, 6): inertial load in addition to
+    the mass matrix, per A. `stretch` (1+V, K, C, 6): reading of C responses in addition to their rows, per A. The first
+    element is the stated one; the others are the changes for one standard deviation of each unknown in `names` (V,).
     """
 
     names: tuple[str, ...]
@@ -151,7 +154,7 @@ class MeasuredTransfer(Brief):
 
     @property
     def noise(self) -> FloatArray:
-        """Standard uncertainty (K, C) of each ratio, as the root mean square of Re and Im."""
+        """Standard uncertainty (K, C) of each ratio, rms of Re and Im."""
         return np.asarray(np.sqrt(0.5 * (self.ratio.u_re**2 + self.ratio.u_im**2)))
 
     def poles(self, count: int) -> ComplexArray:
@@ -307,12 +310,12 @@ _SETTLED = 1e-4  # change of the denominator's coefficients that no longer moves
 def rational_poles(
     s: ComplexArray, value: ComplexArray, noise: FloatArray, count: int, lowest: int = 0
 ) -> ComplexArray:
-    """Return the common poles (count,) of curves (K, C) with noise (K, C), Im λ > 0, ascending |λ|.
+    """Return the common poles (count,) of curves (K, C), ascending.
 
-    Curves are fitted by Nᶜ(s)/D(s). D has the degree 2·count; N has complex coefficients for the powers from `lowest`
-    to 2·count. The fit is linearised (Levy, IRE Trans. Autom. Control 4, 1959) and reweighted iteratively (Sanathanan
-    and Koerner, IEEE Trans. Autom. Control 8, 1963). Unstable poles are mirrored. Real poles are replaced by poles
-    above the band.
+    `noise` (K, C); the poles have Im λ > 0. Curves are fitted by Nᶜ(s)/D(s). D has the degree 2·count; N has complex
+    coefficients for the powers from `lowest` to 2·count. The fit is linearised (Levy, IRE Trans. Autom. Control 4,
+    1959) and reweighted iteratively (Sanathanan and Koerner, IEEE Trans. Autom. Control 8, 1963). Unstable poles are
+    mirrored. Real poles are replaced by poles above the band.
     """
     middle = float(np.sqrt(np.abs(s).min() * np.abs(s).max()))
     q = (s / middle)[:, None]
@@ -357,9 +360,10 @@ def whitening_matrices(covariance: FloatArray, name: str = "covariance") -> Floa
 def line_correlation_term(
     frequency_hz: FloatArray, columns: ComplexArray, correlation: ComplexArray | None
 ) -> FloatArray:
-    """Return Re Tᴴ(R - 1)T (N, N) of whitened columns T (K, …, N) at lines (K,).
+    """Return the term of the correlation between lines, Re Tᴴ(R - 1)T.
 
-    R is given by `correlation` (D,), that of the errors of lines 0, 1, 2 … lines apart, as in `TransferFunction`.
+    The result is (N, N), for whitened columns T (K, …, N) at lines (K,). R is given by `correlation` (D,), that of the
+    errors of lines 0, 1, 2 … lines apart, as in `TransferFunction`.
     """
     count = columns.shape[-1]
     total = np.zeros((count, count))

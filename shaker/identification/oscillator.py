@@ -440,7 +440,7 @@ class PeakReadings:
 
 
 def peak_readings(curve: MeasuredCurve) -> PeakReadings:
-    """Read the highest resonance of H, the motion of a mass over that of its base.
+    """Read the highest resonance of load motion over base motion.
 
     The line spacing biases `maximum_bin` only.
     """
@@ -479,7 +479,7 @@ def peak_readings(curve: MeasuredCurve) -> PeakReadings:
 
 
 def transmissibility_levels(damping_ratio: float, level: float = 2.0) -> tuple[float, float, float]:
-    """Return r = f/f₀ of the maximum of a transmissibility, and of a level on both sides.
+    """Return r = f/f₀ of the maximum and of a level on both sides.
 
     The transmissibility is |(1 + 2jζr)/(1 - r² + 2jζr)|; at the level 1/|H|² is `level` times its value at the maximum.
     r² solves y² - (2 - 4ζ² + 4ζ²c)y + 1 - c = 0, c = level/|H|²max. The lower r is zero if the level is not reached.

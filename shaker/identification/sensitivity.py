@@ -72,13 +72,14 @@ _SMALLEST_TURN = 0.01  # rad at the highest line with which a lag starts, lest i
 
 @dataclass(frozen=True, repr=False)
 class SensitivityFit(Brief):
-    """S(f) = S₀ / (1 + jωτ) · chain(f) with τ = b/k, fitted to a measured sensitivity.
+    """Lag and chain fitted to a measured sensitivity.
 
-    `sensitivity` S₀ in `unit`; `spring_time_s` τ. `parameters` (P,): names in the order of `covariance` (P, P):
-    `sensitivity`, `spring_time_s` (if it is unknown), then those of the chain. `residual` (K,): measured minus model
-    with all common errors as estimated. `chi_squared`: of residuals, common errors and the priors of τ and S₀, with
-    `dof` and the `probability` of a χ² at least as large. If χ²/dof is above one, the noise is enlarged to it in the
-    covariance. `converged` is False if the readings do not determine the parameters or do not follow the model.
+    S(f) = S₀ / (1 + jωτ) · chain(f) with τ = b/k. `sensitivity` S₀ in `unit`; `spring_time_s` τ. `parameters` (P,):
+    names in the order of `covariance` (P, P): `sensitivity`, `spring_time_s` (if it is unknown), then those of the
+    chain. `residual` (K,): measured minus model with all common errors as estimated. `chi_squared`: of residuals,
+    common errors and the priors of τ and S₀, with `dof` and the `probability` of a χ² at least as large. If χ²/dof is
+    above one, the noise is enlarged to it in the covariance. `converged` is False if the readings do not determine the
+    parameters or do not follow the model.
     """
 
     sensitivity: float
@@ -131,7 +132,7 @@ class SensitivityFit(Brief):
 def fit_chain(
     measured: MeasuredSensitivity, kind: ChainKind, spring: SpringPrior | None, *, spring_free: bool = False
 ) -> SensitivityFit:
-    """Fit S₀, τ = b/k and a chain of one kind to a measured sensitivity (K lines).
+    """Fit S₀, τ = b/k and a chain of one kind to a sensitivity.
 
     The measured value is S₀ / (1 + jωτ) · chain · exp(Σ z r) with relative errors r by name and unknowns z ~ N(0, 1).
     The readings need no joint covariance. `spring` is the prior of τ; `spring_free` makes τ free. Without either τ is
@@ -175,10 +176,11 @@ def fit_chain(
 
 @dataclass(frozen=True)
 class _ChainProblem:
-    """A measured sensitivity over unknowns x = [S₀, τ if unknown, chain, z of common errors].
+    """A measured sensitivity with its unknowns.
 
-    `names`: the unknowns except z. `time_s`: τ if it is fixed, else its start. `priors`: (index, value, u) of unknowns
-    with a prior, z among them. `relative` (K, E). `whitening` (K, 2, 2): noise to variance one.
+    x = [S₀, τ if unknown, chain, z of common errors]. `names`: the unknowns except z. `time_s`: τ if it is fixed, else
+    its start. `priors`: (index, value, u) of unknowns with a prior, z among them. `relative` (K, E). `whitening` (K, 2,
+    2): noise to variance one.
     """
 
     measured: MeasuredSensitivity
@@ -322,11 +324,12 @@ _PART_OF: dict[ChainKind, tuple[ChainKind, ...]] = {
 
 @dataclass(frozen=True)
 class DampingTest:
-    """b/k that the sensitivity requires without a chain, compared with b/k of the resonance width, in s.
+    """Comparison of b/k from the sensitivity and from the resonance width.
 
-    `deviation`: √Δχ² with the sign of the difference. Δχ² is the growth of χ² if b/k has the prior of the resonance,
-    divided by χ²/dof if that is above one. Small differences give the difference over its standard uncertainty. The
-    test is also right if the magnitude depends on (b/k)². `probability` of a deviation at least as large.
+    In s; the sensitivity is fitted without a chain. `deviation`: √Δχ² with the sign of the difference. Δχ² is the
+    growth of χ² if b/k has the prior of the resonance, divided by χ²/dof if that is above one. Small differences give
+    the difference over its standard uncertainty. The test is also right if the magnitude depends on (b/k)².
+    `probability` of a deviation at least as large.
     """
 
     needed_s: float

@@ -78,9 +78,10 @@ class ChainModel(Brief):
         return np.array([columns[name] for name in self.names], dtype=np.complex128).reshape(-1, len(s)).T
 
     def corner(self, covariance: FloatArray) -> tuple[tuple[float, float], tuple[float, float]] | None:
-        """Return (f_c, u) in Hz and (ζ, u) of a low-pass, None without one of second order.
+        """Return corner frequency and damping ratio of a low-pass, each with u.
 
-        f_c = 1/(2π√a₂), ζ = a₁/(2√a₂), for a₂ > 0; u from the covariance (P, P) of the parameters.
+        (f_c, u) in Hz and (ζ, u); None without a low-pass of second order. f_c = 1/(2π√a₂), ζ = a₁/(2√a₂), for a₂ > 0;
+        u from the covariance (P, P) of the parameters.
         """
         if self.kind not in {"butterworth", "second_order"} or not self.square_s2 > 0.0:
             return None
@@ -181,7 +182,10 @@ class SensorModel(Brief):
         return np.asarray(gain / self._divisor(laplace(frequency_hz), load) * self.chain.response(frequency_hz))
 
     def log_slopes(self, frequency_hz: FloatArray, load: Load) -> ComplexArray:
-        """Return the derivatives (K, 4 + P + 1) of ln `output_factor` by parameters and load mass."""
+        """Return the derivatives of ln `output_factor` by parameters and load mass.
+
+        The shape is (K, 4 + P + 1).
+        """
         s, total = laplace(frequency_hz), load.mass + self.internal_mass
         divisor = self._divisor(s, load)
         by_force = np.asarray(-s * s / self.stiffness / divisor)
@@ -198,7 +202,10 @@ class SensorModel(Brief):
         return np.stack(columns, axis=1)
 
     def covariance_root(self, load: Load) -> FloatArray:
-        """Return deviations (4 + P + 1, E) of the parameters for E independent causes of variance one."""
+        """Return a square root of the covariance of parameters and load mass.
+
+        Deviations (4 + P + 1, E) for E independent causes of variance one.
+        """
         count = len(self.covariance)
         whole = np.zeros((count + 1, count + 1))
         whole[:count, :count], whole[count, count] = self.covariance, load.u_mass**2
@@ -211,7 +218,7 @@ class SensorModel(Brief):
         return ChainResponse(self.output_factor(frequency_hz, load), np.asarray(errors), causes)
 
     def _divisor(self, s: ComplexArray, load: Load) -> ComplexArray:
-        """Return (k + bs)/k for a moving base, (k + bs + Ms²)/k for a force."""
+        """Return (k + bs)/k, for a force plus Ms²/k."""
         mass = load.mass + self.internal_mass if load.drive == "force" else 0.0
         return np.asarray(1.0 + (self.damping + s * mass) * s / self.stiffness)
 

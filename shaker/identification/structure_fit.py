@@ -213,7 +213,10 @@ class FitState(Brief):
 
 
 def evaluate(problem: IdentificationProblem, vector: FloatArray) -> FitState | None:
-    """Return the fit state of a vector, None if a mass or stiffness is not positive."""
+    """Return the fit state of a vector, None if a parameter is impossible.
+
+    Masses and stiffnesses must be positive.
+    """
     if not all(curve.possible(vector) for curve in problem.curves):
         return None
     modelled = tuple(curve.modelled(vector) for curve in problem.curves)
@@ -235,7 +238,7 @@ def solve(problem: IdentificationProblem, state: FitState) -> FitState:
         return evaluate(problem, vector)
 
     def curvature(here: FitState, step: FloatArray) -> FloatArray | None:
-        """Return the residuals' second derivative along a step, from a difference over a tenth of it."""
+        """Return the residuals' second derivative along a step, by a finite difference."""
         ahead = at(here.parameters + _SHARE * step)
         if ahead is None:
             return None
@@ -298,7 +301,9 @@ class UnknownsCovariance(Brief):
 
 
 def spread(problem: IdentificationProblem, state: FitState) -> UnknownsCovariance:
-    """Return A⁻¹ (JᵀRJ + P) A⁻¹ with A = JᵀJ + P, the covariance of the unknowns.
+    """Return the covariance of all unknowns.
+
+    It is A⁻¹ (JᵀRJ + P) A⁻¹ with A = JᵀJ + P.
 
     R is the correlation between lines, P the precision of the priors. The basis is chosen such that A = 1. This keeps
     the digits of directions that the stated masses and scales do not determine.
@@ -498,7 +503,10 @@ def _result(
 
 
 def _lags(problem: IdentificationProblem, state: FitState, found: UnknownsCovariance) -> tuple[ParameterEstimate, ...]:
-    """Return b/k of every damper with its spring, the time constant that S(f) of the sensor would show."""
+    """Return b/k of every damper with its spring.
+
+    It is the time constant of the sensor's lag in S(f).
+    """
     places = {parameter.name: place for place, parameter in enumerate(problem.parameters)}
     derived = []
     for name, place in places.items():

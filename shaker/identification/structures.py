@@ -33,16 +33,19 @@ class MechanicalStructure(Protocol):
 
     @property
     def body(self) -> FloatArray:
-        """Motion (6, n) of the load relative to the base, [x y z rx ry rz] per p.
+        """Motion (6, n) of the load relative to the base per p.
 
-        The base moves as `record.drive`.
+        In the order x y z rx ry rz. The base moves as `record.drive`.
         """
 
     def mechanics(self, record: MeasuredTransfer) -> Mechanics:
         """Return the mechanics of a recording, terms in the order 1, `parameters`, `record.inertia_errors`."""
 
     def starts(self, records: Sequence[MeasuredTransfer]) -> FloatArray:
-        """Return start values (S, P) of the right order of magnitude; the best result is used."""
+        """Return start values (S, P) of the right order of magnitude.
+
+        The best result of all starts is used.
+        """
 
 
 def _spring_and_damper(component: int, ending: str, words: str) -> tuple[StructureParameter, StructureParameter]:
@@ -162,12 +165,13 @@ class Stage:
 
 @dataclass(frozen=True)
 class ChainStructure:
-    """Stages in a row with the load on the last, for a base that is measured below a compliant mount.
+    """Stages in a row with the load on the last.
 
-    `component`: index into x y z rx ry rz of the axis along or about which the chain moves. Along all others everything
-    moves as the base. Parameters: stiffness and damping of every stage, then the masses of stages with a mass. Those of
-    the stage "sensor" are named as in `SpringSuspension`: "stiffness_z", "damping_z", "internal_mass" (or
-    "internal_inertia_rz"). Those of other stages are named "stiffness_z_adapter", "damping_z_adapter", "mass_adapter".
+    It is fitted if the base is measured below a compliant mount. `component`: index into x y z rx ry rz of the axis
+    along or about which the chain moves. Along all others everything moves as the base. Parameters: stiffness and
+    damping of every stage, then the masses of stages with a mass. Those of the stage "sensor" are named as in
+    `SpringSuspension`: "stiffness_z", "damping_z", "internal_mass" (or "internal_inertia_rz"). Those of other stages
+    are named "stiffness_z_adapter", "damping_z_adapter", "mass_adapter".
     """
 
     component: int
@@ -220,7 +224,10 @@ class ChainStructure:
         return _seen(record, self.body, moved, pushed)
 
     def starts(self, records: Sequence[MeasuredTransfer]) -> FloatArray:
-        """Return start values (S, P): the measured poles in every order, as if each spring carried the load."""
+        """Return start values (S, P) from the measured poles in every order.
+
+        Each spring is set as if it carried the load.
+        """
         load = records[0].mass_matrix[self.component, self.component]
         masses = [0.1 * load for stage in self.stages if stage.has_mass]
         starts = []

@@ -22,12 +22,12 @@ PARAMETERS = ("stiffness", "damping", "coupling_stiffness", "coupling_damping")
 
 @dataclass(frozen=True, repr=False)
 class LoadModel(Brief):
-    """Moving mass m_E on the sensor's spring k, c with a load mass m_L on k_L, c_L.
+    """Sensor and load as two masses in a row.
 
-    `coupling_stiffness` k_L and `coupling_damping` c_L are None for a rigid coupling. Output U = n·x_E over a force on
-    the load (eqs. 2, 3 of the publication named in `docs/load.md`): H(s) = n (c_L s + k_L)/B(s), B(s) = m_L m_E s⁴ +
-    [m_L (c + c_L) + m_E c_L] s³ + [m_L (k + k_L) + c c_L + m_E k_L] s² + (k c_L + c k_L) s + k k_L; rigid: H(s) =
-    n/[(m_E + m_L) s² + c s + k].
+    The moving mass m_E is on the sensor's spring k, c; the load mass m_L is on it by k_L, c_L. `coupling_stiffness` k_L
+    and `coupling_damping` c_L are None for a rigid coupling. Output U = n·x_E over a force on the load (eqs. 2, 3 of
+    the publication named in `docs/load.md`): H(s) = n (c_L s + k_L)/B(s), B(s) = m_L m_E s⁴ + [m_L (c + c_L) + m_E c_L]
+    s³ + [m_L (k + k_L) + c c_L + m_E k_L] s² + (k c_L + c k_L) s + k k_L; rigid: H(s) = n/[(m_E + m_L) s² + c s + k].
 
     `moving_mass` in kg with `u_moving_mass`, stiffnesses in N/m, dampings in N·s/m, `sensitivity` = n/k in output unit
     per N. For a moment: inertias instead of masses, N·m/rad instead of N/m. `covariance` (P, P) of `PARAMETERS`, the
@@ -128,7 +128,7 @@ class LoadModel(Brief):
         return self.system(load_mass).poles
 
     def system(self, load_mass: float) -> LinearSystem:
-        """Return output over force on a load of a given mass, in output unit per N."""
+        """Return output over force on a load, in output unit per N."""
         if not load_mass >= 0:
             raise ValueError(f"load_mass: expected 0 or more, found {load_mass}")
         m, k, c, n = self.moving_mass, self.stiffness, self.damping, self.sensitivity * self.stiffness
@@ -143,7 +143,7 @@ class LoadModel(Brief):
 
 
 def upper_poles(numbers: FloatArray, moving_mass: float, load_mass: float) -> tuple[ComplexArray, ComplexArray]:
-    """Return the upper poles (M,) in rad/s, the lowest first, and their derivatives (M, P + 2).
+    """Return the upper poles (M,) in rad/s, ascending, with derivatives (M, P + 2).
 
     `numbers` (P,): stiffness and damping, and those of the coupling unless the load is rigid. Derivatives by the
     numbers, the moving mass and the load mass. A load without mass has one mode. Overdamped modes have no upper pole
@@ -172,10 +172,11 @@ def _chain(count: int) -> Mechanics:
 
 @dataclass(frozen=True, repr=False)
 class LoadCurve(Brief):
-    """Natural frequencies in Hz and damping ratios of two modes over load masses (K,) in kg.
+    """Frequencies and damping ratios of two modes over load masses.
 
-    `frequency_hz`, `damping_ratio` and their standard uncertainties (K, 2), NaN without a second mode or a covariance.
-    f = |p|/2π and ζ = -Re p/|p| of the poles p of `LoadModel.system`.
+    Load masses (K,) in kg; frequencies are natural frequencies in Hz. `frequency_hz`, `damping_ratio` and their
+    standard uncertainties (K, 2), NaN without a second mode or a covariance. f = |p|/2π and ζ = -Re p/|p| of the poles
+    p of `LoadModel.system`.
     """
 
     load_mass: FloatArray
@@ -278,17 +279,20 @@ HEAVIEST = 1e4  # load mass over the moving mass up to which limits are looked f
 
 
 class LoadLimit(NamedTuple):
-    """A load mass in kg (kg·m² for a moment) with its standard uncertainty, NaN if not available."""
+    """A load mass in kg with its standard uncertainty.
+
+    For a moment kg·m²; the uncertainty is NaN if it is not available.
+    """
 
     load_mass: float
     u: float
 
 
 def formula_limit(model: LoadModel, permitted: float) -> LoadLimit | None:
-    """Return the load mass above which √(k/(m_E + m_L)) exceeds the resonance by more than `permitted`.
+    """Return the load mass above which the rigid formula is too high.
 
-    None if this never happens: for a rigid load, or a sufficiently stiff coupling. For large loads the formula is too
-    high by √(1 + k/k_L).
+    √(k/(m_E + m_L)) then exceeds the resonance by more than a share `permitted`. None if this never happens: for a
+    rigid load, or a sufficiently stiff coupling. For large loads the formula is too high by √(1 + k/k_L).
     """
     _check_share(permitted)
     most = 1.0 + permitted
@@ -296,14 +300,17 @@ def formula_limit(model: LoadModel, permitted: float) -> LoadLimit | None:
 
 
 def change_limit(model: LoadModel, permitted: float) -> LoadLimit | None:
-    """Return the load mass that lowers the resonance by a share `permitted` of the unloaded one."""
+    """Return the load mass that lowers the resonance by a share `permitted`."""
     _check_share(permitted)
     least = 1.0 - permitted
     return _limit(model, lambda changed, load: least - first_mode_hz(changed, load) / first_mode_hz(changed, 0.0))
 
 
 def frequency_limit(model: LoadModel, target_hz: float) -> LoadLimit | None:
-    """Return the load mass up to which the resonance is at least `target_hz`, None if it never is."""
+    """Return the load mass up to which the resonance is at least `target_hz`.
+
+    None if it never is.
+    """
     if not target_hz > 0:
         raise ValueError(f"target_hz: expected a frequency above 0, found {target_hz}")
     if first_mode_hz(model, 0.0) < target_hz:

@@ -1,4 +1,4 @@
-"""Data of a series of loads: output, masses, and resonances from the ringing of every load."""
+"""Data of a series of loads: output, masses, and measured resonances."""
 
 from __future__ import annotations
 
@@ -69,7 +69,10 @@ class SeriesMasses(Brief):
 
 
 def stated_masses(moving: float, u_moving: float, load: FloatArray, u_load: FloatArray | None = None) -> SeriesMasses:
-    """Return masses with independent errors: of the moving mass and of every different load mass (R,)."""
+    """Return masses with independent errors.
+
+    The moving mass and every different load mass (R,) have one error each.
+    """
     loads = np.asarray(load, dtype=np.float64)
     spread = np.zeros(len(loads)) if u_load is None else np.asarray(u_load, dtype=np.float64)
     uncertain = np.unique(loads[spread > 0.0])
@@ -86,10 +89,10 @@ def stated_masses(moving: float, u_moving: float, load: FloatArray, u_load: Floa
 
 @dataclass(frozen=True, repr=False)
 class Resonances(Brief):
-    """First and second mode of R records: natural frequencies in Hz and damping ratios (R, 2).
+    """First and second mode of R records.
 
-    Unknown values are NaN. `u_…`: standard uncertainties. They are 0 if none is stated; the scatter about a model then
-    determines them.
+    Natural frequencies in Hz and damping ratios (R, 2). Unknown values are NaN. `u_…`: standard uncertainties. They are
+    0 if none is stated; the scatter about a model then determines them.
     """
 
     names: tuple[str, ...]
@@ -140,11 +143,11 @@ SEARCH = LMOptions(initial_damping=1e-4, damping_decrease=0.2, min_damping=1e-15
 
 @dataclass(frozen=True, repr=False)
 class FreeDecay(Brief):
-    """The output of one record after the end of its release: `value` (N,) at `time_s` (N,).
+    """The output of one record after the end of its release.
 
-    In output units, low-pass filtered and decimated by `decimation`. A filter multiplies every exponential by a
-    constant, and so does the release after its end, for any shape. The free amplitudes contain these constants; poles
-    do not change.
+    `value` (N,) at `time_s` (N,). In output units, low-pass filtered and decimated by `decimation`. A filter multiplies
+    every exponential by a constant, and so does the release after its end, for any shape. The free amplitudes contain
+    these constants; poles do not change.
     """
 
     name: str
@@ -189,10 +192,11 @@ def free_decay(record: StepRecord, channel: str, reading: ReleaseReading) -> Fre
 
 
 def project_amplitudes(decay: FreeDecay, poles: ComplexArray) -> tuple[FloatArray, FloatArray]:
-    """Return the residual (N,) of free modes (M,) and a level, and its derivatives (N, 2M).
+    """Return the residual (N,) of free modes and its derivatives (N, 2M).
 
-    Derivatives are by Re p and Im p of each pole. y = b + Σ Re{a_m exp(p_m t)} with b and a_m by linear least squares
-    (variable projection, Golub & Pereyra 1973, the derivatives in Kaufman's form).
+    Modes (M,) with free amplitudes, and a level. Derivatives are by Re p and Im p of each pole. y = b + Σ Re{a_m
+    exp(p_m t)} with b and a_m by linear least squares (variable projection, Golub & Pereyra 1973, the derivatives in
+    Kaufman's form).
     """
     point = free_modes(decay, poles)
     return point.residuals[0][:, 0], -point.solved[0].orthogonal_complement(point.jacobians[0].rows)[:, :, 0]
@@ -218,9 +222,10 @@ def free_modes(decay: FreeDecay, poles: ComplexArray) -> SeparablePoint:
 
 
 def coloured_normal(slope: FloatArray, residual: FloatArray) -> FloatArray:
-    """Return Jᵀ R J (P, P) of derivatives (N, P), with R of the noise in the residual (N,).
+    """Return the normal matrix Jᵀ R J for coloured noise.
 
-    The spectrum of R is the periodogram of the residual, smoothed over neighbouring lines.
+    (P, P) of derivatives (N, P), with R of the noise in the residual (N,). The spectrum of R is the periodogram of the
+    residual, smoothed over neighbouring lines.
     """
     count = len(residual)
     power = np.abs(np.fft.rfft(residual)) ** 2 / count
@@ -248,9 +253,10 @@ HEAVIEST, VAGUEST = 0.3, 0.05
 
 @dataclass(frozen=True, repr=False)
 class RecordModes(Brief):
-    """One or two modes of a record: upper poles (M,) in rad/s with covariance (2M, 2M).
+    """One or two modes of a record with their covariance.
 
-    The covariance is of [Re p, Im p] of each mode. `noise`: standard deviation of the residual, in output units.
+    Upper poles (M,) in rad/s. The covariance is of [Re p, Im p] of each mode. `noise`: standard deviation of the
+    residual, in output units.
     """
 
     name: str
@@ -280,7 +286,7 @@ class RecordModes(Brief):
 
 
 def record_modes(decay: FreeDecay) -> RecordModes:
-    """Return the first mode of a record, and a second above it if it is significant."""
+    """Return the first mode of a record, and a significant second one."""
     from scipy.special import fdtrc
 
     one = _fitted(decay, _starts(decay, decay.value - np.mean(decay.value), 0.0), np.zeros(0, dtype=np.complex128))

@@ -29,10 +29,11 @@ BLOCKS_PER_PERIOD = 12  # blocks in a period of the fastest mode: its mean over 
 
 @dataclass(frozen=True, repr=False)
 class BlockMeans(Brief):
-    """Means of neighbouring samples: block b is the mean `value` (B, …) of `length` (B,) samples.
+    """Means over blocks of neighbouring samples.
 
-    Samples are `step_s` apart; the first of a block is at `time_s` (B,). White noise stays white, with 1/√length of its
-    standard deviation, and the response of a pole stays an exponential. No filter has to be modelled.
+    Block b is the mean `value` (B, …) of `length` (B,) samples. Samples are `step_s` apart; the first of a block is at
+    `time_s` (B,). White noise stays white, with 1/√length of its standard deviation, and the response of a pole stays
+    an exponential. No filter has to be modelled.
     """
 
     time_s: FloatArray
@@ -86,12 +87,18 @@ def reduce_to_blocks(whole: BlockMeans, fine_from_s: float, fine_to_s: float, le
 
 
 def block_length(sample_rate_hz: float, highest_hz: float) -> int:
-    """Return the samples per block after the release, for twelve blocks per period of the fastest mode."""
+    """Return the samples per block after the release.
+
+    There are twelve blocks per period of the fastest mode.
+    """
     return max(1, int(sample_rate_hz / (BLOCKS_PER_PERIOD * highest_hz)))
 
 
 def average_blocks(samples: FloatArray, size: int) -> FloatArray:
-    """Return means (…, A) of blocks of `size` samples (…, N), without an incomplete last one."""
+    """Return means (…, A) over blocks of `size` samples (…, N).
+
+    An incomplete last block is omitted.
+    """
     count = samples.shape[-1] // size
     return np.asarray(samples[..., : count * size].reshape(*samples.shape[:-1], count, size).mean(axis=-1))
 
@@ -120,9 +127,10 @@ class ReleaseLoad(Brief):
 
 
 def load_share(shape: ReleaseShape, time_s: FloatArray, onset_s: float, release_s: float) -> FloatArray:
-    """Return the share (N,) of the load's change at `time_s` (N,): 0 before `onset_s`, 1 at the end.
+    """Return the share (N,) of the load's change at `time_s` (N,).
 
-    Between them, with x = (t - onset)/T: x for a "ramp", (1 - cos πx)/2 for a "smooth" release.
+    It is 0 before `onset_s` and 1 at the end. Between them, with x = (t - onset)/T: x for a "ramp", (1 - cos πx)/2 for
+    a "smooth" release.
     """
     tau = np.asarray(time_s, dtype=np.float64) - onset_s
     if release_s <= 0.0 or shape == "step":
@@ -144,10 +152,10 @@ def load_rate(shape: ReleaseShape, time_s: FloatArray, onset_s: float, release_s
 def pole_responses(
     poles: ComplexArray, time_s: FloatArray, onset_s: float, release_s: float, shape: ReleaseShape = "ramp"
 ) -> ComplexArray:
-    """Return responses (N, P) of 1/(s - p) at `time_s` (N,) to a load from 0 to 1.
+    """Return responses (N, P) of 1/(s - p) to a load from 0 to 1.
 
-    `poles` (P,) in rad/s. The load changes in a shape, by default a ramp, from `onset_s` on within `release_s` ≥ 0; 0
-    is a step.
+    At `time_s` (N,). `poles` (P,) in rad/s. The load changes in a shape, by default a ramp, from `onset_s` on within
+    `release_s` ≥ 0; 0 is a step.
     """
     if release_s < 0:
         raise ValueError(f"release_s: expected 0 or more, found {release_s}")
@@ -158,9 +166,10 @@ def pole_responses(
 
 
 def exponentials(poles: ComplexArray, tau: FloatArray) -> ComplexArray:
-    """Return exp(pτ) (P, N), poles (P,) in rad/s, at times `tau` (N,) in s, none below 0.
+    """Return exp(pτ) (P, N) at times `tau` (N,) of at least 0.
 
-    At equally spaced times they are products of two short series (`even_exponentials`).
+    `poles` (P,) in rad/s, times in s. At equally spaced times they are products of two short series
+    (`even_exponentials`).
     """
     count = len(tau)
     p = poles[:, None]
@@ -240,9 +249,9 @@ def _answered(
 
 
 def release_factor(shape: ReleaseShape, x: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    """Return F = ∫ du/dt·exp(p(T - t)) dt over the release and its derivative by x = pT.
+    """Return the factor F of a release and its derivative by x.
 
-    F = 1 and its derivative is ½ at x = 0.
+    F = ∫ du/dt·exp(p(T - t)) dt over the release, x = pT. F = 1 and its derivative is ½ at x = 0.
     """
     if shape == "smooth":
         below, grown = x**2 + np.pi**2, np.exp(x)
@@ -285,7 +294,10 @@ def _after(
 
 
 def _at_times(shape: ReleaseShape, p: ComplexArray, tau: FloatArray, length: float, rows: int) -> ComplexArray:
-    """Return the responses (R, P, B) of single samples `tau` (B,) after the onset, zero before it."""
+    """Return the responses (R, P, B) of single samples.
+
+    `tau` (B,) after the onset; zero before it.
+    """
     whole = np.zeros((rows, len(p), len(tau)), dtype=np.complex128)
     if np.any(tau[1:] < tau[:-1]):
         order = np.argsort(tau)
@@ -309,7 +321,10 @@ def _at_times(shape: ReleaseShape, p: ComplexArray, tau: FloatArray, length: flo
 
 
 def _along_line(p: ComplexArray, tau: FloatArray, length: float) -> tuple[FloatArray, ComplexArray, ComplexArray]:
-    """Return a ramp's load, its response [(exp(pτ) - 1)/p - τ]/(pT) and the derivative by p."""
+    """Return a ramp's load, its response and the derivative by p.
+
+    The response is [(exp(pτ) - 1)/p - τ]/(pT).
+    """
     away = np.expm1(p * tau)
     rise = away / p
     value = (rise - tau) / (p * length)
@@ -331,7 +346,10 @@ def _along_cosine(p: ComplexArray, tau: FloatArray, length: float) -> tuple[Floa
 
 
 def _means(p: ComplexArray, size: int, step_s: float) -> tuple[ComplexArray, ComplexArray]:
-    """Return the mean of exp(pt) (P,) over `size` samples from t = 0, and its derivative by p."""
+    """Return the mean of exp(pt) (P,) over `size` samples, with derivative.
+
+    The first sample is at t = 0.
+    """
     if size == 1:
         return np.ones_like(p), np.zeros_like(p)
     k = np.arange(size)[:, None]

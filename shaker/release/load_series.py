@@ -158,7 +158,10 @@ def _scatter(problem: SeriesProblem, x: FloatArray) -> tuple[float, float]:
 
 
 def _of_numbers(problem: SeriesProblem, x: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Return the covariance (P + Q, P + Q) of numbers and mass errors from that of x."""
+    """Return the covariance of numbers and mass errors from that of x.
+
+    Both are (P + Q, P + Q).
+    """
     rates, (_, by_own) = problem.number_rates(x), problem.prior(x)
     turn = np.vstack([np.pad(rates, ((0, 0), (0, len(by_own)))), by_own])
     return np.asarray(turn @ covariance @ turn.T)
@@ -341,7 +344,7 @@ def identify_loads(
 def _supports(
     measured: Resonances, masses: SeriesMasses, rigid: SeriesFit, elastic: tuple[SeriesFit, ...], unit: str
 ) -> tuple[bool, Notice]:
-    """Return whether the data support three masses, and the code of the reason with its values."""
+    """Return whether the data support three masses, and the reason."""
     from scipy.special import chdtrc, fdtrc
 
     if not elastic:

@@ -48,13 +48,13 @@ _STEEP = 0.5  # damping ratio above which a further mode is taken for a disturba
 def decay_modes(
     whole: BlockMeans, reading: ReleaseReading, method: Literal["pencil", "arx"], count: int | None
 ) -> tuple[ComplexArray, float]:
-    """Return the upper poles (M,) in rad/s that ring after the release, and the noise colour.
+    """Return the upper poles of the decay, and the noise colour.
 
-    `count`: their number, None for as many as the record supports. Exponentials with free amplitudes and a level are
-    fitted to the decay only, so that the release and fast poles do not matter. A further mode is accepted if its line
-    is significant in the residual's spectrum, its ζ is between 0 and 0.5, and it lowers B·ln(sum of squares) by more
-    than 12 for each of its four parameters. The colour is the density of the residual's blocks over that of white noise
-    of the same variance.
+    The poles (M,) in rad/s ring after the release. `count`: their number, None for as many as the record supports.
+    Exponentials with free amplitudes and a level are fitted to the decay only, so that the release and fast poles do
+    not matter. A further mode is accepted if its line is significant in the residual's spectrum, its ζ is between 0 and
+    0.5, and it lowers B·ln(sum of squares) by more than 12 for each of its four parameters. The colour is the density
+    of the residual's blocks over that of white noise of the same variance.
     """
     start = reading.onset_s + reading.release_s + reading.u_onset_s
     decay = whole.between(min(start, float(whole.time_s[len(whole.time_s) * 3 // 4])), np.inf)
@@ -119,7 +119,10 @@ _LOOSE = (1.5, 2.0)  # standard deviations of what the grid says of logarithms o
 def start_vectors(
     structure: PoleStructure, load: ReleaseLoad, samples: BlockMeans, modes: ComplexArray, reading: ReleaseReading
 ) -> list[FloatArray]:
-    """Return the best grid point for every number of numerator terms, by the residual at the release."""
+    """Return the best grid point for every number of numerator terms.
+
+    The residual around the release decides.
+    """
     lowest = float(np.abs(modes).min()) / (2 * np.pi)
     rise = min(reading.rise_s, 3.0 / lowest + reading.release_s)
     near = samples.between(reading.onset_s - 2.0 / lowest, reading.onset_s + reading.release_s + rise + 2.0 / lowest)
@@ -236,7 +239,10 @@ def search_order(search: OrderSearch) -> tuple[SupportedFit, ...]:
 
 
 def _with_real(found: SupportedFit, least: float) -> SupportedFit | None:
-    """Return the fit with one more real pole, None if the predicted gain is below `least`."""
+    """Return the fit with one more real pole, None without sufficient gain.
+
+    The predicted fall of χ² must be at least `least`.
+    """
     plain = found.solution
     structure, order = plain.problem.structure, plain.problem.structure.order
     two = replace(plain.problem, structure=replace(structure, reals=structure.reals + 1))
@@ -249,7 +255,10 @@ def _with_real(found: SupportedFit, least: float) -> SupportedFit | None:
 
 
 def penalised_chi_squared(fit: OutputErrorFit) -> float:
-    """Return χ² of a fit up to a constant, plus 8 per numerator term and 12 per pole."""
+    """Return χ² plus 8 per numerator term and 12 per pole.
+
+    A constant common to all fits of the samples is omitted.
+    """
     samples, structure = fit.problem.samples, fit.problem.structure
     least = _ROUNDING**2 * float(np.sum((samples.weight * samples.value) ** 2))
     chi_square = fit.size * float(np.log(fit.square + least)) / fit.problem.colour

@@ -24,10 +24,10 @@ _SHORT = 0.3  # samples: shortest release and lag by which slopes are taken
 
 @dataclass(frozen=True, repr=False)
 class Window(Brief):
-    """Samples (N,) at `time_s` (N,) around the onset, and the mean `rest` of `before` earlier samples.
+    """Samples (N,) at `time_s` (N,) around the onset.
 
-    `small`: standard deviation of a sample over that of the change in modes too high to be observed. `longest_s`:
-    longest release that is considered.
+    `rest`: mean of `before` earlier samples. `small`: standard deviation of a sample over that of the change in modes
+    too high to be observed. `longest_s`: longest release that is considered.
     """
 
     time_s: FloatArray
@@ -45,13 +45,13 @@ class Window(Brief):
 
 @dataclass(frozen=True, repr=False)
 class OnsetModel(Brief):
-    """Response of modes behind one lag to a load of `shape`: y = b + Σ g·S + h·L.
+    """Response of modes behind one lag to a load of `shape`.
 
-    Modes ω²/(s² + 2ζωs + ω²) behind one lag 1/(1 + τs). Free residues would not determine the onset, because a delay δ
-    of H(s) is to first order a zero, H(s)·(1 - δs). The onset is determined because every mode starts like t², behind a
-    lag like t³. A short release and a lag act like a delay to first order and differ in second order only. The
-    parameters are therefore centre = onset + T/2 + τ, T² and τ². Modes too high to be observed follow the load L behind
-    the lag; their part h has a small prior (`Window`).
+    y = b + Σ g·S + h·L. Modes ω²/(s² + 2ζωs + ω²) behind one lag 1/(1 + τs). Free residues would not determine the
+    onset, because a delay δ of H(s) is to first order a zero, H(s)·(1 - δs). The onset is determined because every mode
+    starts like t², behind a lag like t³. A short release and a lag act like a delay to first order and differ in second
+    order only. The parameters are therefore centre = onset + T/2 + τ, T² and τ². Modes too high to be observed follow
+    the load L behind the lag; their part h has a small prior (`Window`).
 
     `frequency_hz`, `damping_ratio` (M,) of the modes. `linear` = [b, g (M,), h]. `covariance` of `vector`, None before
     the fit. `squares` of the residual over `rows`.
@@ -100,13 +100,19 @@ class OnsetModel(Brief):
 
     @cached_property
     def poles(self) -> ComplexArray:
-        """Upper poles of the modes (M,) and the pole of a lag, if present, in rad/s."""
+        """Upper poles of modes and lag in rad/s.
+
+        The modes (M,) are first; the pole of a lag follows if there is one.
+        """
         rate = np.array([1.0 / self.lag_s] if self.lag_s > 0 else [])
         return modal_poles(2 * np.pi * self.frequency_hz, self.damping_ratio, rate)
 
     @cached_property
     def weights(self) -> ComplexArray:
-        """Weights (P, M) from the responses of `poles` (P,) to those of the modes, real parts."""
+        """Weights from the responses of `poles` to those of the modes.
+
+        (P, M); the real part of the product is the response.
+        """
         modes = len(self.frequency_hz)
         upper, omega = self.poles[:modes], 2 * np.pi * self.frequency_hz
         own = np.diag(omega**2 / (1j * upper.imag * (1.0 + self.lag_s * upper)))
@@ -134,7 +140,10 @@ class OnsetModel(Brief):
         return np.asarray(self.columns(time_s) @ self.linear)
 
     def speed(self, time_s: FloatArray, responses: ComplexArray | None = None) -> FloatArray:
-        """Return dy/dt (N,); for a response R of 1/(s - p) it is pR + load."""
+        """Return the derivative dy/dt (N,).
+
+        For a response R of 1/(s - p) it is pR + load.
+        """
         responses = self.responses(time_s) if responses is None else responses
         load = load_share(self.shape, time_s, self.onset_s, self.release_s)
         rates = responses * self.poles + load[:, None]
@@ -178,7 +187,10 @@ class OnsetTrial:
 
     @property
     def normal(self) -> tuple[FloatArray, FloatArray]:
-        """Normal equations; a parameter at a bound is fixed if the descent would leave the bound."""
+        """Normal equations, with parameters fixed at active bounds.
+
+        A bound is active if the descent would leave it.
+        """
         normal, downhill = (part.copy() for part in self.projected.normal)
         fit, held = self.fit, np.zeros(len(downhill), dtype=np.bool_)
         held[1] = fit.release_s <= 0.0 and downhill[1] < 0.0
@@ -232,7 +244,10 @@ def solve_amplitudes(window: Window, start: OnsetModel) -> OnsetTrial:
 
 
 def _rows(window: Window, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return columns (…, N + 2, 2 + M) and target (N + 2,), with the two prior rows first."""
+    """Return columns and target with the two prior rows first.
+
+    (…, N + 2, 2 + M) and (N + 2,).
+    """
     weight = np.sqrt(window.before)
     ahead = np.zeros((*columns.shape[:-2], _AHEAD, columns.shape[-1]))
     ahead[..., 0, 0], ahead[..., 1, -1] = weight, window.small
@@ -303,10 +318,10 @@ _CALM = 1e-3  # gain of a step, in variances of the residual, at which a search 
 def find_onset(
     samples: FloatArray, sample_rate_hz: float, start_s: float, location: Location, min_gain: float = _CALM
 ) -> tuple[Window, OnsetTrial]:
-    """Return the window around the onset of samples (N,), the first at `start_s`, and its fit.
+    """Return the window around the onset of samples (N,), and its fit.
 
-    The release is a straight ramp unless the Schwarz criterion selects a smooth one. Without ringing, one trial mode is
-    fitted. `min_gain` as in `fit_onset`.
+    The first sample is at `start_s`. The release is a straight ramp unless the Schwarz criterion selects a smooth one.
+    Without ringing, one trial mode is fitted. `min_gain` as in `fit_onset`.
     """
     # a sample that is after the release with all likelihood
     end = location.first + 1.5 * max(location.high - location.first, 4.0)
@@ -353,7 +368,10 @@ def _window(samples: FloatArray, sample_rate_hz: float, start_s: float, place: L
 
 
 def _start(window: Window, place: Location, poles: ComplexArray, sample_rate_hz: float, start_s: float) -> OnsetModel:
-    """Return the best of a grid of centres and lengths, with fixed modes and no lag."""
+    """Return the best of a grid of centres and lengths without lag.
+
+    The modes are fixed.
+    """
     every = max(1, len(window.samples) // _GRID)
     thin = replace(
         window,
@@ -387,10 +405,10 @@ _SOON = 1.5  # periods of the lowest mode after release and lag
 
 
 def rise_time(fit: OnsetModel) -> tuple[float, float] | None:
-    """Return the time of the fitted curve from 10 % to 90 % of its change, with its uncertainty.
+    """Return the rise time of the fitted curve with its uncertainty.
 
-    First crossings count; None if the curve does not reach them soon. A crossing t of the level b + share·Σg moves by
-    -(∂(y - level)/∂θ)/(dy/dt) with the parameters θ of the fit.
+    It is the time from 10 % to 90 % of the change. First crossings count; None if the curve does not reach them soon. A
+    crossing t of the level b + share·Σg moves by -(∂(y - level)/∂θ)/(dy/dt) with the parameters θ of the fit.
     """
     if fit.covariance is None:
         raise ValueError("fit: expected one with its covariance, found none")

@@ -25,11 +25,12 @@ from shaker.release.record import TESTED_LAGS, is_white, slow_noise
 
 @dataclass(frozen=True)
 class PoleStructure:
-    """`modes` oscillating modes, `reals` real poles and `terms` of the numerator, 1 … 2M + Q.
+    """Numbers of poles and numerator terms of a model.
 
-    H(s) = Σ_k z_k (s/ω0)^k·Π ω0/(s - p), k below `terms`. With 2M + Q terms the residues are free. With fewer terms the
-    response starts more smoothly: its first 2M + Q - terms derivatives are continuous at a step. A vector is [ln ω (M),
-    ζ (M), ln a (Q)], poles ω(-ζ ± j√(1 - ζ²)) and -a in rad/s. `scale` ω0 in rad/s is fixed.
+    `modes` oscillating modes, `reals` real poles, `terms` of the numerator, 1 … 2M + Q. H(s) = Σ_k z_k (s/ω0)^k·Π ω0/(s
+    - p), k below `terms`. With 2M + Q terms the residues are free. With fewer terms the response starts more smoothly:
+    its first 2M + Q - terms derivatives are continuous at a step. A vector is [ln ω (M), ζ (M), ln a (Q)], poles ω(-ζ ±
+    j√(1 - ζ²)) and -a in rad/s. `scale` ω0 in rad/s is fixed.
     """
 
     modes: int
@@ -51,7 +52,10 @@ class PoleStructure:
         return max(1, 2 * self.modes - 1)
 
     def poles(self, vector: FloatArray) -> ComplexArray:
-        """Return the upper poles of the modes and the real ones (…, M + Q) in rad/s of vectors (…, K)."""
+        """Return upper and real poles (…, M + Q) in rad/s of vectors.
+
+        The vectors have the shape (…, K).
+        """
         log_omega, zeta, log_real = np.split(vector[..., : self.order], [self.modes, 2 * self.modes], axis=-1)
         return modal_poles(np.exp(log_omega), zeta, np.exp(log_real))
 
@@ -89,9 +93,9 @@ class PoleStructure:
         return np.asarray(self.shares(vector)[:, :, None] * rate)
 
     def _gaps(self, poles: ComplexArray) -> ComplexArray:
-        """Return differences (…, M + Q, 2M + Q) of each pole to all poles, conjugates last.
+        """Return differences of each pole to all poles, conjugates last.
 
-        The difference of a pole to itself is replaced by `scale`.
+        The shape is (…, M + Q, 2M + Q). The difference of a pole to itself is replaced by `scale`.
         """
         gaps = poles[..., None] - np.concatenate([poles, poles[..., : self.modes].conj()], axis=-1)[..., None, :]
         own = np.arange(poles.shape[-1])
@@ -250,10 +254,11 @@ def solve(problem: OutputErrorProblem, start: FloatArray) -> OutputErrorFit:
 def predicted_gain(
     plain: OutputErrorFit, problem: OutputErrorProblem, vectors: list[FloatArray]
 ) -> tuple[float, FloatArray]:
-    """Return the fall of B·ln(sum of squares) by a step towards a richer model, and the best vector.
+    """Return the predicted gain of a richer model, and the best vector.
 
-    The design of the richer model at each vector is joined with the design and derivatives of the fit. The residual of
-    the three together shows, without a solution, whether the richer model is worth a fit.
+    The gain is the fall of B·ln(sum of squares) by one step. The design of the richer model at each vector is joined
+    with the design and derivatives of the fit. The residual of the three together shows, without a solution, whether
+    the richer model is worth a fit.
     """
     weight = plain.problem.samples.weight[:, None]
     own, answered = columns(plain.problem, plain.vector, plain.problem.samples)
@@ -270,7 +275,10 @@ def predicted_gain(
 
 
 def _twice(structure: PoleStructure) -> FloatArray:
-    """Return 2 for every upper pole, which also represents its conjugate, and 1 for a real one."""
+    """Return 2 for an upper pole and 1 for a real one.
+
+    An upper pole also represents its conjugate.
+    """
     return np.concatenate([np.full(structure.modes, 2.0), np.ones(structure.reals)])
 
 
@@ -281,11 +289,11 @@ _LAGS = 20  # the record's length over the lags of the residual's correlation th
 
 @dataclass(frozen=True, repr=False)
 class FitCovariance(Brief):
-    """Covariance (P, P) of a modal model's vector, without that of the load, and of the release.
+    """Covariance (P, P) of a modal model, and of the release.
 
-    `u_onset_s`, `u_release_s`: standard uncertainties of the release. `fitted`, `residual` (N,): at every sample.
-    `white`: whether the residual passes a test for white noise. `excess`: its density about the lowest mode over that
-    of white noise, 1 for white noise.
+    The uncertainty of the load is not included. `u_onset_s`, `u_release_s`: standard uncertainties of the release.
+    `fitted`, `residual` (N,): at every sample. `white`: whether the residual passes a test for white noise. `excess`:
+    its density about the lowest mode over that of white noise, 1 for white noise.
     """
 
     covariance: FloatArray
@@ -378,7 +386,10 @@ def _known(solution: OutputErrorFit, scale: FloatArray, normal: FloatArray, vari
 
 
 def _correlated(residual: FloatArray, columns_: FloatArray) -> FloatArray:
-    """Return R·columns (N, K), R the correlation matrix of the residual (N,) by a Parzen window."""
+    """Return R·columns (N, K) with the correlation matrix R of the residual.
+
+    R of the residual (N,) is estimated with a Parzen window.
+    """
     count = len(residual)
     size = 2 ** int(np.ceil(np.log2(2 * count)))
     correlation = np.fft.irfft(np.abs(np.fft.rfft(residual, size)) ** 2)[:count] / count
@@ -406,7 +417,10 @@ def _converter(whole: BlockMeans, residual: FloatArray, gain: FloatArray, fitted
 
 
 def _model_slopes(structure: PoleStructure, vector: FloatArray, linear: FloatArray) -> FloatArray:
-    """Return derivatives (P, K + 1 + terms) of a modal model's vector by the fit's parameters."""
+    """Return derivatives of a modal model's vector by the fit's parameters.
+
+    The shape is (P, K + 1 + terms).
+    """
     m, n, count = structure.modes, structure.order, len(vector)
     shares, by_vector = structure.shares(vector), structure.share_slopes(vector)
     out = np.zeros((4 * m + 2 * structure.reals, count + len(linear)))

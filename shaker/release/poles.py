@@ -1,4 +1,4 @@
-"""Start values of poles: matrix pencils of a free decay, and the lines of its spectrum.
+"""Start values of poles from matrix pencils and spectral lines.
 
 Every window of L samples of Σ a·exp(p t) is in the span of the vectors exp(p n/f), n = 0 … L - 1, for any amplitudes a.
 The leading singular vectors of the windows span it. A shift by one sample multiplies it by exp(p/f) (Hua and Sarkar,
@@ -19,7 +19,10 @@ UNCLEAR = 0.25  # relative standard uncertainty of a real pole or of a damping r
 
 
 def shift_poles(space: FloatArray, step_s: float) -> ComplexArray:
-    """Return the poles in rad/s of a space (L, P) under a shift of `step_s`, except zero ones."""
+    """Return the non-zero poles in rad/s of a space under a shift.
+
+    The space is (L, P), the shift `step_s`.
+    """
     turns = np.linalg.eigvals(np.linalg.lstsq(space[:-1], space[1:], rcond=None)[0]).astype(np.complex128)
     return np.asarray(np.log(turns[np.abs(turns) > 1e-6]) / step_s)
 
@@ -52,10 +55,10 @@ _MODES = 3
 
 
 def ringing_poles(samples: FloatArray, sample_rate_hz: float, noise: float) -> ComplexArray:
-    """Return the upper poles (M,) in rad/s of a free decay (N,) about zero, the strongest first.
+    """Return the upper poles (M,) in rad/s of a free decay, strongest first.
 
-    Matrix pencil of block means; the number of modes is that of singular values above the noise. The result is empty
-    without ringing.
+    The decay (N,) is about zero. Matrix pencil of block means; the number of modes is that of singular values above the
+    noise. The result is empty without ringing.
     """
     highest_hz = _highest_line(samples, sample_rate_hz, noise)
     if highest_hz is None:
@@ -76,7 +79,10 @@ def ringing_poles(samples: FloatArray, sample_rate_hz: float, noise: float) -> C
 
 
 def _highest_line(samples: FloatArray, sample_rate_hz: float, noise: float) -> float | None:
-    """Return the highest frequency of a spectral line above the noise and a share of the strongest."""
+    """Return the highest frequency of a significant spectral line.
+
+    It must be above the noise and above a share of the strongest line.
+    """
     count = len(samples)
     window = np.cos(0.5 * np.pi * np.arange(count) / count) ** 2
     size = np.abs(np.fft.rfft(samples * window))
@@ -93,10 +99,11 @@ _FLOOR = 25.0  # power of a peak over the median of the spectrum, that noise alo
 
 
 def peaks_hz(decay: FloatArray, step_s: float, count: int, local: bool = False) -> FloatArray:
-    """Return frequencies (≤ count,) in Hz of the highest significant spectral peaks of a decay (N,).
+    """Return frequencies in Hz of the highest spectral peaks of a decay.
 
-    The final level is subtracted, and a window that falls from 1 to 0 emphasises the strong beginning. The noise is the
-    median of the spectrum, or with `local` the median of neighbouring lines, for noise that depends on frequency.
+    At most `count`, all significant; the decay has the shape (N,). The final level is subtracted, and a window that
+    falls from 1 to 0 emphasises the strong beginning. The noise is the median of the spectrum, or with `local` the
+    median of neighbouring lines, for noise that depends on frequency.
     """
     phase = 0.5 * np.pi * np.arange(len(decay)) / len(decay)
     level = float(np.average(decay, weights=np.sin(phase) ** 4 + 1e-300))
@@ -118,7 +125,10 @@ def peaks_hz(decay: FloatArray, step_s: float, count: int, local: bool = False) 
 
 
 def decimate(decay: FloatArray, step_s: float, highest_hz: float) -> tuple[FloatArray, float]:
-    """Return block means of a decay and their distance in s, eight per period of the fastest mode."""
+    """Return block means of a decay and their distance in s.
+
+    There are eight blocks per period of the fastest mode.
+    """
     length = max(1, int(1.0 / (step_s * PER_PERIOD * highest_hz)))
     size = min(len(decay) // length, _LONGEST)
     return decay[: size * length].reshape(size, length).mean(axis=1), length * step_s
@@ -169,9 +179,10 @@ def highest_frequency(parts: Sequence[FloatArray], rate_hz: float) -> float:
 
 
 def shared_poles(parts: Sequence[FloatArray], rate_hz: float) -> ComplexArray:
-    """Return the common upper poles in rad/s of decaying records (C, N) of equal white noise.
+    """Return the common upper poles in rad/s of decaying records.
 
-    The eigenvectors of the summed products of windows with eigenvalues above the noise span the space of the poles.
+    Records (C, N) have equal white noise. The eigenvectors of the summed products of windows with eigenvalues above the
+    noise span the space of the poles.
     """
     length = min(_WINDOW, min(part.shape[1] for part in parts) // 2)
     gram, windows = np.zeros((length, length)), 0

@@ -66,10 +66,10 @@ class Interval:
 
 
 class _Node(NamedTuple):
-    """Result at a fixed lag: squares of the residual, squared length and `centre_s` at the best length.
+    """Result of a fit at a fixed lag.
 
-    `by_square`: change of the centre with the squared length. `variance`: of the squared length; `centre_variance`: of
-    the centre at fixed length.
+    `squares` of the residual at the best length, with `length2` (its square) and `centre_s`. `by_square`: change of the
+    centre with the squared length. `variance`: of the squared length; `centre_variance`: of the centre at fixed length.
     """
 
     squares: float
@@ -115,7 +115,10 @@ def release_times(window: Window, fit: OnsetModel, correlation: float) -> tuple[
 
 
 def _nodes(window: Window, fit: OnsetModel, variance: float) -> tuple[FloatArray, list[_Node]]:
-    """Return lags (L,) around that of the fit with their results, each started from its neighbour."""
+    """Return lags (L,) around that of the fit with their results.
+
+    Each starts from its neighbour.
+    """
     if fit.covariance is None:
         raise ValueError("fit: expected one with its covariance, found none")
     u_square = float(np.sqrt(fit.covariance[2, 2] / max(fit.squares / max(fit.rows - len(fit.vector), 1), 1e-300)))
@@ -137,9 +140,9 @@ def _nodes(window: Window, fit: OnsetModel, variance: float) -> tuple[FloatArray
 
 
 def _node(window: Window, near: OnsetModel, lag_s: float, variance: float) -> tuple[_Node, OnsetModel] | None:
-    """Return the result at a lag by one Gauss-Newton step from a nearby fit, and the new fit.
+    """Return the result at a lag from a nearby fit, and the fit.
 
-    None if the step leaves the possible range.
+    One Gauss-Newton step is taken. None if the step leaves the possible range.
     """
     square = near.release_s**2 + (near.lag_s**2 - lag_s**2) / MOMENTS[near.shape]
     start = replace(near, lag_s=lag_s, release_s=float(np.sqrt(max(square, 0.0))))
@@ -183,9 +186,9 @@ _LENGTHS = 3.0  # of the release on either side that the fit takes
 
 
 class ForceReading(NamedTuple):
-    """Change of the load in N or N·m with its standard uncertainty, its time and its shape.
+    """Change of the load with its standard uncertainty, time and shape.
 
-    `shape`: the better of a straight ramp and half a cosine.
+    In N or N·m. `shape`: the better of a straight ramp and half a cosine.
     """
 
     interval: Interval
@@ -352,11 +355,11 @@ def read_release(record: StepRecord, channel: str) -> ReleaseReading:
 
 
 def initial_release(record: StepRecord) -> tuple[float, float, ReleaseShape]:
-    """Return middle, length in s and shape of a release without a lag, to start a fit.
+    """Return middle, length and shape of a release, to start a fit.
 
-    They are from a measured force, else from the channel with the largest change of level over its noise. To second
-    order a lag behind the sensor acts like a later and longer release: the middle of the fitted release is later by the
-    lag, and its second moment adds to the release's.
+    Times in s, without a lag. They are from a measured force, else from the channel with the largest change of level
+    over its noise. To second order a lag behind the sensor acts like a later and longer release: the middle of the
+    fitted release is later by the lag, and its second moment adds to the release's.
     """
     places = locate_channels(record)
     shape: ReleaseShape

@@ -96,13 +96,14 @@ class SpectrumPeak:
 
 @dataclass(frozen=True)
 class ReleaseReading:
-    """One release as one output shows it; times in s of the record's clock, levels in `unit`.
+    """One release as one output shows it.
 
-    `onset_s`: start of the change of load, `release_s`: its duration, `shape`: its time course, with standard
-    uncertainties `u_…`. `baseline`, `steady`: output before and long after the release; `sign` of their difference;
-    `rise_s`: from 10 % to 90 % of it. `static_gain`: (steady - baseline)/amplitude, in output unit per N or N·m.
-    `noise`: standard deviation of a sample. `clipped`: whether the output reached its limit. `peaks`: first and second
-    of the spectrum. `record`, `release`: names of the record and the release device.
+    Times in s of the record's clock, levels in `unit`. `onset_s`: start of the change of load, `release_s`: its
+    duration, `shape`: its time course, with standard uncertainties `u_…`. `baseline`, `steady`: output before and long
+    after the release; `sign` of their difference; `rise_s`: from 10 % to 90 % of it. `static_gain`: (steady -
+    baseline)/amplitude, in output unit per N or N·m. `noise`: standard deviation of a sample. `clipped`: whether the
+    output reached its limit. `peaks`: first and second of the spectrum. `record`, `release`: names of the record and
+    the release device.
     """
 
     record: str
@@ -162,7 +163,10 @@ class Location:
 
     @property
     def longest(self) -> float:
-        """Length in samples of a ramp that rises as the output does, longer if noise hides its start."""
+        """Length in samples of the longest plausible ramp.
+
+        The output rises as fast; it is longer if noise hides the start.
+        """
         seen = max(0.9 - max(0.1, _MOTION / max(self.strength, 1e-300)), 0.2)
         return max(self.high - self.low, 2.0) * 0.8 / seen**2
 
@@ -230,10 +234,11 @@ class Level:
 
 
 def ringing_level(samples: FloatArray, poles: ComplexArray, resolution: float) -> Level:
-    """Return the level of ringing samples (N,), by least squares with decays of upper poles (M,).
+    """Return the level of ringing samples (N,) by least squares.
 
-    Poles are per sample; without poles the level is the mean at rest. The uncertainty includes the correlation of the
-    residual, the last digit, and the deviation of slow noise at the end of the samples that is next to the release.
+    Decays of upper poles (M,) are fitted together with the level. Poles are per sample; without poles the level is the
+    mean at rest. The uncertainty includes the correlation of the residual, the last digit, and the deviation of slow
+    noise at the end of the samples that is next to the release.
     """
     count = len(samples)
     place = np.arange(count, dtype=np.float64)
@@ -276,12 +281,12 @@ def is_white(residual: FloatArray) -> bool:
 def slow_noise(
     columns: FloatArray, residual: FloatArray, gain: FloatArray, variance: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return variances (S,) of drift, hum and 1/f noise, and their effect (K, S) on a fit.
+    """Return variances (S,) of slow noise, and their effect on a fit.
 
-    A correlation over lags hardly shows noise as slow as the record. Cosines of 1, 2, … half periods over it are fitted
-    to the residual (N,) one by one, orthogonal to the columns (N, K). Each has the variance that cosines up to an
-    octave above it show beyond white noise of a `variance`, because the fit absorbs most of the slowest itself. `gain`
-    (K, N): coefficients from samples.
+    Slow noise is drift, hum and 1/f noise; the effect on the coefficients is (K, S). A correlation over lags hardly
+    shows noise as slow as the record. Cosines of 1, 2, … half periods over it are fitted to the residual (N,) one by
+    one, orthogonal to the columns (N, K). Each has the variance that cosines up to an octave above it show beyond white
+    noise of a `variance`, because the fit absorbs most of the slowest itself. `gain` (K, N): coefficients from samples.
     """
     count = len(residual)
     wave = np.cos(np.pi * np.arange(1, 2 * _SLOW + 1) * (np.arange(count)[:, None] + 0.5) / count)

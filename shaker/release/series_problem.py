@@ -17,10 +17,10 @@ FLOOR = 1e-8  # relative uncertainty that stands where none is stated and none h
 
 @dataclass(frozen=True)
 class SeriesProblem:
-    """A fit of ln f and ln ζ of the observed modes; a rigid load has first modes only.
+    """A fit of ln f and ln ζ of the observed modes.
 
-    Unknown x (X,): logarithms of k and, unless `rigid`, k_L; then of c and c_L if a damping is measured; then the named
-    mass errors in standard uncertainties.
+    A rigid load has first modes only. Unknown x (X,): logarithms of k and, unless `rigid`, k_L; then of c and c_L if a
+    damping is measured; then the named mass errors in standard uncertainties.
     """
 
     measured: Resonances
@@ -44,9 +44,9 @@ class SeriesProblem:
 
     @cached_property
     def powers(self) -> FloatArray:
-        """Powers (P, S) of the exponentials of springs and dampers in k, c or k, c, k_L, c_L.
+        """Powers (P, S) of the exponentials in springs and dampers.
 
-        c_L = c·k_L/k if only one damping is measured; all dampings are 0 without any.
+        They are k, c or k, c, k_L, c_L. c_L = c·k_L/k if only one damping is measured; all dampings are 0 without any.
         """
         springs = 1 if self.rigid else 2
         dampers = min(springs, int(self.rows[1].sum()))
@@ -74,7 +74,10 @@ class SeriesProblem:
         return int(f.sum()) - self.springs, int(z.sum()) - self.dampers
 
     def numbers(self, x: FloatArray) -> FloatArray:
-        """Return k, c or k, c, k_L, c_L of unknowns x; dampings are 0 if none is measured."""
+        """Return stiffnesses and dampings of unknowns x.
+
+        k, c or k, c, k_L, c_L; dampings are 0 if none is measured.
+        """
         numbers = np.exp(self.powers @ x[: self.powers.shape[1]])
         numbers[1::2] *= self.dampers > 0
         return np.asarray(numbers)
@@ -108,7 +111,7 @@ class SeriesProblem:
         return poles, np.hstack([moved[:, :-2] @ self.number_rates(x), by_mass])
 
     def modes(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return frequencies and damping ratios [f, ζ] (2, R, 2), and derivatives of ln f and ζ.
+        """Return frequencies and damping ratios (2, R, 2) with derivatives of ln f and ζ.
 
         The derivatives (2, R, 2, X) are by the unknowns x (X,).
         """
@@ -153,19 +156,28 @@ class SeriesProblem:
         return np.nan_to_num(f), np.nan_to_num(z)
 
     def groups(self, x: FloatArray) -> list[tuple[FloatArray, FloatArray, int]]:
-        """Return deviations, stated relative uncertainties and degrees of freedom of ln f and of ln ζ."""
+        """Return deviations, stated uncertainties and degrees of freedom by quantity.
+
+        The quantities are ln f and ln ζ.
+        """
         f, z = self.stated()
         left = self.residual(x, np.ones(len(f) + len(z)))[0]
         parts = left[: len(f)], left[len(f) : len(f) + len(z)]
         return list(zip(parts, (f, z), self.dof, strict=True))
 
     def sigma(self, scatter: tuple[float, float]) -> FloatArray:
-        """Return relative standard deviations (N,) of all rows, with a scatter in addition to the stated ones."""
+        """Return relative standard deviations (N,) of all rows.
+
+        `scatter` is added to the stated ones.
+        """
         parts = [np.sqrt(u**2 + tau**2 + FLOOR**2) for u, tau in zip(self.stated(), scatter, strict=True)]
         return np.concatenate(parts)
 
     def start(self, ratio: float) -> FloatArray:
-        """Return unknowns (X,) of a ratio k_L/k that give resonance and damping of the lightest load."""
+        """Return start unknowns (X,) for a ratio k_L/k.
+
+        They give resonance and damping of the lightest load.
+        """
         lightest = int(np.argmin(self.masses.load))
         shape = np.array([1.0, 0.0] if self.rigid else [1.0, 0.0, ratio, 0.0])
         load = float(self.masses.load[lightest])

@@ -133,7 +133,7 @@ def fit_step(
     method: Literal["pencil", "arx"] = "pencil",
     release: ReleaseOption | None = None,
 ) -> StepFit:
-    """Fit a model of one output to the record of one release by output-error least squares.
+    """Fit a model of one output to one release by output-error least squares.
 
     Parameters
     ----------
@@ -229,7 +229,10 @@ def merge_alternatives(fits: Sequence[StepFit], excess: float | None = None) -> 
 
 
 def describe_difference(first: StepFit, other: StepFit) -> str:
-    """Return a sentence on the other release shape and its model, "" for a small difference."""
+    """Return both release shapes with their real poles in words.
+
+    "" for a small difference.
+    """
     if first.model is None or other.model is None or first.model.covariance is None:
         return ""
     difference = np.abs(other.model.vector - first.model.vector)
@@ -293,7 +296,10 @@ class OrderFamily(Brief):
         return np.asarray(own if direct else own + self.triangle[last - 1, last] ** 2)
 
     def parameters(self, order: int, direct: bool = True) -> FloatArray:
-        """Return [b_n, -a_n, …, b_1, -a_1, b_0] (2·order + 1,) of one order, b_0 only if `direct`."""
+        """Return the parameters of one order, interleaved.
+
+        [b_n, -a_n, …, b_1, -a_1, b_0] (2·order + 1,), b_0 only if `direct`.
+        """
         if not 1 <= order <= self.most:
             raise ValueError(f"order: expected 1 to {self.most}, found {order}")
         size = 2 * order + direct
@@ -312,9 +318,10 @@ class OrderFamily(Brief):
         return LinearSystem.from_coefficients(numerator, np.concatenate([[1.0], -past]), self.sample_rate_hz)
 
     def bend(self, direct: bool = True) -> int:
-        """Return the lowest order that leaves at most 15 % of the fall of ln J to higher ones.
+        """Return the order at the bend of the loss.
 
-        A significance test is not useful: with noise on the output every additional order lowers the loss.
+        It is the lowest order that leaves at most 15 % of the fall of ln J to higher ones. A significance test is not
+        useful: with noise on the output every additional order lowers the loss.
         """
         loss = np.log(np.maximum(self.loss(direct), 1e-300))
         left = (loss - loss.min()) / max(1e-12, loss[0] - loss.min())
@@ -322,7 +329,10 @@ class OrderFamily(Brief):
 
 
 def fit_all_orders(load: FloatArray, output: FloatArray, sample_rate_hz: float, most: int = 9) -> OrderFamily:
-    """Return the difference equations of order 0 … `most` between a load (N,) and an output (N,)."""
+    """Return the difference equations of order 0 … `most`.
+
+    Between a load (N,) and an output (N,).
+    """
     check_shape("output", output, load.shape)
     if len(load) < 4 * most + 4:
         raise ValueError(f"load: expected at least {4 * most + 4} samples for order {most}, found {len(load)}")
@@ -428,7 +438,7 @@ def load_and_output(record: StepRecord, reading: ReleaseReading, decimation: int
 
 
 def modal_form(system: LinearSystem) -> ModalModel | None:
-    """Return a continuous system as a sum of modes, None if it has no modal form.
+    """Return a continuous system as a sum of modes, None if impossible.
 
     This is the case with a direct term or double poles, and for a sampled system.
     """

@@ -47,10 +47,11 @@ class SourcedValue(NamedTuple):
 
 
 def normal_gravity(latitude_rad: float, height_m: float) -> float:
-    """Return gravity in m/s² of the Geodetic Reference System 1980 at a height above its ellipsoid.
+    """Return normal gravity in m/s² at a height above the ellipsoid.
 
-    On the ellipsoid γ = (a γ_e cos²φ + b γ_p sin²φ)/√(a² cos²φ + b² sin²φ) (Somigliana 1929; constants: Moritz 2000, J.
-    Geodesy 74, 128), above it γ·(1 - 2(1 + f + m - 2f sin²φ)h/a + 3(h/a)²) (Heiskanen & Moritz 1967, eq. 2-123).
+    Geodetic Reference System 1980. On the ellipsoid γ = (a γ_e cos²φ + b γ_p sin²φ)/√(a² cos²φ + b² sin²φ) (Somigliana
+    1929; constants: Moritz 2000, J. Geodesy 74, 128), above it γ·(1 - 2(1 + f + m - 2f sin²φ)h/a + 3(h/a)²) (Heiskanen
+    & Moritz 1967, eq. 2-123).
     """
     if not abs(latitude_rad) <= np.pi / 2.0 + 1e-12:
         raise ValueError(f"latitude_rad: expected an angle from -pi/2 to pi/2, found {latitude_rad}")
@@ -81,10 +82,11 @@ def standard_pressure(height_m: float) -> float:
 
 
 def moist_air_density(pressure_pa: float, temperature_c: float, humidity: float) -> float:
-    """Return the density of air in kg/m³ with 400 ppm of CO2; `humidity` from 0 to 1.
+    """Return the density of air in kg/m³ with 400 ppm of CO2.
 
-    ρ = p M_a/(Z R T)·(1 - 0.3780 x_v) by CIPM-2007 (Picard et al. 2008, Metrologia 45, 149). Its relative standard
-    uncertainty is 22·10⁻⁶ within its range of 600 to 1100 hPa and 15 to 27 °C, and a few 10⁻⁵ outside.
+    `humidity`: relative, from 0 to 1. ρ = p M_a/(Z R T)·(1 - 0.3780 x_v) by CIPM-2007 (Picard et al. 2008, Metrologia
+    45, 149). Its relative standard uncertainty is 22·10⁻⁶ within its range of 600 to 1100 hPa and 15 to 27 °C, and a
+    few 10⁻⁵ outside.
     """
     if not 0.0 <= humidity <= 1.0:
         raise ValueError(f"humidity: expected a number from 0 to 1, found {humidity}")
@@ -155,12 +157,13 @@ class Reversal(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class AngleFit(Brief):
-    """Readings (N, C) at angles (N,) as a sum of terms: reading = design · coefficient + residual.
+    """Readings (N, C) at angles (N,) as a sum of terms.
 
-    `terms` (P,): names of the columns of `design` (N, P). They are offset, cos 1, sin 1, and if significant cos n, sin
-    n, drift (over the order of the readings, from -1 to 1) and sense (difference between forward and backward
-    rotation). `inverse` (P, P): (XᵀX)⁻¹. `noise` (C, C): covariance of a reading with `dof` degrees of freedom. The
-    covariance of coefficients p, q of channels c, d is noise[c, d]·inverse[p, q].
+    reading = design · coefficient + residual. `terms` (P,): names of the columns of `design` (N, P). They are offset,
+    cos 1, sin 1, and if significant cos n, sin n, drift (over the order of the readings, from -1 to 1) and sense
+    (difference between forward and backward rotation). `inverse` (P, P): (XᵀX)⁻¹. `noise` (C, C): covariance of a
+    reading with `dof` degrees of freedom. The covariance of coefficients p, q of channels c, d is noise[c,
+    d]·inverse[p, q].
     """
 
     channels: tuple[str, ...]
@@ -260,10 +263,10 @@ def fit_angles(channels: tuple[str, ...], angle_rad: FloatArray, reading: FloatA
 
 
 def turning_sense(angle_rad: FloatArray) -> FloatArray:
-    """Return the sense +1 or -1 (N,) in which the head approached each angle, by the shorter path.
+    """Return the sense +1 or -1 (N,) of approach to each angle.
 
-    0 for a single reading. The first reading has the sense of the second, one at the same angle that of the previous
-    one.
+    By the shorter path. 0 for a single reading. The first reading has the sense of the second, one at the same angle
+    that of the previous one.
     """
     step = np.angle(np.exp(1j * np.diff(angle_rad)))
     sense = np.where(np.abs(step) < SAME_ANGLE_RAD, 0.0, np.sign(step))
@@ -292,7 +295,10 @@ def _offered(angle: FloatArray) -> tuple[list[Term], list[list[Term]]]:
 
 
 def _periodic(name: str, angle: FloatArray) -> FloatArray:
-    """Return the column of a term that depends on the angle only, zeros for other terms."""
+    """Return the column of a term that depends on the angle only.
+
+    Other terms give zeros.
+    """
     kind, _, order = name.partition(" ")
     if kind in ("cos", "sin"):
         return np.asarray(getattr(np, kind)(int(order) * angle))
@@ -308,7 +314,10 @@ def _distinct(turned: FloatArray) -> FloatArray:
 
 
 def _last_digit(column: FloatArray) -> float:
-    """Return the largest of 1, 2, 5 times a power of ten that divides all readings, or 0."""
+    """Return the last digit of all readings, or 0.
+
+    It is the largest of 1, 2, 5 times a power of ten that divides them.
+    """
     largest = float(np.abs(column).max())
     if FINEST * largest < np.finfo(np.float64).tiny:
         return 0.0

@@ -110,8 +110,8 @@ def start_values(record: RotationRecord, outputs: SensorOutputs) -> FloatArray:
     against = np.sum(force * phasor[seen]) / size
     if abs(against) > 1.5 * abs(with_axis):
         raise ValueError(
-            "axis: expected a rotation for which gravity rotates backwards in the sensor, found readings of the opposite "
-            "sense; reverse the axis"
+            "axis: expected a rotation for which gravity rotates backwards in the sensor, found the opposite sense; "
+            "reverse the axis"
         )
     if abs(with_axis) == 0.0:
         raise ValueError("amplitude: expected forces that change with the angle, found none")
