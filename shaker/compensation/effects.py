@@ -55,21 +55,21 @@ def target_for_bandwidth(
         raise ValueError("frequency_hz: expected a mode to compensate for a bandwidth, found real poles only")
     allowed = (1.0 - MODEL_ERROR_SHARE) * permitted_error
     start, gain = best_damping(allowed), _gains(sensor, np.linspace(0.0, bandwidth_hz, POINTS))
-    wanted = CompensationTarget(bandwidth_hz, start, real_hz, low_pass_hz)
+    template = CompensationTarget(bandwidth_hz, start, real_hz, low_pass_hz)
 
     def lowest(damping: float) -> float:
         """Return the lowest natural frequency that keeps the band, infinite if none does."""
 
-        def kept(frequency: float) -> bool:
-            target = replace(wanted, frequency_hz=frequency, damping_ratio=float(damping))
+        def within(frequency: float) -> bool:
+            target = replace(template, frequency_hz=frequency, damping_ratio=float(damping))
             return bool(np.max(np.abs(gain(target) - 1.0)) <= allowed)
 
         low, high = bandwidth_hz / HIGHEST_FACTOR, bandwidth_hz * HIGHEST_FACTOR
-        if not kept(high):
+        if not within(high):
             return float("inf")
         while high / low > 1.0 + RESOLUTION:
             middle = float(np.sqrt(low * high))
-            low, high = (low, middle) if kept(middle) else (middle, high)
+            low, high = (low, middle) if within(middle) else (middle, high)
         return high
 
     dampings = start + np.linspace(-0.25, 0.4, 27)
@@ -83,7 +83,7 @@ def target_for_bandwidth(
     near = dampings[int(np.argmin(tried))]
     best = minimize_scalar(lowest, bounds=(near - 0.025, near + 0.025), method="bounded", options={"xatol": 1e-7})
     damping = float(best.x) if best.fun <= np.min(tried) else float(near)
-    return replace(wanted, frequency_hz=lowest(damping), damping_ratio=damping)
+    return replace(template, frequency_hz=lowest(damping), damping_ratio=damping)
 
 
 def target_for_frequency(
@@ -100,18 +100,18 @@ def target_for_frequency(
     """
     allowed = (1.0 - MODEL_ERROR_SHARE) * permitted_error
     start = best_damping(allowed)
-    wanted = CompensationTarget(frequency_hz, start, real_hz, low_pass_hz)
+    template = CompensationTarget(frequency_hz, start, real_hz, low_pass_hz)
     if not len(sensor.frequency_hz):
-        return wanted
+        return template
     gain = _gains(sensor, np.linspace(0.0, REACH * frequency_hz, FINE))
 
     def reached(damping: float) -> int:
-        outside = np.abs(gain(replace(wanted, damping_ratio=damping)) - 1.0) > allowed
+        outside = np.abs(gain(replace(template, damping_ratio=damping)) - 1.0) > allowed
         return int(np.argmax(np.append(outside, True)))
 
     dampings = np.concatenate([[start], start + np.arange(-250, 401) * 1e-3])
     best = int(np.argmax([reached(float(one)) for one in dampings]))
-    return replace(wanted, damping_ratio=float(dampings[best]))
+    return replace(template, damping_ratio=float(dampings[best]))
 
 
 def _gains(sensor: SensorDynamics, frequency_hz: FloatArray) -> Callable[[CompensationTarget], FloatArray]:
@@ -189,14 +189,14 @@ def state_space(sections: Sections) -> tuple[FloatArray, FloatArray, FloatArray,
     """
     size = 2 * len(sections.sos)
     a, b, c, d = np.zeros((size, size)), np.zeros(size), np.zeros(size), 1.0
-    for place, (b0, b1, b2, _, a1, a2) in enumerate(sections.sos):
-        own = slice(2 * place, 2 * place + 2)
+    for number, (b0, b1, b2, _, a1, a2) in enumerate(sections.sos):
+        rows = slice(2 * number, 2 * number + 2)
         through = np.array([b1 - a1 * b0, b2 - a2 * b0])
-        a[own] += np.outer(through, c)
-        a[own, own] += np.array([[-a1, 1.0], [-a2, 0.0]])
-        b[own] = through * d
+        a[rows] += np.outer(through, c)
+        a[rows, rows] += np.array([[-a1, 1.0], [-a2, 0.0]])
+        b[rows] = through * d
         c, d = b0 * c, b0 * d
-        c[2 * place] += 1.0
+        c[2 * number] += 1.0
     return a, b, sections.gain * c, float(sections.gain * d)
 
 

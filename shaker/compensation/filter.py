@@ -42,8 +42,8 @@ class SensorDynamics(Brief):
             if not np.all(getattr(self, name) > 0):
                 raise ValueError(f"{name}: expected positive numbers, found {getattr(self, name).tolist()}")
         if np.any(self.damping_ratio < 0) or np.any(self.damping_ratio >= 1):
-            told = self.damping_ratio.tolist()
-            raise ValueError(f"damping_ratio: expected 0 or more and below 1 of a stable sensor, found {told}")
+            found = self.damping_ratio.tolist()
+            raise ValueError(f"damping_ratio: expected 0 or more and below 1 of a stable sensor, found {found}")
         if not np.isfinite(self.static_gain) or self.static_gain == 0:
             raise ValueError(f"static_gain: expected a number other than 0, found {self.static_gain}")
         for name in ("covariance", "scatter"):
@@ -485,11 +485,11 @@ class CompensationFilter:
             self._settle(signal[:, 0])
             self._started = True
         self._remember(0, signal)
-        for place, row in enumerate(self._sections.sos):
-            state = np.ascontiguousarray(self._state[place].T)[None]
+        for number, row in enumerate(self._sections.sos):
+            state = np.ascontiguousarray(self._state[number].T)[None]
             signal, after = sosfilt(row[None], signal, axis=1, zi=state)
-            self._state[place] = after[0].T
-            self._remember(place + 1, signal)
+            self._state[number] = after[0].T
+            self._remember(number + 1, signal)
         return np.asarray(self._sections.gain * signal)
 
     def switch(self, sections: Sections) -> None:
@@ -500,19 +500,19 @@ class CompensationFilter:
             expected = self._sections.sample_rate_hz
             raise ValueError(f"sections: expected a rate of {expected} Hz, found {sections.sample_rate_hz} Hz")
         self._sections = sections
-        for place, (_, b1, b2, _, a1, a2) in enumerate(sections.sos):
-            x, y = self._past[place], self._past[place + 1]
-            self._state[place, 1] = b2 * x[1] - a2 * y[1]
-            self._state[place, 0] = b1 * x[1] - a1 * y[1] + b2 * x[0] - a2 * y[0]
+        for number, (_, b1, b2, _, a1, a2) in enumerate(sections.sos):
+            x, y = self._past[number], self._past[number + 1]
+            self._state[number, 1] = b2 * x[1] - a2 * y[1]
+            self._state[number, 0] = b1 * x[1] - a1 * y[1] + b2 * x[0] - a2 * y[0]
 
     def _settle(self, level: FloatArray) -> None:
         """Set the state to that of a constant level."""
         self._past[0] = level
-        for place, row in enumerate(self._sections.sos):
-            self._past[place + 1] = self._past[place] * (np.sum(row[:3]) / np.sum(row[3:]))
+        for number, row in enumerate(self._sections.sos):
+            self._past[number + 1] = self._past[number] * (np.sum(row[:3]) / np.sum(row[3:]))
         self.switch(self._sections)
 
-    def _remember(self, place: int, signal: FloatArray) -> None:
+    def _remember(self, number: int, signal: FloatArray) -> None:
         """Store the last two samples between two sections, the older first."""
-        kept = np.concatenate([self._past[place], signal[:, -2:].T])
-        self._past[place] = kept[-2:]
+        samples = np.concatenate([self._past[number], signal[:, -2:].T])
+        self._past[number] = samples[-2:]

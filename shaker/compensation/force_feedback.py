@@ -107,20 +107,20 @@ def simulate_feedback(
     regimes = [_matrices(loop, sensor, sections, contact) for contact in (False, True)]
     limit = RUNAWAY * loop.hand_stiffness * float(np.max(np.abs(hand_m)) + 1e-12)
     forces, state = np.full((len(inputs), 3), np.nan), np.zeros(len(regimes[0].a))
-    for place, given in enumerate(inputs):
+    for sample, given in enumerate(inputs):
         now = regimes[int(state[0] > given[2])]
-        forces[place] = now.read @ state + now.feed @ given
-        if not abs(forces[place, 0]) < limit:
-            forces[place:] = np.nan
+        forces[sample] = now.read @ state + now.feed @ given
+        if not abs(forces[sample, 0]) < limit:
+            forces[sample:] = np.nan
             break
         state = now.a @ state + now.b @ given
-    applied, told, fed_back = forces.T
+    applied, indicated, fed_back = forces.T
     touched, tracking_error = fed_back != 0.0, float("inf")
     if touched.any() and np.all(np.isfinite(forces)):
         error, size = (applied - fed_back)[touched], fed_back[touched]
         tracking_error = float(np.sqrt(np.mean(error**2) / np.mean(size**2)))
     time_s, stable = np.arange(len(hand_m)) / loop.sample_rate_hz, is_stable(loop, sensor, sections)
-    return FeedbackRun(time_s, applied, told, fed_back, stable, tracking_error)
+    return FeedbackRun(time_s, applied, indicated, fed_back, stable, tracking_error)
 
 
 def is_stable(loop: HapticLoop, sensor: LinearSystem, sections: Sections | None) -> bool:
@@ -141,7 +141,7 @@ def largest_stable_gain(loop: HapticLoop, sensor: LinearSystem, sections: Sectio
     if not stable(0.0):
         return 0.0
     grid = np.geomspace(1e-3, HIGHEST_GAIN, GRID)
-    lost = next((place for place, gain in enumerate(grid) if not stable(float(gain))), None)
+    lost = next((index for index, gain in enumerate(grid) if not stable(float(gain))), None)
     if lost is None:
         return HIGHEST_GAIN
     low, high = (float(grid[lost - 1]) if lost else 0.0), float(grid[lost])
@@ -162,22 +162,22 @@ def _matrices(loop: HapticLoop, sensor: LinearSystem, sections: Sections | None,
     if sections is not None:
         af, bf, cf, df = state_space(replace(sections, gain=1.0))
     total = size + 1 + len(bf)
-    tells = np.concatenate([output, [0.0], np.zeros(len(bf))])
-    told, told_feed = df * tells, np.array([0.0, 0.0, 0.0, df])
-    told[size + 1 :] += cf
+    output_row = np.concatenate([output, [0.0], np.zeros(len(bf))])
+    indicated, indicated_feed = df * output_row, np.array([0.0, 0.0, 0.0, df])
+    indicated[size + 1 :] += cf
     ball, ball_feed = np.zeros(total), np.zeros(4)
     if contact:
         ball[0], ball_feed[2] = loop.ball_stiffness, -loop.ball_stiffness
     gain = loop.force_gain
     a, b = np.zeros((total, total)), np.zeros((total, 4))
     a[:size, :size], a[:size, size], b[:size, :2] = plant, drive[:, 2], drive[:, :2]
-    a[size], b[size] = (1.0 + gain) * ball - gain * told, (1.0 + gain) * ball_feed - gain * told_feed
+    a[size], b[size] = (1.0 + gain) * ball - gain * indicated, (1.0 + gain) * ball_feed - gain * indicated_feed
     a[size + 1 :, size + 1 :] = af
-    a[size + 1 :] += np.outer(bf, tells)
+    a[size + 1 :] += np.outer(bf, output_row)
     b[size + 1 :, 3] = bf
     hand, hand_feed = np.zeros(total), np.array([loop.hand_stiffness, loop.hand_damping, 0.0, 0.0])
     hand[:2] = -hand_feed[:2]
-    return _Matrices(a, b, np.stack([hand, told, ball]), np.stack([hand_feed, told_feed, ball_feed]))
+    return _Matrices(a, b, np.stack([hand, indicated, ball]), np.stack([hand_feed, indicated_feed, ball_feed]))
 
 
 def _plant(loop: HapticLoop, sensor: LinearSystem) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -187,13 +187,13 @@ def _plant(loop: HapticLoop, sensor: LinearSystem) -> tuple[FloatArray, FloatArr
     """
     from scipy.linalg import expm
 
-    own, into, output = _modal(sensor)
+    sensor_matrix, into, output = _modal(sensor)
     size = 2 + len(into)
     a, b = np.zeros((size, size)), np.zeros((size, 3))
     hand = np.array([loop.hand_stiffness, loop.hand_damping])
     a[0, 1], a[1, :2], b[1] = 1.0, -hand / loop.mass, np.array([*hand, -1.0]) / loop.mass
     a[1, 1] -= loop.damping / loop.mass
-    a[2:, 2:], a[2:, :2], b[2:, :2] = own, -np.outer(into, hand), np.outer(into, hand)
+    a[2:, 2:], a[2:, :2], b[2:, :2] = sensor_matrix, -np.outer(into, hand), np.outer(into, hand)
     both = np.zeros((size + 3, size + 3))
     both[:size, :size], both[:size, size:] = a / loop.sample_rate_hz, b / loop.sample_rate_hz
     step = expm(both)
@@ -209,16 +209,16 @@ def _modal(sensor: LinearSystem) -> tuple[FloatArray, FloatArray, FloatArray]:
 
     if len(sensor.zeros) >= len(sensor.poles):
         raise ValueError("sensor: expected more poles than zeros, found as many")
-    own: list[list[list[float]]] = []
+    blocks: list[list[list[float]]] = []
     into: list[float] = []
     output: list[float] = []
     for pole, residue in zip(sensor.poles, sensor.residues() / sensor.static_gain, strict=True):
         if pole.imag > 0:
-            own.append([[pole.real, -pole.imag], [pole.imag, pole.real]])
+            blocks.append([[pole.real, -pole.imag], [pole.imag, pole.real]])
             into += [1.0, 0.0]
             output += [2.0 * residue.real, -2.0 * residue.imag]
         elif pole.imag == 0:
-            own.append([[pole.real]])
+            blocks.append([[pole.real]])
             into.append(1.0)
             output.append(residue.real)
-    return block_diag(*own), np.array(into), np.array(output)
+    return block_diag(*blocks), np.array(into), np.array(output)

@@ -49,7 +49,7 @@ from shakercal._common.notices import Notice
 
 _PER_PERIOD = 6.0
 _LEAST_BLOCKS = 1200
-_APART = 2.0
+_MIN_DISTANCE = 2.0
 _NEAR = 0.5
 _BEFORE, _AFTER = 0.3, 2.0  # time constants of the slowest mode that the number of poles is looked for in
 
@@ -100,10 +100,10 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
     first = records[0]
     for other in records:
         for key in ("channels", "unit", "sample_rate_hz"):
-            own, expected = getattr(other, key), getattr(first, key)
-            if own != expected:
-                told = f"expected {key} {expected} as in {first.name}, found {own} in {other.name}"
-                raise ValueError(f"records: {told}")
+            actual, expected = getattr(other, key), getattr(first, key)
+            if actual != expected:
+                difference = f"expected {key} {expected} as in {first.name}, found {actual} in {other.name}"
+                raise ValueError(f"records: {difference}")
     releases = []
     for raw in records:
         middle_s, duration_s, shape = initial_release(raw)
@@ -120,13 +120,14 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
     fit, trials = select_pole_count(near, add_first_lag(near, start, tuple(releases)), most_modes, most_reals)
     fit, others = try_other_durations(near, fit)
     fit = select_release_shape(problem, near, fit_poles(problem, fit.poles, fit.releases, min_gain=_NEAR))
-    again = noise * misfits(problem, fit)
+    refined_noise = noise * misfits(problem, fit)
     weighted = [
-        replace(one, samples=replace(one.samples, value=one.samples.value * noise / again)) for one in problem.records
+        replace(one, samples=replace(one.samples, value=one.samples.value * noise / refined_noise))
+        for one in problem.records
     ]
     problem = replace(problem, records=tuple(weighted))
     fit, likely = equally_likely(problem, fit_poles(problem, fit.poles, fit.releases), others)
-    return multi_fit(records, problem, (fit, *likely), again, tuple(trials))
+    return multi_fit(records, problem, (fit, *likely), refined_noise, tuple(trials))
 
 
 def _noise(records: Sequence[StepRecord], releases: Sequence[ReleaseTiming]) -> FloatArray:
@@ -178,8 +179,9 @@ def _swings(decays: Sequence[FloatArray], loads: Sequence[str], rate_hz: float) 
     """Return the poles of all decays together, and additional poles of each load's decays."""
     poles = shared_poles(decays, rate_hz)
     for load in dict.fromkeys(loads):
-        for pole in shared_poles([part for part, own in zip(decays, loads, strict=True) if own == load], rate_hz):
-            if not np.any(np.abs(poles - pole) < _APART * np.maximum(-pole.real, -poles.real)):
+        selected = [part for part, component in zip(decays, loads, strict=True) if component == load]
+        for pole in shared_poles(selected, rate_hz):
+            if not np.any(np.abs(poles - pole) < _MIN_DISTANCE * np.maximum(-pole.real, -poles.real)):
                 poles = np.append(poles, pole)
     return poles
 
@@ -264,24 +266,24 @@ def multi_fit(
     spread, follows = covariances(point, [misfit**2] * len(point.blocks), lag_duration_prior(fit))
     spread = widen_for_lags(fit, spread)
     scaled = noise / np.sqrt(problem.records[0].samples.length[0])
-    model, *instead = (_model(records, problem, one, scaled) for one in fits)
+    model, *alternatives = (_model(records, problem, one, scaled) for one in fits)
     far = np.array([excess_chi2_sigmas(one.loss - fit.loss) for one in others]).reshape(-1, 1)
-    away = np.array([one.vector - model.vector for one in instead]).reshape(-1, len(model.vector)) / far
+    shift = np.array([one.vector - model.vector for one in alternatives]).reshape(-1, len(model.vector)) / far
     moved = [one.solution.point.parameters - point.parameters for one in others]
     later = np.array(moved).reshape(-1, len(spread)) / far
     releases = _releases(problem, records, fit, spread + later.T @ later)
     shares = np.array([_scale_share(name, records, releases) for name in problem.components])
-    for outputs, own in zip(follows, point.coefficients, strict=True):
+    for outputs, coefficients in zip(follows, point.coefficients, strict=True):
         for c, follow in enumerate(outputs):  # of those that start smoothly, and as the basis of these turns
             outputs[c] = poles.smooth @ follow
-            outputs[c][:, : poles.count] += (poles.smooth_slopes @ own[:, c]).T
+            outputs[c][:, : poles.count] += (poles.smooth_slopes @ coefficients[:, c]).T
     elements = [follow for outputs in follows for follow in outputs]
     covariance, alone = model_covariance(model, spread, elements, np.tile(scaled, len(follows)))
     size = model.shared * len(model.channels)
     for d, share in enumerate(shares):  # all residues of a load share the uncertainty of its scale
-        here = slice(model.shared + d * size, model.shared + (d + 1) * size)
-        covariance[here, here] += share**2 * np.outer(model.vector[here], model.vector[here])
-    model = replace(model, covariance=covariance + away.T @ away)
+        rows = slice(model.shared + d * size, model.shared + (d + 1) * size)
+        covariance[rows, rows] += share**2 * np.outer(model.vector[rows], model.vector[rows])
+    model = replace(model, covariance=covariance + shift.T @ shift)
     data = [float(np.vdot(block.data, block.data)) + block.extra_squares for block in point.blocks]
     left = [
         float(np.vdot(rest, rest)) + block.extra_squares
@@ -308,7 +310,7 @@ def _model(records: Sequence[StepRecord], problem: StepProblem, fit: PoleFit, sc
 
     `scaled` (C,): noise of a mean, the weight of the outputs.
     """
-    parts = [fit.poles.smooth @ own for own in fit.solution.point.coefficients]
+    parts = [fit.poles.smooth @ coefficients for coefficients in fit.solution.point.coefficients]
     table = np.stack(parts, axis=2) * scaled[:, None]
     return MultiModel.of_poles(fit.poles, table, (records[0].channels, problem.components), records[0].unit)
 
@@ -355,11 +357,11 @@ def _scale_share(component: str, records: Sequence[StepRecord], releases: Sequen
     As stated, and from the scatter of its releases beyond the noise.
     """
     stated = max(record.u_amplitude for record in records if record.component == component)
-    own = [release for release in releases if release.component == component]
-    if len(own) < 2:
+    members = [release for release in releases if release.component == component]
+    if len(members) < 2:
         return stated
-    beyond = float(np.var([release.gain for release in own], ddof=1) - np.mean([r.u_gain**2 for r in own]))
-    return float(np.hypot(stated, np.sqrt(max(0.0, beyond) / len(own))))
+    beyond = float(np.var([release.gain for release in members], ddof=1) - np.mean([r.u_gain**2 for r in members]))
+    return float(np.hypot(stated, np.sqrt(max(0.0, beyond) / len(members))))
 
 
 def _notices(model: MultiModel, releases: Sequence[ReleaseFit], fit: PoleFit) -> tuple[Notice, ...]:

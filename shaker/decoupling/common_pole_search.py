@@ -27,13 +27,13 @@ _LAGS = (1.5, 4.0, 10.0)  # first lags tried, in frequencies of the lowest mode
 _SHORTEST = 0.3  # of a release as read, that is left to it by a lag tried
 _REAL_SHARES = (0.3, 1.0, 3.0)  # further lags tried, in frequencies of the highest mode
 _HIGHEST_REAL = 0.45
-_TOLD_SAMPLES = 2.0
+_RESOLVED_SAMPLES = 2.0
 _LONGER = (0.5, 2.0)
 _UNEXPLAINED = 1.5
 _CLEARLY = 10.0
-_OTHERWISE = (0.75, 1.4)
+_DURATION_FACTORS = (0.75, 1.4)
 _HARDLY_MORE = 12.0  # loss with poles held, with which no fit of all comes below `REFUTED`
-_APART = 0.1  # of durations
+_MIN_DIFFERENCE = 0.1  # of durations
 _STRONG = 0.5
 """A mode above this share of the strongest is no make-up for releases read some hundredths of a period off."""
 
@@ -85,22 +85,22 @@ def select_pole_count(
     Unnecessary modes of the start are removed one by one. Then modes of the residual and further lags are added while
     the criterion falls. `most`, `reals`: highest numbers of modes and of real poles.
     """
-    here = fit_poles(problem, drop_weak_modes(problem, *start, most), start[1], *_ALONG_A_VALLEY)
+    fit = fit_poles(problem, drop_weak_modes(problem, *start, most), start[1], *_ALONG_A_VALLEY)
 
-    def trial(fitted: PoleFit, kept: bool) -> PoleCountTrial:
+    def trial(fitted: PoleFit, accepted: bool) -> PoleCountTrial:
         poles, share = fitted.poles, fitted.loss / problem.values
-        return PoleCountTrial(poles.modes, len(poles.real_hz), share, criterion(problem, poles, fitted.loss), kept)
+        return PoleCountTrial(poles.modes, len(poles.real_hz), share, criterion(problem, poles, fitted.loss), accepted)
 
-    trials = [trial(here, True)]
+    trials = [trial(fit, True)]
     for _ in range(_ROUNDS):
-        there = _smaller(problem, here, most) or _larger(problem, here, most, reals)
-        if there is None:
+        changed = _smaller(problem, fit, most) or _larger(problem, fit, most, reals)
+        if changed is None:
             break
-        trials.append(trial(there, criterion(problem, there.poles, there.loss) < trials[-1].criterion))
+        trials.append(trial(changed, criterion(problem, changed.poles, changed.loss) < trials[-1].criterion))
         if not trials[-1].accepted:
             break
-        here = there
-    return here, trials
+        fit = changed
+    return fit, trials
 
 
 def select_release_shape(problem: StepProblem, near: StepProblem, fit: PoleFit) -> PoleFit:
@@ -110,23 +110,23 @@ def select_release_shape(problem: StepProblem, near: StepProblem, fit: PoleFit) 
     samples around the releases, which determine the shape.
     """
     releases = tuple(
-        _better_shape(near, fit, i) if release.duration_s > _TOLD_SAMPLES * problem.step_s else release
+        _better_shape(near, fit, i) if release.duration_s > _RESOLVED_SAMPLES * problem.step_s else release
         for i, release in enumerate(fit.releases)
     )
     return fit if releases == fit.releases else fit_poles(problem, fit.poles, releases, _FEW_STEPS, _ROUGH)
 
 
-def _better_shape(problem: StepProblem, fit: PoleFit, place: int) -> ReleaseTiming:
+def _better_shape(problem: StepProblem, fit: PoleFit, record: int) -> ReleaseTiming:
     """Return one release in the better of both shapes, the other with its best duration."""
-    near = problem.record_indices(problem.records[place].component)
-    part, own = problem.part(near), fit.releases[place]
-    other: ReleaseShape = "smooth" if own.shape == "ramp" else "ramp"
+    near = problem.record_indices(problem.records[record].component)
+    part, release = problem.part(near), fit.releases[record]
+    other: ReleaseShape = "smooth" if release.shape == "ramp" else "ramp"
     ratios = _AS_LONG if other == "smooth" else [1.0 / ratio for ratio in _AS_LONG]
-    tried = [own, *(replace(own, shape=other, duration_s=ratio * own.duration_s) for ratio in ratios)]
-    places = [[one if i == place else fit.releases[i] for i in near] for one in tried]
-    losses = [part.point(fit.poles, releases).loss for releases in places]
+    tried = [release, *(replace(release, shape=other, duration_s=ratio * release.duration_s) for ratio in ratios)]
+    candidates = [[one if i == record else fit.releases[i] for i in near] for one in tried]
+    losses = [part.point(fit.poles, releases).loss for releases in candidates]
     best = int(np.argmin(losses))
-    return tried[best] if losses[best] < losses[0] - _CLEARLY else own
+    return tried[best] if losses[best] < losses[0] - _CLEARLY else release
 
 
 def try_other_durations(problem: StepProblem, fit: PoleFit) -> tuple[PoleFit, list[AlternativeTimes]]:
@@ -137,18 +137,18 @@ def try_other_durations(problem: StepProblem, fit: PoleFit) -> tuple[PoleFit, li
     """
     releases, others = list(fit.releases), list[AlternativeTimes]()
     for component in problem.components:
-        places = problem.record_indices(component)
-        part, own = problem.part(places), tuple(fit.releases[i] for i in places)
-        tried = [[replace(one, duration_s=by * one.duration_s) for one in own] for by in _OTHERWISE]
-        loss = part.point(fit.poles, own).loss
+        indices = problem.record_indices(component)
+        part, current = problem.part(indices), tuple(fit.releases[i] for i in indices)
+        tried = [[replace(one, duration_s=by * one.duration_s) for one in current] for by in _DURATION_FACTORS]
+        loss = part.point(fit.poles, current).loss
         ends = [
             (end.loss, end.releases) for end in (_timed(part, fit.poles, one, loss + _HARDLY_MORE) for one in tried)
         ]
-        ends = sorted([(loss - _ROUGH, own), *ends], key=lambda end: end[0])
-        for i, release in zip(places, ends[0][1], strict=True):
+        ends = sorted([(loss - _ROUGH, current), *ends], key=lambda end: end[0])
+        for i, release in zip(indices, ends[0][1], strict=True):
             releases[i] = release
         near = [times for loss, times in ends[1:] if loss < ends[0][0] + _HARDLY_MORE]
-        others += [(places, times) for times in near if _differs(problem, times, ends[0][1])]
+        others += [(indices, times) for times in near if _differs(problem, times, ends[0][1])]
     if tuple(releases) == fit.releases:
         return fit, others
     other = fit_poles(problem, fit.poles, releases, _FEW_STEPS, _ROUGH)
@@ -163,30 +163,32 @@ def equally_likely(
     From these releases and from `others`.
     """
     found = [fit]
-    for places, times in others:
+    for indices, times in others:
         releases = list(fit.releases)
-        for i, release in zip(places, times, strict=True):
+        for i, release in zip(indices, times, strict=True):
             releases[i] = replace(fit.releases[i], middle_s=release.middle_s, duration_s=release.duration_s)
         found.append(fit_poles(problem, fit.poles, releases))
     found.sort(key=lambda fitted: fitted.loss)
-    kept = found[:1]
+    likely = found[:1]
     for one in found[1:]:
-        if one.loss < kept[0].loss + REJECT_CHI2 and all(
-            _differs(problem, one.releases, other.releases) for other in kept
+        if one.loss < likely[0].loss + REJECT_CHI2 and all(
+            _differs(problem, one.releases, other.releases) for other in likely
         ):
-            kept.append(one)
-    return kept[0], tuple(kept[1:])
+            likely.append(one)
+    return likely[0], tuple(likely[1:])
 
 
 def _differs(problem: StepProblem, one: Sequence[ReleaseTiming], other: Sequence[ReleaseTiming]) -> bool:
     """Return whether some release has a clearly different duration."""
     lengths = np.array([(a.duration_s, b.duration_s) for a, b in zip(one, other, strict=True)])
-    return bool(np.any(np.ptp(lengths, axis=1) > np.maximum(_APART * lengths.max(axis=1), problem.step_s)))
+    return bool(np.any(np.ptp(lengths, axis=1) > np.maximum(_MIN_DIFFERENCE * lengths.max(axis=1), problem.step_s)))
 
 
-def _timed(problem: StepProblem, poles: Poles, releases: Sequence[ReleaseTiming], wanted: float = np.inf) -> PoleFit:
+def _timed(
+    problem: StepProblem, poles: Poles, releases: Sequence[ReleaseTiming], target_loss: float = np.inf
+) -> PoleFit:
     """Return the best times of releases for fixed poles, if the loss can reach `target_loss`."""
-    return fit_poles(problem, poles, releases, _FEW_STEPS, _ROUGH, fixed_count=poles.count, target_loss=wanted)
+    return fit_poles(problem, poles, releases, _FEW_STEPS, _ROUGH, fixed_count=poles.count, target_loss=target_loss)
 
 
 def _begun(part: StepProblem, poles: Poles, release: ReleaseTiming) -> ReleaseTiming:
@@ -227,10 +229,10 @@ def removal_losses(poles: Poles, point: SeparablePoint) -> FloatArray:
     for part in point.solved:
         whole, root = poles.smooth @ part.coefficients, poles.smooth @ part.root
         inverse = root @ root.T
-        for place in range(len(losses)):
-            columns = poles.columns(place)
+        for index in range(len(losses)):
+            columns = poles.columns(index)
             weight = np.linalg.pinv(inverse[np.ix_(columns, columns)], hermitian=True)
-            losses[place] += float(np.einsum("bc,bd,dc->", whole[columns], weight, whole[columns]))
+            losses[index] += float(np.einsum("bc,bd,dc->", whole[columns], weight, whole[columns]))
     return losses
 
 
@@ -248,68 +250,68 @@ def drop_weak_modes(problem: StepProblem, poles: Poles, releases: Sequence[Relea
     return poles
 
 
-def _smaller(problem: StepProblem, here: PoleFit, most: int | None) -> PoleFit | None:
+def _smaller(problem: StepProblem, fit: PoleFit, most: int | None) -> PoleFit | None:
     """Return the fit without the weakest mode, None if the criterion needs all.
 
     Only a fit shows how far the other poles and the releases replace the mode. A mode that compensates for a wrong
     release seems necessary for fixed releases.
     """
-    poles = here.poles
+    poles = fit.poles
     if poles.modes < 2 or (most is not None and poles.modes <= most):
         return None
-    losses = removal_losses(poles, here.solution.point)[: poles.modes]
+    losses = removal_losses(poles, fit.solution.point)[: poles.modes]
     weakest = int(np.argmin(losses))
     if losses[weakest] > _STRONG * losses.max():
         return None
     fewer, count = poles.without(weakest), problem.values
     # The loss at which the criterion is as high as here.
-    wanted = count * float(np.exp((criterion(problem, poles, here.loss) - _charge(problem, fewer)) / count))
-    fitted = fit_poles(problem, fewer, here.releases, *_ALONG_A_VALLEY, target_loss=wanted)
-    return fitted if fitted.loss < wanted else None
+    target_loss = count * float(np.exp((criterion(problem, poles, fit.loss) - _charge(problem, fewer)) / count))
+    fitted = fit_poles(problem, fewer, fit.releases, *_ALONG_A_VALLEY, target_loss=target_loss)
+    return fitted if fitted.loss < target_loss else None
 
 
-def _larger(problem: StepProblem, here: PoleFit, most: int | None, reals: int) -> PoleFit | None:
+def _larger(problem: StepProblem, fit: PoleFit, most: int | None, reals: int) -> PoleFit | None:
     """Return the fit with the best additional mode or lag.
 
     None at the highest numbers.
     """
     tried = []
-    if (most is None or here.poles.modes < most) and (mode := _left(problem, here)) is not None:
-        tried.append(fit_poles(problem, here.poles.with_mode(mode), here.releases, _FEW_STEPS, _ROUGH))
-    if len(here.poles.real_hz) < reals:
-        top, limit = float(here.poles.frequency_hz.max()), _HIGHEST_REAL / problem.step_s
-        lags = [here.poles.with_real(min(share * top, limit)) for share in _REAL_SHARES]
-        lag = min(lags, key=lambda poles: problem.point(poles, here.releases).loss)
-        tried.append(fit_poles(problem, lag, here.releases, *_ALONG_A_VALLEY))
-    tried += [again for fitted in tried if (again := _with_new_releases(problem, fitted)) is not None]
+    if (most is None or fit.poles.modes < most) and (mode := _left(problem, fit)) is not None:
+        tried.append(fit_poles(problem, fit.poles.with_mode(mode), fit.releases, _FEW_STEPS, _ROUGH))
+    if len(fit.poles.real_hz) < reals:
+        top, limit = float(fit.poles.frequency_hz.max()), _HIGHEST_REAL / problem.step_s
+        lags = [fit.poles.with_real(min(share * top, limit)) for share in _REAL_SHARES]
+        lag = min(lags, key=lambda poles: problem.point(poles, fit.releases).loss)
+        tried.append(fit_poles(problem, lag, fit.releases, *_ALONG_A_VALLEY))
+    tried += [renewed for fitted in tried if (renewed := _with_new_releases(problem, fitted)) is not None]
     return min(tried, key=lambda fitted: criterion(problem, fitted.poles, fitted.loss), default=None)
 
 
-def _with_new_releases(problem: StepProblem, here: PoleFit) -> PoleFit | None:
+def _with_new_releases(problem: StepProblem, fit: PoleFit) -> PoleFit | None:
     """Return the fit with new releases of unexplained records, None if all are explained."""
-    releases = list(here.releases)
-    for i, rest in by_record(problem, here):
+    releases = list(fit.releases)
+    for i, rest in by_record(problem, fit):
         if float(np.mean(rest**2, axis=0).max()) > _UNEXPLAINED:
-            releases[i] = _begun(problem.part([i]), here.poles, releases[i])
-    if tuple(releases) == here.releases:
+            releases[i] = _begun(problem.part([i]), fit.poles, releases[i])
+    if tuple(releases) == fit.releases:
         return None
-    return fit_poles(problem, here.poles, releases, _FEW_STEPS, _ROUGH)
+    return fit_poles(problem, fit.poles, releases, _FEW_STEPS, _ROUGH)
 
 
-def _left(problem: StepProblem, here: PoleFit) -> complex | None:
+def _left(problem: StepProblem, fit: PoleFit) -> complex | None:
     """Return the pole that explains most of the residual after the releases, None without any."""
     samples = problem.records[0].samples
-    rests, most, best = dict(by_record(problem, here)), 0.0, None
+    rests, most, best = dict(by_record(problem, fit)), 0.0, None
     for component in problem.components:
-        places, parts = problem.record_indices(component), []
-        part, releases = problem.part(places), [here.releases[i] for i in places]
-        for i in places:
-            end_s = here.releases[i].middle_s + here.releases[i].duration_s / 2.0
+        indices, parts = problem.record_indices(component), []
+        part, releases = problem.part(indices), [fit.releases[i] for i in indices]
+        for i in indices:
+            end_s = fit.releases[i].middle_s + fit.releases[i].duration_s / 2.0
             parts.append(rests[i][np.searchsorted(problem.records[i].samples.time_s, end_s) :].T)
         poles = shared_poles(parts, 1.0 / (samples.step_s * int(samples.length[0])))
-        loss = sum(float(np.vdot(rests[i], rests[i])) for i in places)
+        loss = sum(float(np.vdot(rests[i], rests[i])) for i in indices)
         for pole in poles[np.argsort(-poles.real)][:_CANDIDATES].tolist():  # the slowest
-            fall = loss - part.point(here.poles.with_mode(pole), releases).loss
+            fall = loss - part.point(fit.poles.with_mode(pole), releases).loss
             if fall > most:
                 most, best = fall, pole
     return best

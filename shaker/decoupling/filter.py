@@ -86,17 +86,17 @@ class DecouplingFilter(Brief):
             for c, column in enumerate(tap.T):
                 for d, weight in enumerate(column):
                     loads[d] += weight * whole[c, delay - k : delay - k + count]
-        held = np.empty_like(state.poles)
+        states = np.empty_like(state.poles)
         for i, pole in enumerate(self.poles):
             drive = np.zeros(count, dtype=np.complex128)
             for weight, row in zip(self.driven[i], whole[:, :count], strict=True):
                 drive.real += weight.real * row
                 drive.imag += weight.imag * row
-            answer, held[i : i + 1] = lfilter([0.0, 1.0], [1.0, -pole], drive, zi=state.poles[i : i + 1])
+            answer, states[i : i + 1] = lfilter([0.0, 1.0], [1.0, -pole], drive, zi=state.poles[i : i + 1])
             real, imag = answer.real.copy(), answer.imag.copy()
             for d, weight in enumerate(self.shown[:, i]):
                 loads[d] += weight.real * real - weight.imag * imag
-        return loads.T.copy(), FilterState(whole[:, count:].T.copy(), held)
+        return loads.T.copy(), FilterState(whole[:, count:].T.copy(), states)
 
     def impulse_response(self, count: int) -> FloatArray:
         """Return the loads (N, D, C) for a unit impulse of each output."""
@@ -138,8 +138,8 @@ class DecouplingFilter(Brief):
         poles = np.concatenate([self.poles, self.poles.conj()])
         driven = np.concatenate([self.driven, self.driven.conj()]) * spread
         shown = np.concatenate([self.shown, self.shown.conj()], axis=1) / 2.0
-        among = (driven @ driven.conj().T) / (1.0 - np.outer(poles, poles.conj()))
-        return np.asarray(np.sqrt(power + np.real(np.einsum("dn,nm,dm->d", shown, among, shown.conj()))))
+        gram = (driven @ driven.conj().T) / (1.0 - np.outer(poles, poles.conj()))
+        return np.asarray(np.sqrt(power + np.real(np.einsum("dn,nm,dm->d", shown, gram, shown.conj()))))
 
 
 # Design of the filter against cross-talk: the load that explains the outputs best, with wanted dynamics.
@@ -234,9 +234,10 @@ def design_decoupling(
     shape, rate = recorded.load / recorded.noise[:, None], recorded.sample_rate_hz
     plant = sampled_modes(model.poles, [residue * shape for residue in (*model.residue, *model.real_residue)], rate)
     omega, upper = 2 * np.pi * target.frequency_hz, Poles(target.frequency_hz, target.damping_ratio, np.zeros(0)).values
-    own = [np.outer(unit, unit) * omega[i] ** 2 / (2j * upper[i].imag) for i, unit in enumerate(np.eye(len(omega)))]
-    wanted = sampled_modes(upper, own, rate)  # from the loads over their size, as the plant's outputs over their noise
-    gains = _smoother(plant, wanted, _DELAYS if delay is None else delay)
+    units = enumerate(np.eye(len(omega)))
+    residues = [np.outer(unit, unit) * omega[i] ** 2 / (2j * upper[i].imag) for i, unit in units]
+    desired = sampled_modes(upper, residues, rate)  # per size of the loads, as the plant's outputs per noise
+    gains = _smoother(plant, desired, _DELAYS if delay is None else delay)
     error = np.sqrt(np.maximum(gains.left, 0.0))
     near = np.all(error <= np.maximum(_GAIN_LEFT * error[-1], _SMALL * np.sqrt(gains.size)), axis=1)
     lag = int(np.flatnonzero(near)[0]) if delay is None else delay
@@ -256,39 +257,40 @@ class _KalmanGains(Brief):
     m: FloatArray
     k: FloatArray
     c: FloatArray
-    wanted: FloatArray
+    readout: FloatArray
     gains: FloatArray
     left: FloatArray
     size: FloatArray
 
 
-def _smoother(plant: StateSpace, wanted: StateSpace, delay: int) -> _KalmanGains:
+def _smoother(plant: StateSpace, desired: StateSpace, delay: int) -> _KalmanGains:
     """Return the steady Kalman filter of both systems with smoothing over a delay.
 
     Loads and noise have unit size.
     """
     from scipy.linalg import block_diag, solve_discrete_are, solve_discrete_lyapunov
 
-    a, b = block_diag(plant.a, wanted.a), np.concatenate([plant.b, wanted.b])
-    c = np.concatenate([plant.c, np.zeros((len(plant.c), len(wanted.a)))], axis=1)
-    shown = np.concatenate([np.zeros((len(wanted.c), len(plant.a))), wanted.c], axis=1)
+    a, b = block_diag(plant.a, desired.a), np.concatenate([plant.b, desired.b])
+    c = np.concatenate([plant.c, np.zeros((len(plant.c), len(desired.a)))], axis=1)
+    shown = np.concatenate([np.zeros((len(desired.c), len(plant.a))), desired.c], axis=1)
     r, s = np.eye(len(c)) + plant.d @ plant.d.T, b @ plant.d.T
     p = solve_discrete_are(a.T, c.T, b @ b.T, r, s=s)
     spread = c @ p @ c.T + r
     k = np.linalg.solve(spread, (a @ p @ c.T + s).T).T
     m = a - k @ c
-    first = shown @ p @ c.T + wanted.d @ plant.d.T
-    along = shown @ p @ m.T + wanted.d @ (b - k @ plant.d).T
+    first = shown @ p @ c.T + desired.d @ plant.d.T
+    along = shown @ p @ m.T + desired.d @ (b - k @ plant.d).T
     together = [first]
     for _ in range(delay):
         together.append(along @ c.T)
         along = along @ m.T
     gains = np.array([np.linalg.solve(spread, part.T).T for part in together])
-    before = np.diag(shown @ p @ shown.T + wanted.d @ wanted.d.T)
-    told = np.cumsum([np.einsum("dc,dc->d", gain, part) for gain, part in zip(gains, together, strict=True)], axis=0)
-    moved = solve_discrete_lyapunov(wanted.a, wanted.b @ wanted.b.T)
-    size = np.diag(wanted.c @ moved @ wanted.c.T + wanted.d @ wanted.d.T)
-    return _KalmanGains(m, k, c, shown, gains, before - told, size)
+    before = np.diag(shown @ p @ shown.T + desired.d @ desired.d.T)
+    shares = [np.einsum("dc,dc->d", gain, part) for gain, part in zip(gains, together, strict=True)]
+    explained = np.cumsum(shares, axis=0)
+    moved = solve_discrete_lyapunov(desired.a, desired.b @ desired.b.T)
+    size = np.diag(desired.c @ moved @ desired.c.T + desired.d @ desired.d.T)
+    return _KalmanGains(m, k, c, shown, gains, before - explained, size)
 
 
 def _assembled(
@@ -299,8 +301,8 @@ def _assembled(
     Innovations up to the delay are expressed by outputs and the previous state. f(t) = z·x(t) + Σ_i G_i (y(t + i) -
     c·x(t + i)), x(t + i) = mⁱ x(t) + Σ_{l < i} m^{i - 1 - l} k y(t + l).
     """
-    outputs, loads = kalman.c.shape[0], len(kalman.wanted)
-    taps, shown = np.zeros((lag + 1, loads, outputs)), kalman.wanted.copy()
+    outputs, loads = kalman.c.shape[0], len(kalman.readout)
+    taps, shown = np.zeros((lag + 1, loads, outputs)), kalman.readout.copy()
     powers = [np.eye(len(kalman.m))]
     for _ in range(lag):
         powers.append(kalman.m @ powers[-1])
@@ -311,17 +313,17 @@ def _assembled(
             taps[lag - early] -= kalman.gains[i] @ kalman.c @ powers[i - 1 - early] @ kalman.k
     poles, vectors = np.linalg.eig(kalman.m)
     driven, seen = np.linalg.solve(vectors, kalman.k.astype(np.complex128)), shown @ vectors
-    kept = poles.imag > -_REAL * np.abs(poles)
-    double = np.where(poles[kept].imag > _REAL * np.abs(poles[kept]), 2.0, 1.0)
+    upper = poles.imag > -_REAL * np.abs(poles)
+    double = np.where(poles[upper].imag > _REAL * np.abs(poles[upper]), 2.0, 1.0)
     return DecouplingFilter(
         channels=model.channels,
         components=model.components,
         unit=model.unit,
         sample_rate_hz=recorded.sample_rate_hz,
         taps=taps * recorded.load[:, None] / recorded.noise,
-        poles=poles[kept].astype(np.complex128),
-        driven=driven[kept] / recorded.noise,
-        shown=seen[:, kept] * double * recorded.load[:, None],
+        poles=poles[upper].astype(np.complex128),
+        driven=driven[upper] / recorded.noise,
+        shown=seen[:, upper] * double * recorded.load[:, None],
         target_hz=target.frequency_hz,
         target_damping=target.damping_ratio,
     )
@@ -415,9 +417,9 @@ def crosstalks(
             else reader[None].astype(np.complex128)
         )
         reads = _reads(reader, len(time_s))
-        here = reads(steps)
-        peak = np.max(np.abs(here), axis=0)
-        moved = [here + (reads(one) - here) / _SHORTENED for one in near]
+        readings = reads(steps)
+        peak = np.max(np.abs(readings), axis=0)
+        moved = [readings + (reads(one) - readings) / _SHORTENED for one in near]
         spread = np.mean([(np.max(np.abs(other), axis=0) - peak) ** 2 for other in moved], axis=0)
         value, u = shown @ response, _u(model, shown, frequency_hz)
         stages.append(Crosstalk(stage, model.components, frequency_hz, value, u, peak, np.asarray(np.sqrt(spread))))

@@ -61,8 +61,8 @@ class Poles(Brief):
         m, omega, zeta = self.modes, 2 * np.pi * self.frequency_hz, self.damping_ratio
         root = np.sqrt(1 - zeta**2)
         by_frequency, by_damping = 2 * np.pi * (-zeta + 1j * root), omega * (-1.0 - 1j * zeta / root)
-        places = np.concatenate([np.arange(m), np.arange(m + len(self.real_hz))])
-        return places, np.concatenate([by_frequency, by_damping, self.values[m:]])
+        indices = np.concatenate([np.arange(m), np.arange(m + len(self.real_hz))])
+        return indices, np.concatenate([by_frequency, by_damping, self.values[m:]])
 
     def basis(self, frequency_hz: FloatArray) -> ComplexArray:
         """Return the columns of real and imaginary parts of the residues.
@@ -80,9 +80,9 @@ class Poles(Brief):
         The response is Σ R/(s - p) with conjugates. Residues (…, M + Q).
         """
         s, (which, slope) = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)[:, None], self.slopes
-        own = (slope * residues[..., which])[..., None, :]
-        mirrored = np.where(which < self.modes, own.conj(), 0.0)
-        return np.asarray(own / (s - self.values[which]) ** 2 + mirrored / (s - self.values[which].conj()) ** 2)
+        direct = (slope * residues[..., which])[..., None, :]
+        mirrored = np.where(which < self.modes, direct.conj(), 0.0)
+        return np.asarray(direct / (s - self.values[which]) ** 2 + mirrored / (s - self.values[which].conj()) ** 2)
 
     @property
     def allowed(self) -> bool:
@@ -128,8 +128,8 @@ class Poles(Brief):
         Gᵀ·S = 0, dS = -G·(GᵀG)⁻¹·dGᵀ·S.
         """
         moments, slopes = self._moments()
-        held = np.linalg.pinv(moments).T
-        return np.asarray(-held @ (np.transpose(slopes, (0, 2, 1)) @ self.smooth))
+        inverse = np.linalg.pinv(moments).T
+        return np.asarray(-inverse @ (np.transpose(slopes, (0, 2, 1)) @ self.smooth))
 
     def _moments(self) -> tuple[FloatArray, FloatArray]:
         """Return the matrix of Σ R·p^k (2M + Q, Q + 1) and its derivatives.
@@ -143,12 +143,12 @@ class Poles(Brief):
         grows = k * (values[:, None] / unit) ** np.maximum(k - 1, 0) / unit
         moments = np.concatenate([2 * power[:m].real, -2 * power[:m].imag, power[m:].real])
         slopes = np.zeros((self.count, *moments.shape))
-        for i, (place, slope) in enumerate(zip(*self.slopes, strict=True)):
-            change = slope * grows[place]
-            if place < m:
-                slopes[i, place], slopes[i, m + place] = 2 * change.real, -2 * change.imag
+        for i, (index, slope) in enumerate(zip(*self.slopes, strict=True)):
+            change = slope * grows[index]
+            if index < m:
+                slopes[i, index], slopes[i, m + index] = 2 * change.real, -2 * change.imag
             else:
-                slopes[i, m + place] = change.real
+                slopes[i, m + index] = change.real
         return moments, slopes
 
     def columns(self, index: int) -> list[int]:
@@ -236,14 +236,14 @@ class MultiModel(Brief):
     @property
     def vector(self) -> FloatArray:
         """All parameters (P,) in the order of `covariance`."""
-        own = np.transpose(self.table, (2, 1, 0)).ravel()
-        return np.concatenate([self.frequency_hz, self.damping_ratio, self.real_hz, own])
+        residues = np.transpose(self.table, (2, 1, 0)).ravel()
+        return np.concatenate([self.frequency_hz, self.damping_ratio, self.real_hz, residues])
 
     def parts(self, vector: FloatArray) -> ModelParts:
         """Return numbers in the order of `vector`, such as uncertainties, arranged as the parameters."""
         modes, reals = len(self.frequency_hz), len(self.real_hz)
-        f, z, hz, own = np.split(np.asarray(vector), np.cumsum([modes, modes, reals]))
-        table = own.reshape(len(self.components), len(self.channels), self.shared).transpose(2, 1, 0)
+        f, z, hz, residues = np.split(np.asarray(vector), np.cumsum([modes, modes, reals]))
+        table = residues.reshape(len(self.components), len(self.channels), self.shared).transpose(2, 1, 0)
         re, im, real = np.split(table, [modes, 2 * modes])
         return ModelParts(f, z, re + 1j * im, hz, real.copy())
 
@@ -291,8 +291,9 @@ class MultiModel(Brief):
         residue, real_residue = self.residue.copy(), self.real_residue.copy()
         f, z = (1.0 + frequency) * self.frequency_hz, (1.0 + damping_ratio) * self.damping_ratio
         for c, d in np.ndindex(len(self.channels), len(self.components)):
-            own = self.residue[:, c, d], self.real_hz, self.real_residue[:, c, d]
-            element = ModalModel(self.frequency_hz, self.damping_ratio, *own).altered(frequency, damping_ratio, gain)
+            element_parts = self.residue[:, c, d], self.real_hz, self.real_residue[:, c, d]
+            element = ModalModel(self.frequency_hz, self.damping_ratio, *element_parts)
+            element = element.altered(frequency, damping_ratio, gain)
             residue[:, c, d], real_residue[:, c, d] = element.residue, element.real_residue
         return replace(self, frequency_hz=f, damping_ratio=z, residue=residue, real_residue=real_residue)
 
@@ -317,9 +318,9 @@ class MultiModel(Brief):
         slope[:, :, :n] = common.response_slopes(frequency_hz, residues).transpose(1, 0, 2) * unit
         for c in range(outputs):
             slope[:, c, n * (1 + c) : n * (2 + c)] = common.basis(frequency_hz)
-        own = n + n * outputs * component + np.arange(n * outputs)
-        places = np.concatenate([np.arange(n), own])
-        return slope, np.asarray(self.covariance[np.ix_(places, places)])
+        rows = n + n * outputs * component + np.arange(n * outputs)
+        indices = np.concatenate([np.arange(n), rows])
+        return slope, np.asarray(self.covariance[np.ix_(indices, indices)])
 
 
 def growing_pole_notices(model: MultiModel) -> list[Notice]:
@@ -392,8 +393,8 @@ _SEPARATE = 1e-3
 def sort_components(components: Iterable[str]) -> tuple[str, ...]:
     """Return the different load components, Fx first."""
     named = set(components)
-    known = [name for name in LOAD_COMPONENTS if name in named]
-    return (*known, *sorted(named.difference(known)))
+    standard = [name for name in LOAD_COMPONENTS if name in named]
+    return (*standard, *sorted(named.difference(standard)))
 
 
 def missing_loads(

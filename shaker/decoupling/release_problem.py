@@ -31,8 +31,8 @@ from shaker.release.load_response import (
 )
 from shaker.release.record import ReleaseShape
 
-_LOOSE = (1.5, 2.0)  # standard deviations of what a start says of logarithms of real poles and of durations
-_KEPT = 2  # poles and releases of which a record keeps what they show of it
+_LOOSE = (1.5, 2.0)  # standard deviations of logarithms of real poles and of durations: wide, to guide the search
+_CACHE_SIZE = 2  # results per record: those of the current point and of the trial
 
 
 @dataclass(frozen=True)
@@ -70,24 +70,24 @@ class WhitenedRecord:
     amplitude: float
     samples: BlockMeans
 
-    def response_derivatives(self, poles: ComplexArray, release: ReleaseTiming, held: bool) -> BlockResponses:
+    def response_derivatives(self, poles: ComplexArray, release: ReleaseTiming, fixed_poles: bool) -> BlockResponses:
         """Return the responses of the poles to the release, with derivatives."""
         load = ReleaseLoad(release.shape, self.amplitude)
-        return responses_with_derivatives(load, poles, self.samples, release.middle_s, release.duration_s, held)
+        return responses_with_derivatives(load, poles, self.samples, release.middle_s, release.duration_s, fixed_poles)
 
     @cached_property
     def explained(self) -> Callable[[Poles, ReleaseTiming], ExplainedData]:
         """Function from poles and release to `ExplainedData`, with a cache of the last results."""
 
-        @lru_cache(_KEPT)
+        @lru_cache(_CACHE_SIZE)
         def found(poles: Poles, release: ReleaseTiming) -> ExplainedData:
             load = ReleaseLoad(release.shape, self.amplitude)
             value = responses(load, poles.values, self.samples, release.middle_s, release.duration_s).T
             upper, real = value[: poles.modes], value[poles.modes :]
             columns = np.concatenate([2 * upper.real, -2 * upper.imag, real.real])
             basis, triangle = np.linalg.qr((columns - columns.mean(axis=1, keepdims=True)).T)
-            told = basis.T @ self.samples.value
-            return ExplainedData(basis, triangle, told, self.samples.value - basis @ told)
+            along = basis.T @ self.samples.value
+            return ExplainedData(basis, triangle, along, self.samples.value - basis @ along)
 
         return found
 
@@ -132,29 +132,29 @@ class StepProblem:
 
     def vector(self, poles: Poles, releases: Sequence[ReleaseTiming]) -> FloatArray:
         """Return all parameters."""
-        own = [value for release in releases for value in (release.middle_s, np.log(release.duration_s))]
-        return np.concatenate([poles.vector, own])
+        times = [value for release in releases for value in (release.middle_s, np.log(release.duration_s))]
+        return np.concatenate([poles.vector, times])
 
-    def prior(self, vector: FloatArray, poles: Poles, held: int) -> ParameterPrior:
+    def prior(self, vector: FloatArray, poles: Poles, fixed_count: int) -> ParameterPrior:
         """Return a wide prior of lags and durations about a start.
 
         It guides the search along the valley between them.
         """
         u = np.full(len(vector), np.inf)
         u[2 * poles.modes : poles.count], u[poles.count + 1 :: 2] = _LOOSE
-        return ParameterPrior(vector[held:], u[held:])
+        return ParameterPrior(vector[fixed_count:], u[fixed_count:])
 
     def split(self, vector: FloatArray, poles: Poles, releases: Sequence[ReleaseTiming]) -> PoleCandidate | None:
         """Return poles and releases of a vector, None if they are not allowed."""
-        still = np.array_equal(vector[: poles.count], poles.vector)  # then all that they are known to make stays known
-        there, own = poles if still else poles.with_vector(vector), vector[poles.count :].reshape(-1, 2)
+        unchanged = np.array_equal(vector[: poles.count], poles.vector)  # keeps the cached results of these poles
+        moved_poles, times = poles if unchanged else poles.with_vector(vector), vector[poles.count :].reshape(-1, 2)
         longest = np.array([float(np.ptp(record.samples.time_s)) for record in self.records])
-        durations = np.exp(np.clip(own[:, 1], -50.0, 50.0))
-        if not there.allowed or np.any(durations > longest):
+        durations = np.exp(np.clip(times[:, 1], -50.0, 50.0))
+        if not moved_poles.allowed or np.any(durations > longest):
             return None
-        times = zip(releases, own[:, 0], durations, strict=True)
-        moved = (replace(release, middle_s=float(t), duration_s=float(length)) for release, t, length in times)
-        return there, tuple(moved)
+        triples = zip(releases, times[:, 0], durations, strict=True)
+        moved = (replace(release, middle_s=float(t), duration_s=float(length)) for release, t, length in triples)
+        return moved_poles, tuple(moved)
 
     def point(self, poles: Poles, releases: Sequence[ReleaseTiming], fixed_count: int = 0) -> SeparablePoint:
         """Return poles and releases as a point of the search.
@@ -219,8 +219,8 @@ def fit_poles(
         return problem.split(np.concatenate([start[:fixed_count], vector]), poles, releases)
 
     def at(vector: FloatArray) -> SeparablePoint | None:
-        there = parts(vector)
-        return None if there is None else problem.point(*there, fixed_count)
+        candidate = parts(vector)
+        return None if candidate is None else problem.point(*candidate, fixed_count)
 
     first = at(start[fixed_count:])
     if first is None:
@@ -245,14 +245,14 @@ def covariances(
     """
     inverse, count = _inverse(point.normal[0] + np.diag(prior_precision)), len(point.parameters)
     spread, follows = np.diag(prior_precision), []
-    for part, (places, change, beside, _), variance in zip(point.solved, point.jacobians, variances, strict=True):
+    for part, (indices, change, orthogonal, _), variance in zip(point.solved, point.jacobians, variances, strict=True):
         rows = []
         for c, size in enumerate(variance):
             along = part.basis.T @ change[:, :, c]
             free = change[:, :, c] - part.basis @ along
-            spread[np.ix_(places, places)] += size * (free.T @ free + beside[c])
+            spread[np.ix_(indices, indices)] += size * (free.T @ free + orthogonal[c])
             follow = np.zeros((len(part.root), count))
-            follow[:, places] = -part.root @ along
+            follow[:, indices] = -part.root @ along
             rows.append(np.concatenate([follow, np.sqrt(size) * part.root], axis=1))
         follows.append(rows)
     return inverse @ spread @ inverse, follows
@@ -275,13 +275,13 @@ def model_covariance(
     0 for the poles.
     """
     count, n = len(model.vector), model.shared
-    rows, own = np.zeros((count, len(spread))), np.zeros((count, count))
+    rows, by_noise = np.zeros((count, len(spread))), np.zeros((count, count))
     rows[:n, :n] = np.diag(np.concatenate([np.ones(2 * len(model.frequency_hz)), model.real_hz]))
     for i, (follow, size) in enumerate(zip(follows, scale, strict=True)):
-        here = slice(n * (1 + i), n * (2 + i))
-        rows[here] = size * follow[:, : len(spread)]
-        own[here, here] = size**2 * follow[:, len(spread) :] @ follow[:, len(spread) :].T
-    return np.asarray(rows @ spread @ rows.T + own), np.asarray(np.sqrt(np.diag(own)))
+        rows_of_element = slice(n * (1 + i), n * (2 + i))
+        rows[rows_of_element] = size * follow[:, : len(spread)]
+        by_noise[rows_of_element, rows_of_element] = size**2 * follow[:, len(spread) :] @ follow[:, len(spread) :].T
+    return np.asarray(rows @ spread @ rows.T + by_noise), np.asarray(np.sqrt(np.diag(by_noise)))
 
 
 def lag_duration_prior(fit: PoleFit) -> FloatArray:
@@ -293,24 +293,24 @@ def lag_duration_prior(fit: PoleFit) -> FloatArray:
     """
     poles, vector = fit.poles, fit.solution.point.parameters
     lags = np.arange(2 * poles.modes, poles.count)
-    spread, known, largest = _inverse(fit.solution.point.normal[0]), np.zeros(len(vector)), np.inf
+    spread, precision, largest = _inverse(fit.solution.point.normal[0]), np.zeros(len(vector)), np.inf
 
-    def bound(places: IntArray | list[int], square: FloatArray | float, most: float) -> None:
+    def bound(indices: IntArray | list[int], square: FloatArray | float, most: float) -> None:
         share = np.asarray(square) / most
-        known[places] = 3.0 * np.maximum(share, 4.0 * share**2)
+        precision[indices] = 3.0 * np.maximum(share, 4.0 * share**2)
 
     squares = (2.0 * np.pi * poles.real_hz) ** -2.0
     for i, release in enumerate(fit.releases):
-        own = poles.count + 2 * i + 1
+        index = poles.count + 2 * i + 1
         moment = MOMENTS[release.shape] * release.duration_s**2
         slope = np.zeros(len(vector))
-        slope[lags], slope[own] = -2.0 * squares, 2.0 * moment
+        slope[lags], slope[index] = -2.0 * squares, 2.0 * moment
         u_whole = np.sqrt(np.maximum(slope @ spread @ slope, 0.0))
         whole = float(np.sum(squares) + moment + 2.0 * u_whole)
-        bound([own], moment, whole)
+        bound([index], moment, whole)
         largest = min(largest, whole)
     bound(lags, squares, largest)
-    return known
+    return precision
 
 
 def widen_for_lags(fit: PoleFit, spread: FloatArray) -> FloatArray:
@@ -331,42 +331,42 @@ def widen_for_lags(fit: PoleFit, spread: FloatArray) -> FloatArray:
 
 
 def _block(
-    problem: StepProblem, poles: Poles, releases: Sequence[ReleaseTiming], places: Sequence[int], held: int
+    problem: StepProblem, poles: Poles, releases: Sequence[ReleaseTiming], indices: Sequence[int], fixed_count: int
 ) -> LinearBlock:
     """Return the block of all records of one load.
 
     Each record is rotated to the basis of its responses.
     """
-    records, smooth = [problem.records[i] for i in places], poles.smooth
-    shown = [record.explained(poles, releases[i]) for i, record in zip(places, records, strict=True)]
+    records, smooth = [problem.records[i] for i in indices], poles.smooth
+    shown = [record.explained(poles, releases[i]) for i, record in zip(indices, records, strict=True)]
     edges = np.cumsum([0, *(len(part.along) for part in shown)])
-    free = poles.count if held < poles.count else 0  # parameters of the poles that move
-    moved = np.concatenate([np.arange(free), *(poles.count + 2 * i + np.arange(2) for i in places)])
+    free = poles.count if fixed_count < poles.count else 0  # parameters of free poles
+    moved = np.concatenate([np.arange(free), *(poles.count + 2 * i + np.arange(2) for i in indices)])
 
-    def changes(own: FloatArray) -> BlockJacobian:
+    def changes(coefficients: FloatArray) -> BlockJacobian:
         """Return the changes by poles, which rotate the basis too, and by middle and duration."""
-        outputs, count = own.shape[1], len(moved)
-        turned = np.tensordot(poles.smooth_slopes[:free], own, axes=1).transpose(1, 0, 2)
-        re, im, real = np.split(smooth @ own, [poles.modes, 2 * poles.modes])
-        residues = np.concatenate([2 * (re + 1j * im), real])  # those of modes twice, for their conjugates
+        outputs, count = coefficients.shape[1], len(moved)
+        rotated = np.tensordot(poles.smooth_slopes[:free], coefficients, axes=1).transpose(1, 0, 2)
+        re, im, real = np.split(smooth @ coefficients, [poles.modes, 2 * poles.modes])
+        residues = np.concatenate([2 * (re + 1j * im), real])  # doubled for the conjugates of modes
         rows = np.zeros((edges[-1], count, outputs))
-        beside, pull = np.zeros((outputs, count, count)), np.zeros((outputs, count))
-        for k, (i, record) in enumerate(zip(places, records, strict=True)):
+        orthogonal, pull = np.zeros((outputs, count, count)), np.zeros((outputs, count))
+        for k, (i, record) in enumerate(zip(indices, records, strict=True)):
             mine = np.r_[:free, free + 2 * k : free + 2 * k + 2]
-            here = record.response_derivatives(poles.values, releases[i], held=not free)
-            columns, weights = _moving(here, residues, poles if free else None, releases[i].duration_s)
+            answered = record.response_derivatives(poles.values, releases[i], fixed_poles=not free)
+            columns, weights = _moving(answered, residues, poles if free else None, releases[i].duration_s)
             part = shown[k]
             along = columns @ part.basis
             columns -= along @ part.basis.T
             change = (weights @ along).transpose(2, 1, 0)
-            change[:, :free] += np.tensordot(part.triangle, turned, axes=1)
+            change[:, :free] += np.tensordot(part.triangle, rotated, axes=1)
             rows[edges[k] : edges[k + 1], mine] = change
-            beside[:, mine[:, None], mine] += weights @ (columns @ columns.T) @ weights.transpose(0, 2, 1)
+            orthogonal[:, mine[:, None], mine] += weights @ (columns @ columns.T) @ weights.transpose(0, 2, 1)
             pull[:, mine] += np.einsum("cpq,qc->cp", weights, columns @ part.orthogonal)
-        chosen = np.flatnonzero(moved >= held)
+        chosen = np.flatnonzero(moved >= fixed_count)
         if len(chosen) < count:
-            rows, beside, pull = rows[:, chosen], beside[:, chosen[:, None], chosen], pull[:, chosen]
-        return BlockJacobian(moved[chosen] - held, rows, beside, pull)
+            rows, orthogonal, pull = rows[:, chosen], orthogonal[:, chosen[:, None], chosen], pull[:, chosen]
+        return BlockJacobian(moved[chosen] - fixed_count, rows, orthogonal, pull)
 
     return LinearBlock(
         np.concatenate([part.triangle for part in shown]) @ smooth,
@@ -378,7 +378,7 @@ def _block(
 
 
 def _moving(
-    here: BlockResponses, residues: ComplexArray, poles: Poles | None, duration_s: float
+    answered: BlockResponses, residues: ComplexArray, poles: Poles | None, duration_s: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return the derivatives of one record's rows, with weights.
 
@@ -386,7 +386,7 @@ def _moving(
 
     Parameters (p,): those of the poles, None for fixed ones, middle and logarithm of the duration.
     """
-    by_onset, by_length = (residues.T @ here.by_onset.T).real, duration_s * (residues.T @ here.by_length.T).real
+    by_onset, by_length = (residues.T @ answered.by_onset.T).real, duration_s * (residues.T @ answered.by_length.T).real
     outputs = len(by_onset)
     count = 0 if poles is None else poles.count
     weights = np.zeros((outputs, count + 2, count + 2 * outputs))
@@ -396,7 +396,7 @@ def _moving(
     if poles is not None:
         which, slope = poles.slopes
         by_pole, parameter, m = (slope[:, None] * residues[which]).T, np.arange(count), poles.modes
-        along = here.by_pole.T
+        along = answered.by_pole.T
         columns = [along.real, along.imag[:m], *columns]
         weights[:, parameter, which] = by_pole.real
         weights[:, parameter[: 2 * m], m + len(poles.real_hz) + which[: 2 * m]] = -by_pole.imag[:, : 2 * m]

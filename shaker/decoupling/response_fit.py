@@ -113,16 +113,16 @@ def fit_responses(measured: Responses, most_modes: int = 12) -> ResponseFit:
         best = int(np.argmin([trial.criterion for trial in trials]))
         if len(trials) - 1 - best == _WORSE:
             break
-    here = _fitted(measured, points[best][0])
-    while (count := here[0].modes + len(here[0].real_hz)) > 1:
-        first = 0 if here[0].modes > 1 else 1  # something that swings stays
-        fewer = [_point(measured, here[0].without(place)) for place in range(first, count)]
+    point = _fitted(measured, points[best][0])
+    while (count := point[0].modes + len(point[0].real_hz)) > 1:
+        first = 0 if point[0].modes > 1 else 1  # something that swings stays
+        fewer = [_point(measured, point[0].without(index)) for index in range(first, count)]
         tried = [_trial(measured, *one).criterion for one in fewer]
-        if min(tried) >= _trial(measured, *here).criterion:
+        if min(tried) >= _trial(measured, *point).criterion:
             break
-        here = _fitted(measured, fewer[int(np.argmin(tried))][0])
-        trials.append(_trial(measured, *here))
-    return _result(measured, *here, tuple(trials))
+        point = _fitted(measured, fewer[int(np.argmin(tried))][0])
+        trials.append(_trial(measured, *point))
+    return _result(measured, *point, tuple(trials))
 
 
 def _fitted(measured: Responses, start: Poles) -> Point:
@@ -145,8 +145,8 @@ def _point(measured: Responses, poles: Poles) -> Point:
     for d, c in np.ndindex(measured.value.shape[:0:-1]):
         weight = measured.whitener[:, c, d]
 
-        def changes(own: FloatArray, weight: FloatArray = weight) -> BlockJacobian:
-            residues = np.concatenate([own[:m, 0] + 1j * own[m : 2 * m, 0], own[2 * m :, 0]])
+        def changes(coefficients: FloatArray, weight: FloatArray = weight) -> BlockJacobian:
+            residues = np.concatenate([coefficients[:m, 0] + 1j * coefficients[m : 2 * m, 0], coefficients[2 * m :, 0]])
             slopes = poles.response_slopes(measured.frequency_hz, residues)
             return BlockJacobian(np.arange(poles.count), _whitened(weight, slopes)[:, :, None])
 
@@ -178,8 +178,8 @@ def _result(
     model = MultiModel.of_poles(poles, table, (measured.channels, measured.components), measured.unit)
     chi_squared, dof = solution.loss, 2 * measured.value.size - len(model.vector)
     excess = max(1.0, chi_squared / max(dof, 1))
-    known = np.zeros(len(solution.parameters))
-    spread, follows = covariances(solution, [np.full(1, excess)] * len(solution.blocks), known)
+    no_prior = np.zeros(len(solution.parameters))
+    spread, follows = covariances(solution, [np.full(1, excess)] * len(solution.blocks), no_prior)
     covariance, _ = model_covariance(model, spread, [outputs[0] for outputs in follows], np.ones(len(follows)))
     notices = []
     if excess > _UNEXPLAINED:
@@ -211,15 +211,15 @@ def fitted_poles(frequency_hz: FloatArray, responses: ComplexArray, weights: Flo
         for response, weight in zip(responses, weights, strict=True):
             both = np.concatenate([basis, -response[:, None] * basis, response[:, None]], axis=1) * weight[:, None]
             _, triangle = np.linalg.qr(np.concatenate([both.real, both.imag]))
-            kept = triangle[poles.count : 2 * poles.count]
-            rows.append(kept[:, poles.count : -1])
-            right.append(kept[:, -1])
-        own = np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=None)[0] * unit
-        poles = _zeros(poles, own)
+            reduced = triangle[poles.count : 2 * poles.count]
+            rows.append(reduced[:, poles.count : -1])
+            right.append(reduced[:, -1])
+        correction = np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=None)[0] * unit
+        poles = _zeros(poles, correction)
     return poles
 
 
-def _zeros(poles: Poles, own: FloatArray) -> Poles:
+def _zeros(poles: Poles, correction: FloatArray) -> Poles:
     """Return the zeros of 1 + Σ d/(s - a), reflected to the left.
 
     They are eigenvalues of diag(a) - 1·d in real form.
@@ -231,7 +231,7 @@ def _zeros(poles: Poles, own: FloatArray) -> Poles:
     swings = [[[pole.real, pole.imag], [-pole.imag, pole.real]] for pole in upper]
     table = block_diag(*swings, np.diag(real.real))
     ones = np.concatenate([np.tile([2.0, 0.0], m), np.ones(len(real))])
-    row = np.concatenate([np.stack([own[:m], own[m : 2 * m]], axis=1).ravel(), own[2 * m :]])
+    row = np.concatenate([np.stack([correction[:m], correction[m : 2 * m]], axis=1).ravel(), correction[2 * m :]])
     zeros = np.linalg.eigvals(table - np.outer(ones, row))
     pairs = zeros[zeros.imag > 1e-9 * np.abs(zeros)]
     alone = np.abs(zeros[np.abs(zeros.imag) <= 1e-9 * np.abs(zeros)].real)

@@ -123,8 +123,8 @@ class BeamFrame(Brief):
         free = np.setdiff1d(np.arange(count), np.concatenate([self.rigid, self.clamped]))
         first = 6 if len(self.rigid) else 0
         matrix = np.zeros((6 * count, first + 6 * len(free)))
-        for place, node in enumerate(free):
-            column = first + 6 * place
+        for index, node in enumerate(free):
+            column = first + 6 * index
             matrix[6 * node : 6 * node + 6, column : column + 6] = np.eye(6)
         for node in self.rigid:
             matrix[6 * node : 6 * node + 6, :6] = rigid_motion(self.node_m[node])
@@ -136,15 +136,15 @@ class BeamFrame(Brief):
         size = 6 * len(self.node_m)
         stiffness, mass = np.zeros((size, size)), np.zeros((size, size))
         for ends, section in zip(self.beam, self.section, strict=True):
-            places = (6 * ends[:, None] + np.arange(6)).ravel()
+            indices = (6 * ends[:, None] + np.arange(6)).ravel()
             along = self.node_m[ends[1]] - self.node_m[ends[0]]
             length = float(np.linalg.norm(along))
             elastic, inert = beam_matrices(self.material, section, length, self.shear_factor)
             inert = inert if self.consistent else lump_mass(inert)
             x, z = along / length, np.array([0.0, 0.0, 1.0])
             turn = np.kron(np.eye(4), np.stack([x, np.cross(z, x), z]))
-            stiffness[np.ix_(places, places)] += turn.T @ elastic @ turn
-            mass[np.ix_(places, places)] += turn.T @ inert @ turn
+            stiffness[np.ix_(indices, indices)] += turn.T @ elastic @ turn
+            mass[np.ix_(indices, indices)] += turn.T @ inert @ turn
         reduced = (self.reduction.T @ whole @ self.reduction for whole in (stiffness, mass))
         elastic, inert = (0.5 * (matrix + matrix.T) for matrix in reduced)
         return elastic, inert
@@ -227,8 +227,8 @@ def named_modes(
     total = np.einsum("ij,ij->j", rigid, weighed)
     factor = shape.T @ weighed / np.sqrt(total)
     shape = shape.copy()
-    apart = np.diff(frequency_hz) > EQUAL * frequency_hz[1:]
-    for group in np.split(np.arange(len(frequency_hz)), 1 + np.flatnonzero(apart)):
+    separate = np.diff(frequency_hz) > EQUAL * frequency_hz[1:]
+    for group in np.split(np.arange(len(frequency_hz)), 1 + np.flatnonzero(separate)):
         if len(group) > 1:  # turned so that each takes part in one axis as far as it can
             axes = np.sort(qr(factor[group], pivoting=True, mode="r")[1][: len(group)])
             turn = polar(factor[group][:, axes])[0]
@@ -266,13 +266,13 @@ def cross_frame(beams: CrossBeams, half_size_m: float, pieces: int = 6, consiste
     outer, half = 0.5 * beams.span_m, 0.5 * beams.compliant_length_m
     nodes: list[FloatArray] = []
 
-    def numbered(places: list[FloatArray]) -> list[int]:
+    def numbered(points: list[FloatArray]) -> list[int]:
         """Return the numbers of the nodes at some points, adding missing nodes."""
         numbers = []
-        for place in places:
-            near = [i for i, node in enumerate(nodes) if np.linalg.norm(node - place) < SAME_M]
+        for point in points:
+            near = [i for i, node in enumerate(nodes) if np.linalg.norm(node - point) < SAME_M]
             if not near:
-                nodes.append(place)
+                nodes.append(point)
             numbers.append(near[0] if near else len(nodes) - 1)
         return numbers
 
@@ -399,7 +399,7 @@ def sensitivities(beams: CrossBeams, half_size_m: float, platform: RigidPart) ->
         if name == "half_size_m":
             return beams, half_size_m * factor, platform
         names = (name, "inertia_kgm2") if name == "mass_kg" else (name,)
-        return beams, half_size_m, replace(platform, **{own: getattr(platform, own) * factor for own in names})
+        return beams, half_size_m, replace(platform, **{field: getattr(platform, field) * factor for field in names})
 
     def slope(name: str) -> FloatArray:
         ends = 1.0 + STEP, 1.0 - STEP
@@ -459,9 +459,9 @@ def fit_platform(beams: CrossBeams, half_size_m: float, target_hz: Mapping[str, 
         return np.asarray(np.log(np.maximum(hertz[[MODE_NAMES.index(group[0]) for group in NEEDED]] / targets, 1e-30)))
 
     def point(logarithms: FloatArray) -> WhitenedResiduals:
-        here, moves = misfit(logarithms), SMALL * np.eye(len(logarithms))
-        slopes = [(misfit(logarithms + move) - here) / SMALL for move in moves]
-        return WhitenedResiduals(logarithms, here, np.stack(slopes, axis=1))
+        residual, moves = misfit(logarithms), SMALL * np.eye(len(logarithms))
+        slopes = [(misfit(logarithms + move) - residual) / SMALL for move in moves]
+        return WhitenedResiduals(logarithms, residual, np.stack(slopes, axis=1))
 
     start = point(_start(platform_stiffness(frame), targets))
     fit = levenberg_marquardt(point, start, LMOptions(predicted_decrease_share=1e-14)).point

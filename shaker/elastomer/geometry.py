@@ -137,23 +137,23 @@ def beam_matrices(
     area, density = section.area_m2, material.density_kgm3
     planes = ((section.bending_in_plane_m4, IN_PLANE, 1.0), (section.bending_across_m4, ACROSS, -1.0))
     polar = section.bending_in_plane_m4 + section.bending_across_m4
-    for places, elastic, inert in (
+    for indices, elastic, inert in (
         (ALONG, modulus * area, density * area),
         (TWIST, shear * section.torsion_m4, density * polar),
     ):
-        stiffness[np.ix_(places, places)] += elastic / length_m * np.array([[1.0, -1.0], [-1.0, 1.0]])
-        mass[np.ix_(places, places)] += inert * length_m / 6.0 * np.array([[2.0, 1.0], [1.0, 2.0]])
-    for second_moment, places, sense in planes:
+        stiffness[np.ix_(indices, indices)] += elastic / length_m * np.array([[1.0, -1.0], [-1.0, 1.0]])
+        mass[np.ix_(indices, indices)] += inert * length_m / 6.0 * np.array([[2.0, 1.0], [1.0, 2.0]])
+    for second_moment, indices, sense in planes:
         phi = 12.0 * modulus * second_moment / (shear_factor * shear * area * length_m**2)
         turn, square = np.outer(*(np.array([1.0, sense, 1.0, sense]),) * 2), length_m**2
         bending = _symmetric(12.0, 6.0 * length_m, (4.0 + phi) * square, (2.0 - phi) * square) / (1.0 + phi)
         slope = (1.0 / 10.0 - phi / 2.0) * length_m
-        own = (2.0 / 15.0 + phi / 6.0 + phi**2 / 3.0) * square, (-1.0 / 30.0 - phi / 6.0 + phi**2 / 6.0) * square
-        rotation = _symmetric(1.2, slope, *own) / (1.0 + phi) ** 2
+        rotary = (2.0 / 15.0 + phi / 6.0 + phi**2 / 3.0) * square, (-1.0 / 30.0 - phi / 6.0 + phi**2 / 6.0) * square
+        rotation = _symmetric(1.2, slope, *rotary) / (1.0 + phi) ** 2
         inert_part = density * area * length_m * _translation(phi, length_m)
         inert_part += density * second_moment / length_m * rotation
-        stiffness[np.ix_(places, places)] += turn * (modulus * second_moment / length_m**3 * bending)
-        mass[np.ix_(places, places)] += turn * inert_part
+        stiffness[np.ix_(indices, indices)] += turn * (modulus * second_moment / length_m**3 * bending)
+        mass[np.ix_(indices, indices)] += turn * inert_part
     return stiffness, mass
 
 
@@ -165,9 +165,9 @@ def lump_mass(mass: FloatArray) -> FloatArray:
     total = float(mass[np.ix_(ALONG, ALONG)].sum())
     twist = float(mass[np.ix_(TWIST, TWIST)].sum())
     parts = np.array([total, total, total, twist, 0.0, 0.0]) / 2.0
-    for place, plane in ((5, IN_PLANE), (4, ACROSS)):
+    for index, plane in ((5, IN_PLANE), (4, ACROSS)):
         turn = mass[np.ix_(plane, plane)]
-        parts[place] = float(turn[1, 1] + turn[3, 3]) / 2.0
+        parts[index] = float(turn[1, 1] + turn[3, 3]) / 2.0
     return np.diag(np.concatenate([parts, parts]))
 
 
@@ -277,10 +277,10 @@ def beam_stiffness(beams: CrossBeams, half_size_m: float) -> BeamStiffness:
     material, arm = beams.material, beams.arm_m(half_size_m)
     modulus, half = material.youngs_modulus_pa, 0.5 * beams.compliant_length_m
     beam, compliant = beams.beam, beams.compliant
-    turned = 2.0 * _end(beams, half, compliant.bending_in_plane_m4, compliant.area_m2)
+    bent = 2.0 * _end(beams, half, compliant.bending_in_plane_m4, compliant.area_m2)
     pulled = 2.0 * modulus * compliant.area_m2 / half
-    sideways = _on_support(_end(beams, arm, beam.bending_in_plane_m4, beam.area_m2), pulled, turned[1, 1])
-    along = 1.0 / (arm / (modulus * beam.area_m2) + 1.0 / turned[0, 0])
+    sideways = _on_support(_end(beams, arm, beam.bending_in_plane_m4, beam.area_m2), pulled, bent[1, 1])
+    along = 1.0 / (arm / (modulus * beam.area_m2) + 1.0 / bent[0, 0])
     raised = 2.0 * _end(beams, half, compliant.bending_across_m4, compliant.area_m2)
     twisted = 2.0 * material.shear_modulus_pa * compliant.torsion_m4 / half
     upward = _on_support(_end(beams, arm, beam.bending_across_m4, beam.area_m2), raised[0, 0], twisted)

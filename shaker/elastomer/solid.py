@@ -76,8 +76,8 @@ def solve_solid(beams: CrossBeams, block: SolidBlock, refinement: int = 2) -> So
     frequency, stiffness, motion = {}, {}, {}
     for kind, names in NAMED.items():
         hertz, shapes, rigid_stiffness = quarter.solve(kind)
-        for place, name in enumerate(names):
-            frequency[name], motion[name], stiffness[name] = hertz[place], shapes[place], rigid_stiffness[place]
+        for index, name in enumerate(names):
+            frequency[name], motion[name], stiffness[name] = hertz[index], shapes[index], rigid_stiffness[index]
     for name, like in (("Ty", "Tx"), ("Rx", "Ry")):
         frequency[name], stiffness[name] = frequency[like], stiffness[like]
         motion[name] = quarter.mirrored(motion[like]) * (1.0 if name == "Ty" else -1.0)
@@ -146,12 +146,12 @@ class _Quarter:
 
         stiffness, mass, geometry = self.matrices
         free = self._free(kind)
-        places = [MODE_NAMES.index(name) for name in NAMED[kind]]
-        rigid = np.concatenate([rigid_motion(place)[:3] for place in self.basis.doflocs.T])[:, places]
+        indices = [MODE_NAMES.index(name) for name in NAMED[kind]]
+        rigid = np.concatenate([rigid_motion(point)[:3] for point in self.basis.doflocs.T])[:, indices]
         weighed = geometry @ rigid
         mean = (weighed @ np.linalg.inv(rigid.T @ weighed))[free]
         part = self.block.attached
-        extra = np.zeros((len(places),) * 2) if part is None else part.mass_matrix[np.ix_(places, places)] / 4.0
+        extra = np.zeros((len(indices),) * 2) if part is None else part.mass_matrix[np.ix_(indices, indices)] / 4.0
         inert = mass[free][:, free]
         solver = splu(stiffness[free][:, free], permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
         size = len(free)
@@ -181,22 +181,22 @@ class _Quarter:
         """Return the motion (V, 3) of vertices mirrored in the diagonal x = y."""
         points = self.mesh.p.T
         key = np.round(points * 1e9).astype(np.int64)
-        place = {tuple(row): i for i, row in enumerate(key.tolist())}
-        other = np.array([place[y, x, z] for x, y, z in key.tolist()])
+        index = {tuple(row): i for i, row in enumerate(key.tolist())}
+        other = np.array([index[y, x, z] for x, y, z in key.tolist()])
         return np.asarray(motion[other][:, [1, 0, 2]])
 
     def _free(self, kind: str) -> IntArray:
         """Return the unknowns without clamp or symmetry condition."""
         beams, near = self.beams, 1e-9
         inner, half = 0.5 * (beams.span_m - beams.compliant_thickness_m), 0.5 * beams.compliant_length_m
-        x, y, _ = place = np.asarray(self.basis.doflocs)  # node n has the unknowns 3n, 3n + 1, 3n + 2
+        x, y, _ = point = np.asarray(self.basis.doflocs)  # node n has the unknowns 3n, 3n + 1, 3n + 2
         clamped = (np.abs(y - half) < near) & (x > inner - near) | (np.abs(x - half) < near) & (y > inner - near)
-        held = np.repeat(clamped[:, None], 3, axis=1)
+        fixed = np.repeat(clamped[:, None], 3, axis=1)
         for axis, reversed_sign in enumerate(PARITIES[kind]):
-            plane = np.abs(place[axis]) < near
+            plane = np.abs(point[axis]) < near
             normal = np.arange(3) == axis
-            held |= plane[:, None] & (~normal if reversed_sign else normal)
-        return np.flatnonzero(~held.ravel())
+            fixed |= plane[:, None] & (~normal if reversed_sign else normal)
+        return np.flatnonzero(~fixed.ravel())
 
 
 def _elastic(basis: Any, first: float, second: float) -> FloatArray:
@@ -232,10 +232,10 @@ def _inert(basis: Any) -> FloatArray:
 def _normalised(rigid: FloatArray, weigh: Callable[[FloatArray], FloatArray]) -> FloatArray:
     """Return rigid motions (N, k) of mass 1, rotations about the centre of mass."""
     motions = rigid.copy()
-    for place in range(rigid.shape[1]):
-        for other in range(place):
-            motions[:, place] -= motions[:, other] * (motions[:, other] @ weigh(rigid[:, place]))
-        motions[:, place] /= np.sqrt(motions[:, place] @ weigh(motions[:, place]))
+    for column in range(rigid.shape[1]):
+        for other in range(column):
+            motions[:, column] -= motions[:, other] * (motions[:, other] @ weigh(rigid[:, column]))
+        motions[:, column] /= np.sqrt(motions[:, column] @ weigh(motions[:, column]))
     return motions
 
 
@@ -274,12 +274,12 @@ def _mesh(beams: CrossBeams, block: SolidBlock, refinement: int) -> tuple[Any, A
     x, y, z = mesh.p[:, mesh.t].mean(axis=1)
     platform = (x < side) & (y < side) & (z > low) & (z < high)
     inside = platform.copy()
-    for along, beside in ((x, y), (y, x)):
-        inside |= (along < inner) & (beside < across) & (np.abs(z) < 0.5 * beams.beam_height_m) & (along > side)
-        compliant = (along > inner) & (along < outer) & (beside < half)
+    for along, across_axis in ((x, y), (y, x)):
+        inside |= (along < inner) & (across_axis < across) & (np.abs(z) < 0.5 * beams.beam_height_m) & (along > side)
+        compliant = (along > inner) & (along < outer) & (across_axis < half)
         inside |= compliant & (np.abs(z) < 0.5 * beams.compliant_height_m)
-    kept = np.flatnonzero(inside)
-    return mesh.restrict(kept), platform[kept]
+    cells = np.flatnonzero(inside)
+    return mesh.restrict(cells), platform[cells]
 
 
 def _divided(breaks: set[float], longest: float) -> FloatArray:

@@ -16,7 +16,7 @@ from shaker.mechanics import FrequencyTerms, MechanicalResponse, Mechanics, pole
 
 DELAY_UNIT_S = 1e-6
 """Unit in which free delays are unknown."""
-_NOTHING = 1e-12  # share of a change below which it is rounding
+_ROUNDING = 1e-12  # share of a change below which it is rounding
 
 
 @dataclass(frozen=True, repr=False)
@@ -65,7 +65,7 @@ def effective_placement_errors(record: MeasuredTransfer, body: FloatArray) -> tu
         error
         for error in record.placement_errors
         if np.abs(error.change @ (seen[:, :1] if error.response_index == REFERENCE_INDEX else seen)).max()
-        > _NOTHING * np.abs(error.change).max()
+        > _ROUNDING * np.abs(error.change).max()
     )
 
 
@@ -73,14 +73,14 @@ def displacements(record: MeasuredTransfer, body: FloatArray, names: Mapping[str
     """Return the effective placement errors of a recording, indexed by their `names`."""
     errors = effective_placement_errors(record, body)
     changes = np.reshape([error.change for error in errors], (len(errors), 6))
-    place = np.array([error.response_index for error in errors], dtype=np.int64)
-    own = (place[:, None] == np.arange(len(record.tops))).astype(np.float64)
+    response = np.array([error.response_index for error in errors], dtype=np.int64)
+    mask = (response[:, None] == np.arange(len(record.tops))).astype(np.float64)
     along = changes @ record.drive
     return Displacements(
         unknown_indices=np.array([names[f"error: {error.name}"] for error in errors], dtype=np.int64),
-        rows=own[:, :, None] * (changes @ body)[:, None],
-        offset=own * along[:, None],
-        reference=along * (place == REFERENCE_INDEX),
+        rows=mask[:, :, None] * (changes @ body)[:, None],
+        offset=mask * along[:, None],
+        reference=along * (response == REFERENCE_INDEX),
     )
 
 
@@ -132,8 +132,8 @@ def load_bending(
     constant = inertia[0, line].real.copy()
     inertia[0] -= constant
     pull, read = np.einsum("im,vkij->vkmj", body, inertia), record.drive
-    places = np.array([names[f"error: {name}"] for name in record.bending.names], dtype=np.int64)
-    return LoadBending(places, pull @ body, pull @ read, stretch @ body, stretch @ read), constant
+    indices = np.array([names[f"error: {name}"] for name in record.bending.names], dtype=np.int64)
+    return LoadBending(indices, pull @ body, pull @ read, stretch @ body, stretch @ read), constant
 
 
 @dataclass(frozen=True, repr=False)
@@ -175,8 +175,8 @@ class RecordingModel(Brief):
 
     def has_same_poles(self, other: RecordingModel) -> bool:
         """Return whether another recording has the same load, and therefore the same poles."""
-        own, its = self.mechanics.matrices, other.mechanics.matrices
-        return np.array_equal(self.terms, other.terms) and np.array_equal(own, its)
+        matrices, its = self.mechanics.matrices, other.mechanics.matrices
+        return np.array_equal(self.terms, other.terms) and np.array_equal(matrices, its)
 
     @property
     def unknown_indices(self) -> IntArray:
@@ -189,8 +189,8 @@ class RecordingModel(Brief):
         """Return the ratios for a vector of unknowns."""
         u_clock = self.record.u_clock if self.clock >= 0 else 0.0
         s = self.record.s * (1.0 + u_clock * vector[self.clock])
-        beside = None if self.bends is None else self.bends.at(vector)
-        response = respond(self.displacements.moved(self.mechanics, vector), self.weights(vector), s, beside)
+        bending = None if self.bends is None else self.bends.at(vector)
+        response = respond(self.displacements.moved(self.mechanics, vector), self.weights(vector), s, bending)
         return ModelledRatios(self, response, np.exp(self.relative @ vector[self.factors]))
 
     def whitened(self, deviation: ComplexArray) -> FloatArray:
@@ -255,10 +255,10 @@ def whole_inertia(problem: IdentificationProblem, vector: FloatArray) -> FloatAr
     whole = np.full(len(problem.kind), np.nan)
     for curve in problem.curves:
         mass = curve.mechanics.at(curve.weights(vector))[0][0].diagonal()
-        for place, matrices in zip(curve.terms, curve.mechanics.matrices[1:], strict=True):
+        for index, matrices in zip(curve.terms, curve.mechanics.matrices[1:], strict=True):
             share = matrices[0].diagonal()
-            if place < len(whole) and np.any(share > 0.0):
-                whole[place] = np.fmin(whole[place], np.min(mass[share > 0.0] / share[share > 0.0]))
+            if index < len(whole) and np.any(share > 0.0):
+                whole[index] = np.fmin(whole[index], np.min(mass[share > 0.0] / share[share > 0.0]))
     return whole
 
 
@@ -272,8 +272,8 @@ def build_problem(
 ) -> IdentificationProblem:
     """Return the recordings and unknowns as a least-squares problem."""
     _check(records, structure, stated_values, each_recording, [*gain, *delay])
-    parameters, kinds, places = _parameters(records, structure, each_recording)
-    names = {parameter.name: place for place, parameter in enumerate(parameters)}
+    parameters, kinds, indices = _parameters(records, structure, each_recording)
+    names = {parameter.name: index for index, parameter in enumerate(parameters)}
     factors = [_free(record, gain, delay) for record in records]
     for free in factors:
         for name in free:
@@ -286,23 +286,23 @@ def build_problem(
         for name in [*causes, record.clock] if record.u_clock > 0.0 else causes:
             names.setdefault(f"error: {name}", len(names))
     curves = tuple(
-        _curve(record, structure, place, free, names)
-        for record, place, free in zip(records, places, factors, strict=True)
+        _curve(record, structure, index, free, names)
+        for record, index, free in zip(records, indices, factors, strict=True)
     )
     count = len(names)
     expected, precision, fixed = np.zeros(count), np.zeros(count), np.zeros(count, dtype=np.bool_)
     precision[first_error:] = 1.0
-    for place, kind in enumerate(kinds):
+    for index, kind in enumerate(kinds):
         if (stated := stated_values.get(structure.parameters[kind].name)) is not None:
-            expected[place], fixed[place] = stated[0], stated[1] == 0.0
-            precision[place] = 0.0 if fixed[place] else 1.0 / stated[1] ** 2
+            expected[index], fixed[index] = stated[0], stated[1] == 0.0
+            precision[index] = 0.0 if fixed[index] else 1.0 / stated[1] ** 2
     return IdentificationProblem(curves, parameters, np.array(kinds), tuple(names), expected, precision, fixed)
 
 
 def _check(
     records: Sequence[MeasuredTransfer],
     structure: MechanicalStructure,
-    known: Mapping[str, tuple[float, float]],
+    stated_values: Mapping[str, tuple[float, float]],
     each_recording: Collection[str],
     channels: Sequence[str],
 ) -> None:
@@ -313,16 +313,16 @@ def _check(
         raise ValueError(f"records: expected different names, found {', '.join(r.name for r in records)}")
     have = [parameter.name for parameter in structure.parameters]
     measured = {channel for record in records for channel in record.ratio.channels}
-    wanted = (
-        ("stated_values", known, have),
+    checked = (
+        ("stated_values", stated_values, have),
         ("each_recording", each_recording, have),
         ("gain, delay", channels, measured),
     )
-    for argument, names, allowed in wanted:
+    for argument, names, allowed in checked:
         for name in names:
             if name not in allowed:
                 raise ValueError(f"{argument}: expected some of {', '.join(allowed)}, found {name}")
-    for name, (_, u) in known.items():
+    for name, (_, u) in stated_values.items():
         if not u >= 0.0:
             raise ValueError(f"stated_values: expected an uncertainty of 0 or more for {name}, found {u}")
     for record in records:
@@ -339,18 +339,18 @@ def _parameters(
     """
     fitted: list[StructureParameter] = []
     kinds: list[int] = []
-    places = np.zeros((len(records), len(structure.parameters)), dtype=np.int64)
+    indices = np.zeros((len(records), len(structure.parameters)), dtype=np.int64)
     for kind, parameter in enumerate(structure.parameters):
-        own = [parameter]
+        members = [parameter]
         if parameter.name in each_recording:
-            own = [
+            members = [
                 replace(parameter, name=f"{parameter.name}: {record.name}", label=f"{parameter.label}, {record.name}")
                 for record in records
             ]
-        places[:, kind] = len(fitted) + (np.arange(len(records)) if len(own) > 1 else 0)
-        fitted += own
-        kinds += [kind] * len(own)
-    return tuple(fitted), kinds, places
+        indices[:, kind] = len(fitted) + (np.arange(len(records)) if len(members) > 1 else 0)
+        fitted += members
+        kinds += [kind] * len(members)
+    return tuple(fitted), kinds, indices
 
 
 def factor_name(kind: str, record: MeasuredTransfer, channel: str) -> str:
@@ -407,7 +407,7 @@ _FACTOR_RANGE = 2.0  # standard deviation of ln k and ln b about where a structu
 _INERTIA_RANGE = 0.3  # standard deviation of an inertia, in parts of the whole
 _LARGEST_DAMPING_RATIO = 0.4  # of what is taken for a mode
 _SIGNIFICANT = 30.0  # decrease of χ² per real number by which a pole is more than a feature of the noise
-_ALIKE = 1e-3  # relative difference of starting values that are one
+_SAME_START = 1e-3  # relative difference of starting values that are one
 
 
 def starting_vectors(problem: IdentificationProblem, starts: FloatArray) -> list[FloatArray]:
@@ -425,9 +425,9 @@ def starting_vectors(problem: IdentificationProblem, starts: FloatArray) -> list
         vector = problem.expected.copy()
         vector[:count] = np.where(stated, vector[:count], start[problem.kind])
         vector = _matched(problem, vector, measured, np.flatnonzero(~stated))
-        if not any(np.allclose(vector, other, rtol=_ALIKE, atol=0.0) for other in vectors):
+        if not any(np.allclose(vector, other, rtol=_SAME_START, atol=0.0) for other in vectors):
             vectors.append(vector)
-    return [_gained(problem, vector) for vector in vectors]
+    return [_with_best_gains(problem, vector) for vector in vectors]
 
 
 def _significant(record: MeasuredTransfer, roots: ComplexArray) -> ComplexArray:
@@ -465,7 +465,7 @@ def _matched(
     """
     whole = whole_inertia(problem, start)[free]
     factors = np.isnan(whole)
-    alike = [
+    representative = [
         next(k for k, other in enumerate(problem.curves) if other.has_same_poles(curve)) for curve in problem.curves
     ]
 
@@ -479,10 +479,10 @@ def _matched(
         vector = moved(x)
         scale = np.where(factors, _FACTOR_RANGE * vector[free], _INERTIA_RANGE * whole)
         residuals, slopes = [x], [np.eye(len(x))]
-        if not all(problem.curves[k].possible(vector) for k in set(alike)):
+        if not all(problem.curves[k].possible(vector) for k in set(representative)):
             return None
-        every = {k: problem.curves[k].poles(vector) for k in set(alike)}
-        for k, roots in zip(alike, measured, strict=True):
+        every = {k: problem.curves[k].poles(vector) for k in set(representative)}
+        for k, roots in zip(representative, measured, strict=True):
             modes, by_unknown = every[k]
             whose = np.arange(len(modes))  # in order, or of the nearest where some lack
             if len(roots) != len(modes):
@@ -496,19 +496,19 @@ def _matched(
     return start if first is None else moved(levenberg_marquardt(point, first, _RULES).point.parameters)
 
 
-def _gained(problem: IdentificationProblem, vector: FloatArray) -> FloatArray:
+def _with_best_gains(problem: IdentificationProblem, vector: FloatArray) -> FloatArray:
     """Return the unknowns with the free gains that fit the measured curves best."""
-    gained = vector.copy()
-    places = {name: place for place, name in enumerate(problem.names)}
+    scaled = vector.copy()
+    indices = {name: index for index, name in enumerate(problem.names)}
     for curve in problem.curves:
         record = curve.record
         value = curve.modelled(vector).value
         noise = record.ratio.u_re**2 + record.ratio.u_im**2
         for c, channel in enumerate(record.ratio.channels):
-            place = places.get(factor_name("ln gain", record, channel))
-            if place is not None:
+            index = indices.get(factor_name("ln gain", record, channel))
+            if index is not None:
                 weighted = value[:, c].conj() / noise[:, c]
                 gain = complex(np.sum(weighted * record.ratio.value[:, c]) / np.sum(weighted * value[:, c]))
-                gained[place] = np.log(max(abs(gain), np.finfo(np.float64).tiny))
-                gained[places[factor_name("gain phase", record, channel)]] = np.angle(gain)
-    return gained
+                scaled[index] = np.log(max(abs(gain), np.finfo(np.float64).tiny))
+                scaled[indices[factor_name("gain phase", record, channel)]] = np.angle(gain)
+    return scaled

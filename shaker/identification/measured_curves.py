@@ -142,10 +142,10 @@ class MeasuredTransfer(Brief):
         check_shape("mass_matrix", self.mass_matrix, (6, 6))
         for error in self.errors:
             check_shape(f"errors: {error.name}", error.relative, shape)
-        for moved in self.placement_errors:
-            if not REFERENCE_INDEX <= moved.response_index < shape[1]:
+        for placement in self.placement_errors:
+            if not REFERENCE_INDEX <= placement.response_index < shape[1]:
                 expected = f"a response index of {REFERENCE_INDEX} to {shape[1] - 1}"
-                raise ValueError(f"placement_errors: expected {expected}, found {moved.response_index}")
+                raise ValueError(f"placement_errors: expected {expected}, found {placement.response_index}")
 
     @property
     def s(self) -> ComplexArray:
@@ -325,8 +325,8 @@ def rational_poles(
     def denominator_of(weight: FloatArray) -> FloatArray:
         """Return the denominator of one weighted linear fit, with the numerators projected out."""
         rows = []
-        for own, scale in zip(value.T[:, :, None], weight.T[:, :, None], strict=True):
-            both = np.concatenate([numerator, own * power, own * highest], axis=1) * scale
+        for column, scale in zip(value.T[:, :, None], weight.T[:, :, None], strict=True):
+            both = np.concatenate([numerator, column * power, column * highest], axis=1) * scale
             triangle = np.asarray(np.linalg.qr(np.concatenate([both.real, both.imag]), mode="r"))
             rows.append(triangle[numerator.shape[1] :, numerator.shape[1] :])
         below = np.concatenate(rows)
@@ -369,13 +369,13 @@ def line_correlation_term(
     total = np.zeros((count, count))
     if correlation is None or len(correlation) < 2:
         return total
-    place = np.round((frequency_hz - frequency_hz.min()) / np.min(np.diff(np.sort(frequency_hz)))).astype(np.int64)
-    length = int(place.max()) + 1
+    index = np.round((frequency_hz - frequency_hz.min()) / np.min(np.diff(np.sort(frequency_hz)))).astype(np.int64)
+    length = int(index.max()) + 1
     grid = np.zeros((length + len(correlation), *columns.shape[1:]), dtype=np.complex128)
-    grid[place] = columns
-    here = grid[:length].reshape(-1, count)
-    for apart, value in enumerate(correlation[1:], start=1):
-        pair = value * (grid[apart : apart + length].reshape(-1, count).conj().T @ here)
+    grid[index] = columns
+    first = grid[:length].reshape(-1, count)
+    for lag, value in enumerate(correlation[1:], start=1):
+        pair = value * (grid[lag : lag + length].reshape(-1, count).conj().T @ first)
         total += (pair + pair.conj().T).real
     return total
 

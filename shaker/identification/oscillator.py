@@ -73,8 +73,8 @@ class Resonance(Brief):
         """Return the standard uncertainty of a fitted parameter."""
         if parameter not in self.parameters:
             raise ValueError(f"parameter: expected one of {', '.join(self.parameters)}, found {parameter}")
-        place = self.parameters.index(parameter)
-        return float(np.sqrt(self.covariance[place, place]))
+        index = self.parameters.index(parameter)
+        return float(np.sqrt(self.covariance[index, index]))
 
     @property
     def quality(self) -> float:
@@ -265,8 +265,8 @@ class PeakPoint(Brief):
 
 def _no_point(curve: MeasuredCurve) -> PeakPoint:
     """Return a point of NaN for one that was not found."""
-    nothing = np.full(len(curve.frequency_hz), np.nan)
-    return PeakPoint(np.nan, np.nan, nothing, nothing)
+    missing = np.full(len(curve.frequency_hz), np.nan)
+    return PeakPoint(np.nan, np.nan, missing, missing)
 
 
 def read_shape(curve: MeasuredCurve) -> tuple[PeakPoint, dict[PeakWidth, tuple[PeakPoint, PeakPoint]]]:
@@ -296,10 +296,10 @@ def read_shape(curve: MeasuredCurve) -> tuple[PeakPoint, dict[PeakWidth, tuple[P
         if not np.isfinite(top.frequency_hz):
             return top, dict.fromkeys(LEVELS, (top, top))
         for name, level in LEVELS.items():
-            away = 0.5 * width * np.sqrt(level - 1.0)
-            pair = [_crossing(curve, top, level, top.frequency_hz + side * away, 0.25 * width) for side in (-1, 1)]
+            offset = 0.5 * width * np.sqrt(level - 1.0)
+            pair = [_crossing(curve, top, level, top.frequency_hz + side * offset, 0.25 * width) for side in (-1, 1)]
             crossings[name] = pair[0], pair[1]
-        found = [place.frequency_hz for place in crossings["half_power"]]
+        found = [point.frequency_hz for point in crossings["half_power"]]
         if not np.all(np.isfinite(found)):
             break
         frequency, (low, high) = top.frequency_hz, found
@@ -334,21 +334,21 @@ def _parabola(
     by_line = np.zeros((3, len(distance)))
     by_line[:, chosen] = solve
 
-    def place(u: float, u_by_line: FloatArray) -> tuple[float, FloatArray]:
+    def frequency_at(u: float, u_by_line: FloatArray) -> tuple[float, FloatArray]:
         frequency = float(np.sqrt(centre + scale * u))
         return frequency, u_by_line * scale / (2.0 * frequency)
 
-    return coefficients, by_line, place
+    return coefficients, by_line, frequency_at
 
 
 def _top(curve: MeasuredCurve, frequency_hz: float, reach_hz: float) -> PeakPoint:
     """Return the vertex of the parabola through the lines around a maximum."""
-    (c0, c1, c2), by_line, place = _parabola(curve, frequency_hz, reach_hz, 3)
+    (c0, c1, c2), by_line, frequency_at = _parabola(curve, frequency_hz, reach_hz, 3)
     u = -0.5 * c1 / c2 if c2 > 0.0 else np.nan
     inverse = c0 + 0.5 * c1 * u
     if not (abs(u) < 2.0 and inverse > 0.0):
         return _no_point(curve)
-    frequency, frequency_by_line = place(u, (c1 / c2 * by_line[2] - by_line[1]) / (2.0 * c2))
+    frequency, frequency_by_line = frequency_at(u, (c1 / c2 * by_line[2] - by_line[1]) / (2.0 * c2))
     return PeakPoint(frequency, float(inverse), frequency_by_line, np.array([1.0, u, u * u]) @ by_line)
 
 
@@ -356,14 +356,14 @@ def _crossing(curve: MeasuredCurve, top: PeakPoint, level: float, frequency_hz: 
     """Return the point of a flank where 1/|H|² is `level` times that of the maximum."""
     if not curve.frequency_hz[0] <= frequency_hz <= curve.frequency_hz[-1]:
         return _no_point(curve)
-    (c0, c1, c2), by_line, place = _parabola(curve, frequency_hz, reach_hz, 4)
+    (c0, c1, c2), by_line, frequency_at = _parabola(curve, frequency_hz, reach_hz, 4)
     target, by_target = level * top.inverse, level * top.inverse_by_line
     root = c1 * c1 - 4.0 * c2 * (c0 - target)
     slope = np.sign(frequency_hz - top.frequency_hz) * np.sqrt(max(root, 0.0))
     u = 2.0 * (target - c0) / (slope + c1) if root > 0.0 else np.nan
     if not abs(u) < 3.0:
         return _no_point(curve)
-    frequency, frequency_by_line = place(u, (by_target - np.array([1.0, u, u * u]) @ by_line) / slope)
+    frequency, frequency_by_line = frequency_at(u, (by_target - np.array([1.0, u, u * u]) @ by_line) / slope)
     return PeakPoint(frequency, target, frequency_by_line, by_target)
 
 
@@ -459,7 +459,7 @@ def peak_readings(curve: MeasuredCurve) -> PeakReadings:
     wandering = peak_line_variance_hz2(curve, top, width) if np.isfinite(width) else np.nan
     u_line = float(np.sqrt(curve.spacing_hz**2 / 12.0 + wandering))
     between = "" if np.isfinite(top.frequency_hz) else "no maximum between the lines of this band"
-    half_power, half_amplitude = (_by_width(own, curve, top, *crossings[own], note) for own in LEVELS)
+    half_power, half_amplitude = (_by_width(name, curve, top, *crossings[name], note) for name in LEVELS)
     fit, circle = None, PeakReading("circle", note="no circle found in the complex plane")
     if np.isfinite(half_power.damping_ratio):
         fit = fit_circle(curve, half_power.frequency_hz, half_power.damping_ratio)

@@ -107,8 +107,8 @@ class SensitivityFit(Brief):
         """Return the standard uncertainty of a parameter, 0 if it was not fitted."""
         if parameter not in self.parameters:
             return 0.0
-        place = self.parameters.index(parameter)
-        return float(np.sqrt(self.covariance[place, place]))
+        index = self.parameters.index(parameter)
+        return float(np.sqrt(self.covariance[index, index]))
 
     @property
     def estimates(self) -> tuple[ParameterEstimate, ...]:
@@ -187,7 +187,7 @@ class _ChainProblem:
     kind: ChainKind
     names: tuple[str, ...]
     time_s: float
-    known: tuple[tuple[int, float, float], ...]
+    priors: tuple[tuple[int, float, float], ...]
     relative: ComplexArray
     whitening: FloatArray
 
@@ -195,20 +195,20 @@ class _ChainProblem:
     def of(
         measured: MeasuredSensitivity, kind: ChainKind, spring: SpringPrior | None, spring_free: bool
     ) -> _ChainProblem:
-        known: list[tuple[int, float, float]] = []
+        priors: list[tuple[int, float, float]] = []
         if measured.static is not None:
             if not measured.u_static > 0.0:
                 raise ValueError(f"u_static: expected a value above 0, found {measured.u_static:g}")
-            known.append((0, measured.static, measured.u_static))
-        held = spring is not None and not spring_free and spring.u_time_s > 0.0
-        if held and spring is not None:
-            known.append((1, spring.time_s, spring.u_time_s))
-        names = ("sensitivity", *(("spring_time_s",) if held or spring_free else ()), *CHAIN_PARAMETERS[kind])
-        known += [(len(names) + number, 0.0, 1.0) for number in range(len(measured.errors))]
+            priors.append((0, measured.static, measured.u_static))
+        has_prior = spring is not None and not spring_free and spring.u_time_s > 0.0
+        if has_prior and spring is not None:
+            priors.append((1, spring.time_s, spring.u_time_s))
+        names = ("sensitivity", *(("spring_time_s",) if has_prior or spring_free else ()), *CHAIN_PARAMETERS[kind])
+        priors += [(len(names) + number, 0.0, 1.0) for number in range(len(measured.errors))]
         relative = [np.empty((len(measured.value), 0)), *(error.relative for error in measured.errors)]
         time_s = 0.0 if spring is None else spring.time_s
         whitening = whitening_matrices(measured.covariance)
-        return _ChainProblem(measured, kind, names, time_s, tuple(known), np.concatenate(relative, axis=1), whitening)
+        return _ChainProblem(measured, kind, names, time_s, tuple(priors), np.concatenate(relative, axis=1), whitening)
 
     def split(self, x: FloatArray) -> tuple[float, float, ChainModel]:
         """Return S₀, τ and the chain of the unknowns."""
@@ -232,7 +232,7 @@ class _ChainProblem:
         columns = np.column_stack([self.measured.value - curve, -curve[:, None] * np.concatenate(slopes, axis=1)])
         lines = (self.whitening @ np.stack([columns.real, columns.imag], axis=1)).reshape(-1, 1 + len(x))
         unit = np.eye(len(x))
-        rows = [np.append(x[place] - value, unit[place]) / u for place, value, u in self.known]
+        rows = [np.append(x[index] - value, unit[index]) / u for index, value, u in self.priors]
         both = np.vstack([lines, *rows])
         return WhitenedResiduals(x, both[:, 0], both[:, 1:])
 
@@ -246,8 +246,8 @@ class _ChainProblem:
         for sign in (1.0, -1.0):  # sign and delay that together leave the smallest phases
             phase = np.unwrap(np.angle(sign * value))
             for delay in (0.0, -float(angular @ phase / (angular @ angular))):
-                turned = np.angle(sign * value * np.exp(1j * angular * delay))
-                left.append((float(np.sum(np.abs(turned))), sign, delay))
+                rotated = np.angle(sign * value * np.exp(1j * angular * delay))
+                left.append((float(np.sum(np.abs(rotated))), sign, delay))
         _, sign, delay = min(left, key=lambda one: one[0])
         smallest = _SMALLEST_TURN / float(angular.max())
         slope, static = np.polyfit(angular**2, np.abs(value) ** -2.0, 1)
@@ -271,15 +271,15 @@ def sensor_model(fit: SensitivityFit, mechanics: FloatArray, covariance: FloatAr
     k, b = float(mechanics[0]), float(mechanics[1])
     slope = np.array([-b / k**2, 1.0 / k, 0.0])
     variance = float(slope @ covariance @ slope)
-    known = "spring_time_s" in fit.parameters
-    if known != (variance > 0.0) or (not known and fit.spring_time_s != b / k):
+    fitted = "spring_time_s" in fit.parameters
+    if fitted != (variance > 0.0) or (not fitted and fit.spring_time_s != b / k):
         raise ValueError("fit: expected one with b/k of these k and b, found another")
-    others = [place for place, name in enumerate(fit.parameters) if name != "spring_time_s"]
+    others = [index for index, name in enumerate(fit.parameters) if name != "spring_time_s"]
     joined = np.zeros((3 + len(others), 3 + len(others)))
     joined[:3, :3] = covariance
     joined[3:, 3:] = fit.covariance[np.ix_(others, others)]
     moved = np.asarray(mechanics, dtype=np.float64)
-    if known:
+    if fitted:
         gain = covariance @ slope / variance
         moved = moved + gain * (fit.spring_time_s - b / k)
         joined[:3, :3] -= np.multiply.outer(gain, gain) * (variance - fit.covariance[1, 1])
@@ -419,24 +419,24 @@ def _verdicts(fits: tuple[SensitivityFit, ...], weight: FloatArray) -> tuple[Ver
     return tuple(verdict(fit.chain.kind) for fit in fits)
 
 
-def _damping_test(measured: MeasuredSensitivity, held: SensitivityFit, spring: SpringPrior) -> DampingTest:
+def _damping_test(measured: MeasuredSensitivity, restricted: SensitivityFit, spring: SpringPrior) -> DampingTest:
     """Compare b/k fitted to S(f) without a chain with b/k of the resonance."""
     from scipy import special
 
     needed = fit_chain(measured, "none", None, spring_free=True)
-    growth = max(0.0, held.chi_squared - needed.chi_squared) / max(1.0, needed.chi_squared / needed.dof)
+    growth = max(0.0, restricted.chi_squared - needed.chi_squared) / max(1.0, needed.chi_squared / needed.dof)
     deviation = float(np.copysign(np.sqrt(growth), needed.spring_time_s - spring.time_s))
     probability = float(special.erfc(abs(deviation) / np.sqrt(2.0)))
     u_needed = needed.u("spring_time_s")
     from_curve = _microseconds(needed.spring_time_s, u_needed)
     from_width = _microseconds(spring.time_s, spring.u_time_s)
-    says = "they contradict each other" if probability < SIGNIFICANCE else "they agree"
+    conclusion = "they contradict each other" if probability < SIGNIFICANCE else "they agree"
     text = (
-        f"With no chain the sensitivity needs b/k = {from_curve}, the width of the resonance gives {from_width}: {says}"
-        f" (normalised deviation {deviation:.1f})"
+        f"Without a chain the sensitivity requires b/k = {from_curve}, the width of the resonance gives {from_width}: "
+        f"{conclusion} (normalised deviation {deviation:.1f})"
     )
     if needed.probability < SIGNIFICANCE:
-        text += f", and even so the curve does not fit (χ²/dof = {needed.chi_squared / needed.dof:.1f})"
+        text += f", and the curve does not fit (χ²/dof = {needed.chi_squared / needed.dof:.1f})"
     seen = needed.spring_time_s, u_needed, spring.time_s, spring.u_time_s
     return DampingTest(*seen, deviation, probability, f"{text}.")
 
@@ -445,15 +445,15 @@ def _sentence(fits: tuple[SensitivityFit, ...], verdict: tuple[Verdict, ...], al
     """Return a sentence on the explanations that the data support and refute."""
     words = WORDS_WITHOUT_RESONANCE if alone else CHAIN_WORDS
     named: dict[Verdict, list[str]] = {"supported": [], "more than needed": [], "refuted": []}
-    for fit, own in zip(fits, verdict, strict=True):
-        named[own].append(_explained(fit, alone) if own == "supported" else words[fit.chain.kind])
+    for fit, kind in zip(fits, verdict, strict=True):
+        named[kind].append(_explained(fit, alone) if kind == "supported" else words[fit.chain.kind])
     if not named["supported"]:
         best = min(fits, key=lambda fit: fit.chi_squared / fit.dof)
         text = f"The data support none of these explanations: even {_explained(best, alone)} leaves χ²/dof = "
         return f"{text}{best.chi_squared / best.dof:.1f}; a cause is missing, or uncertainties are stated too small."
 
-    def listed(own: Verdict, last: str) -> str:
-        *first, end = named[own]
+    def listed(kind: Verdict, last: str) -> str:
+        *first, end = named[kind]
         return f"{', '.join(first)} {last} {end}" if first else end
 
     parts = [f"The data support {listed('supported', 'or')}"]

@@ -190,14 +190,14 @@ class SensorModel(Brief):
         divisor = self._divisor(s, load)
         by_force = np.asarray(-s * s / self.stiffness / divisor)
         mass = by_force if load.drive == "force" else np.full(len(s), 1.0 / total + 0j)
-        own = mass if load.drive == "force" else mass - 1.0 / load.mass
+        by_load = mass if load.drive == "force" else mass - 1.0 / load.mass
         columns = [
             np.full(len(s), 1.0 / self.sensitivity + 0j),
             (divisor - 1.0) / self.stiffness / divisor,
             -s / self.stiffness / divisor,
             mass,
             *self.chain.log_slopes(frequency_hz).T,
-            own,
+            by_load,
         ]
         return np.stack(columns, axis=1)
 
@@ -265,8 +265,8 @@ def usable_band(
     def excess(frequency_hz: FloatArray) -> FloatArray:
         ratio = model.output_factor(frequency_hz, load) / model.output_factor(np.zeros(1), load)
         size = np.abs(ratio)
-        turned = np.abs(np.angle(ratio)) - (np.inf if permitted_phase_rad is None else permitted_phase_rad)
-        return np.stack([size - 1.0 - permitted, 1.0 - permitted - size, turned])
+        rotated = np.abs(np.angle(ratio)) - (np.inf if permitted_phase_rad is None else permitted_phase_rad)
+        return np.stack([size - 1.0 - permitted, 1.0 - permitted - size, rotated])
 
     # From far below to far above all time constants, dense enough to meet the first edge.
     chain = model.chain

@@ -147,10 +147,10 @@ class Identification(Brief):
     def correlation(self) -> FloatArray:
         """Correlation matrix (P, P) of the parameters, zero for fixed and undetermined ones."""
         size = np.sqrt(self.covariance.diagonal())
-        known = np.isfinite(size) & (size > 0.0)
+        finite = np.isfinite(size) & (size > 0.0)
         correlation = np.zeros_like(self.covariance)
-        inside = np.ix_(known, known)
-        correlation[inside] = self.covariance[inside] / np.multiply.outer(size[known], size[known])
+        inside = np.ix_(finite, finite)
+        correlation[inside] = self.covariance[inside] / np.multiply.outer(size[finite], size[finite])
         return correlation + np.diag(1.0 - correlation.diagonal())
 
 
@@ -168,7 +168,7 @@ _RULES = LMOptions(
 )
 """A fit has converged where a step would be 1e-4 of the standard uncertainties, or lowers χ² by less than 1e-4."""
 _SHARE = 0.1  # of a step, over which the curvature of the residuals is seen
-_OPEN = 1e-10  # singular value, columns of unit length, below which a direction is open
+_RANK_TOLERANCE = 1e-10  # singular value, columns of unit length, below which a direction is open
 
 
 @dataclass(frozen=True, repr=False)
@@ -237,15 +237,15 @@ def solve(problem: IdentificationProblem, state: FitState) -> FitState:
     def at(vector: FloatArray) -> FitState | None:
         return evaluate(problem, vector)
 
-    def curvature(here: FitState, step: FloatArray) -> FloatArray | None:
+    def curvature(point: FitState, step: FloatArray) -> FloatArray | None:
         """Return the residuals' second derivative along a step, by a finite difference."""
-        ahead = at(here.parameters + _SHARE * step)
+        ahead = at(point.parameters + _SHARE * step)
         if ahead is None:
             return None
         downhill = np.zeros(len(step))
-        parts = zip(problem.curves, here.residuals, here.jacobians, ahead.residuals, strict=True)
-        for curve, now, jacobian, there in parts:
-            second = (there - now + _SHARE * (jacobian @ step[curve.unknown_indices])) * (2.0 / _SHARE**2)
+        parts = zip(problem.curves, point.residuals, point.jacobians, ahead.residuals, strict=True)
+        for curve, now, jacobian, ahead_residual in parts:
+            second = (ahead_residual - now + _SHARE * (jacobian @ step[curve.unknown_indices])) * (2.0 / _SHARE**2)
             np.add.at(downhill, curve.unknown_indices, np.tensordot(second, jacobian, 2))
         downhill[problem.fixed] = 0.0
         return downhill
@@ -271,7 +271,7 @@ class UnknownsCovariance(Brief):
     """
 
     covariance: FloatArray
-    opened: FloatArray
+    undetermined: FloatArray
     scale: FloatArray
     prior: FloatArray
     unsettled: float
@@ -281,9 +281,9 @@ class UnknownsCovariance(Brief):
 
         It is infinite if the gradient has a part in an undetermined direction.
         """
-        own = gradient * self.scale
-        size = float(np.linalg.norm(own))
-        if size > 0.0 and len(self.opened) and np.linalg.norm(self.opened @ own) > 1e-4 * size:
+        scaled = gradient * self.scale
+        size = float(np.linalg.norm(scaled))
+        if size > 0.0 and len(self.undetermined) and np.linalg.norm(self.undetermined @ scaled) > 1e-4 * size:
             return float("inf")
         return float(np.sqrt(max(0.0, float(gradient @ self.covariance @ gradient))))
 
@@ -293,10 +293,10 @@ class UnknownsCovariance(Brief):
         Undetermined ones have infinite variance and no covariance with the others.
         """
         covariance = gradients @ self.covariance @ gradients.T
-        open_ones = ~np.isfinite([self.u(gradient) for gradient in gradients])
-        covariance[open_ones] = 0.0
-        covariance[:, open_ones] = 0.0
-        covariance[open_ones, open_ones] = np.inf
+        undetermined = ~np.isfinite([self.u(gradient) for gradient in gradients])
+        covariance[undetermined] = 0.0
+        covariance[:, undetermined] = 0.0
+        covariance[undetermined, undetermined] = np.inf
         return np.asarray(covariance)
 
 
@@ -319,7 +319,7 @@ def spread(problem: IdentificationProblem, state: FitState) -> UnknownsCovarianc
     singular, rotation = np.linalg.svd(np.linalg.qr((stacked / size)[:, free], mode="r"))[1:]
     directions = np.zeros((len(rotation), count))
     directions[:, free] = rotation
-    determined = singular > _OPEN * singular.max()
+    determined = singular > _RANK_TOLERANCE * singular.max()
     basis = directions[determined].T / singular[determined] / size[:, None]
     middle = np.eye(basis.shape[1])
     for curve, by_all in zip(problem.curves, wide, strict=True):
@@ -473,19 +473,19 @@ def _result(
 ) -> Identification:
     count, unit = len(problem.kind), np.eye(len(problem.names))
     estimates = tuple(
-        ParameterEstimate(p.name, p.label, float(state.parameters[place]), found.u(unit[place]), p.unit)
-        for place, p in enumerate(problem.parameters)
+        ParameterEstimate(p.name, p.label, float(state.parameters[index]), found.u(unit[index]), p.unit)
+        for index, p in enumerate(problem.parameters)
     )
     model = tuple(part.value for part in state.modelled)
     unknowns, causes = [], {}
-    for place, name in enumerate(problem.names):
+    for index, name in enumerate(problem.names):
         cause = name.removeprefix("error: ")
-        if place >= count and name.startswith("error: "):
-            unknowns.append(NamedUnknown(cause, float(state.parameters[place]), found.u(unit[place])))
-        if problem.precision[place] > 0.0:
-            causes[cause if place >= count else f"{name} as stated"] = found.prior[:count, place]
-    known = np.sum([np.zeros(count), *(change**2 for change in causes.values())], axis=0)
-    noise_left = np.sqrt(np.maximum(found.covariance.diagonal()[:count] - known, 0.0))
+        if index >= count and name.startswith("error: "):
+            unknowns.append(NamedUnknown(cause, float(state.parameters[index]), found.u(unit[index])))
+        if problem.precision[index] > 0.0:
+            causes[cause if index >= count else f"{name} as stated"] = found.prior[:count, index]
+    from_causes = np.sum([np.zeros(count), *(change**2 for change in causes.values())], axis=0)
+    noise_left = np.sqrt(np.maximum(found.covariance.diagonal()[:count] - from_causes, 0.0))
     return Identification(
         estimates=estimates,
         covariance=found.covariance_of(unit[:count]),
@@ -507,16 +507,16 @@ def _lags(problem: IdentificationProblem, state: FitState, found: UnknownsCovari
 
     It is the time constant of the sensor's lag in S(f).
     """
-    places = {parameter.name: place for place, parameter in enumerate(problem.parameters)}
+    indices = {parameter.name: index for index, parameter in enumerate(problem.parameters)}
     derived = []
-    for name, place in places.items():
+    for name, index in indices.items():
         spring = name.replace("damping_", "stiffness_", 1)
-        shared = places.get(spring, places.get(spring.partition(":")[0]))
+        shared = indices.get(spring, indices.get(spring.partition(":")[0]))
         if not name.startswith("damping_") or shared is None:
             continue
-        ending, b, k = name.removeprefix("damping_"), state.parameters[place], state.parameters[shared]
+        ending, b, k = name.removeprefix("damping_"), state.parameters[index], state.parameters[shared]
         gradient = np.zeros(len(state.parameters))
-        gradient[place], gradient[shared] = 1.0 / k, -b / k**2
+        gradient[index], gradient[shared] = 1.0 / k, -b / k**2
         derived.append(ParameterEstimate(f"lag_{ending}", f"b/k, {ending}", float(b / k), found.u(gradient), "s"))
     return tuple(derived)
 
@@ -535,11 +535,11 @@ def _modes(problem: IdentificationProblem, state: FitState, found: UnknownsCovar
 
 
 def _factors(problem: IdentificationProblem, state: FitState, found: UnknownsCovariance) -> tuple[FreeFactor, ...]:
-    places, unit = {name: place for place, name in enumerate(problem.names)}, np.eye(len(problem.names))
+    indices, unit = {name: index for index, name in enumerate(problem.names)}, np.eye(len(problem.names))
 
     def of(name: str) -> tuple[float, float]:
-        place = places.get(name)
-        return (0.0, 0.0) if place is None else (float(state.parameters[place]), found.u(unit[place]))
+        index = indices.get(name)
+        return (0.0, 0.0) if index is None else (float(state.parameters[index]), found.u(unit[index]))
 
     factors = []
     for record in (curve.record for curve in problem.curves):

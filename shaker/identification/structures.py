@@ -76,8 +76,8 @@ def _seen(record: MeasuredTransfer, body: FloatArray, matrices: FloatArray, forc
 
 SENSOR = "sensor"
 """Name of the stage that is the sensor itself."""
-_APART = 1.5  # factor between the resonances of the components where a fit starts
-_FAR_APART = 6.0  # the same where only the lowest is seen
+_SPACING = 1.5  # factor between the resonances of the components where a fit starts
+_WIDE_SPACING = 6.0  # the same where only the lowest is seen
 _MOST_ORDERS = 24  # of resonances to components that are tried
 _DAMPING_RATIO = 0.01  # where a fit starts
 
@@ -129,9 +129,9 @@ class SpringSuspension:
         full = np.stack([masses[0], *np.zeros((2 * size, 6, 6)), *masses[1:]])
         matrices = np.zeros((len(full), 3, size, size))
         matrices[:, 0] = full[:, free[:, None], free]
-        place = np.arange(size)
-        matrices[1 + place, 2, place, place] = 1.0
-        matrices[1 + size + place, 1, place, place] = 1.0
+        index = np.arange(size)
+        matrices[1 + index, 2, index, index] = 1.0
+        matrices[1 + size + index, 1, index, index] = 1.0
         return _seen(record, self.body, matrices, (full @ record.drive)[:, free])
 
     def starts(self, records: Sequence[MeasuredTransfer]) -> FloatArray:
@@ -144,7 +144,7 @@ class SpringSuspension:
         line = int(np.argmax(np.abs(largest.ratio.value).max(axis=1)))
         peak = 2.0 * np.pi * float(largest.ratio.frequency_hz[line])
         rank = np.arange(size)
-        spacings = [peak * _APART ** (rank - 0.5 * (size - 1)), peak * _FAR_APART**rank]
+        spacings = [peak * _SPACING ** (rank - 0.5 * (size - 1)), peak * _WIDE_SPACING**rank]
         spacings = spacings[: 1 if size == 1 else 2]
         orders = np.array([order for omega in spacings for order in islice(permutations(omega), _MOST_ORDERS)])
         inertia = largest.mass_matrix.diagonal()[list(self.components)]
@@ -190,12 +190,12 @@ class ChainStructure:
             name = stage.name
             ending, words = (axis, axis) if name == SENSOR else (f"{axis}_{name}", f"{axis}, {name}")
             pairs.append(_spring_and_damper(self.component, ending, words))
-            own = _internal(self.component)
+            inertia = _internal(self.component)
             if name != SENSOR and self.component < 3:
-                own = replace(own, name=f"mass_{name}", label=f"mass, {name}")
+                inertia = replace(inertia, name=f"mass_{name}", label=f"mass, {name}")
             elif name != SENSOR:
-                own = replace(own, name=f"inertia_{ending}", label=f"moment of inertia, {words}")
-            masses += [own] if stage.has_mass else []
+                inertia = replace(inertia, name=f"inertia_{ending}", label=f"moment of inertia, {words}")
+            masses += [inertia] if stage.has_mass else []
         springs, dampers = zip(*pairs, strict=True)
         return (*springs, *dampers, *masses)
 
@@ -213,14 +213,14 @@ class ChainStructure:
         matrices, forcing = chain_terms(count)
         mass = slice(1, 1 + count)
         spring, damper = (matrices[1 + shift : 1 + shift + count] for shift in (count, 2 * count))
-        own = [place for place, stage in enumerate(self.stages) if stage.has_mass]
+        massive = [index for index, stage in enumerate(self.stages) if stage.has_mass]
         loads = [record.mass_matrix, *(error.change for error in record.inertia_errors)]
         load = np.array([matrix[self.component, self.component] for matrix in loads])[:, None, None, None]
         push = np.array([matrix[self.component] @ record.drive for matrix in loads])[:, None]
         last, ahead = matrices[count], forcing[count]
-        own_push = forcing[mass][own] * record.drive[self.component]
-        moved = np.concatenate([load[:1] * last, spring, damper, matrices[mass][own], load[1:] * last])
-        pushed = np.concatenate([push[:1] * ahead, 0.0 * forcing[: 2 * count], own_push, push[1:] * ahead])
+        stage_forcing = forcing[mass][massive] * record.drive[self.component]
+        moved = np.concatenate([load[:1] * last, spring, damper, matrices[mass][massive], load[1:] * last])
+        pushed = np.concatenate([push[:1] * ahead, 0.0 * forcing[: 2 * count], stage_forcing, push[1:] * ahead])
         return _seen(record, self.body, moved, pushed)
 
     def starts(self, records: Sequence[MeasuredTransfer]) -> FloatArray:

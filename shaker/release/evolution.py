@@ -98,8 +98,8 @@ def output_errors(
         for k in range(len(load)):
             x, y = load[k], state[0]
             for i in range(order):
-                place = 2 * (order - 1 - i)
-                state[i] = state[i + 1] + x * members[p, place] - y * members[p, place + 1]
+                column = 2 * (order - 1 - i)
+                state[i] = state[i + 1] + x * members[p, column] - y * members[p, column + 1]
             square += (output[k] - y) ** 2
             if not square <= limit:
                 break

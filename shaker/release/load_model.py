@@ -150,15 +150,15 @@ def upper_poles(numbers: FloatArray, moving_mass: float, load_mass: float) -> tu
     and are missing.
     """
     if len(numbers) == 2 or load_mass == 0.0:
-        weights, terms, places = [moving_mass + load_mass, *numbers[:2]], [1, 2, 0, 0], [0, 1, -2, -1]
+        weights, terms, columns = [moving_mass + load_mass, *numbers[:2]], [1, 2, 0, 0], [0, 1, -2, -1]
     else:
         k, c, kl, cl = numbers
-        weights, terms, places = [moving_mass, load_mass, k, kl, c, cl], [2, 4, 3, 5, 0, 1], [0, 1, 2, 3, -2, -1]
+        weights, terms, columns = [moving_mass, load_mass, k, kl, c, cl], [2, 4, 3, 5, 0, 1], [0, 1, 2, 3, -2, -1]
     roots, slopes = poles(_chain(len(weights) // 3), np.array([1.0, *weights]))
-    kept = roots.imag > 0.0
-    rates = np.zeros((np.count_nonzero(kept), len(numbers) + 2), dtype=np.complex128)
-    rates[:, places] = slopes[kept][:, terms]
-    return roots[kept], rates
+    upper = roots.imag > 0.0
+    rates = np.zeros((np.count_nonzero(upper), len(numbers) + 2), dtype=np.complex128)
+    rates[:, columns] = slopes[upper][:, terms]
+    return roots[upper], rates
 
 
 @cache
@@ -224,9 +224,9 @@ def rigid_formula_hz(model: LoadModel, load_mass: float) -> float:
 def _modes(model: LoadModel, masses: FloatArray) -> FloatArray:
     """Return frequencies, then damping ratios, (2 K 2,) by mode; NaN without a second one."""
     modes = np.full((2, len(masses), 2), np.nan)
-    for place, mass in enumerate(masses):
+    for index, mass in enumerate(masses):
         upper, _ = upper_poles(model.vector, model.moving_mass, float(mass))
-        modes[:, place, : len(upper)] = np.abs(upper) / (2.0 * np.pi), -upper.real / np.abs(upper)
+        modes[:, index, : len(upper)] = np.abs(upper) / (2.0 * np.pi), -upper.real / np.abs(upper)
     return modes.ravel()
 
 

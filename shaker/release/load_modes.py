@@ -104,8 +104,8 @@ class Resonances(Brief):
     def __post_init__(self) -> None:
         modes = (len(self.names), 2)
         check_shapes(self, modes, "frequency_hz", "u_frequency_hz", "damping_ratio", "u_damping_ratio")
-        known = self.frequency_hz[np.isfinite(self.frequency_hz)]
-        if np.any(known <= 0) or np.any(np.isnan(self.frequency_hz[:, 0])):
+        finite = self.frequency_hz[np.isfinite(self.frequency_hz)]
+        if np.any(finite <= 0) or np.any(np.isnan(self.frequency_hz[:, 0])):
             raise ValueError("frequency_hz: expected a first resonance above 0 of every record, found none")
 
     def without_second(self, mask: BoolArray) -> Resonances:
@@ -210,8 +210,8 @@ def free_modes(decay: FreeDecay, poles: ComplexArray) -> SeparablePoint:
     t = decay.time_s - decay.time_s[0]
     waves = np.exp(t[:, None] * poles)
 
-    def changes(own: FloatArray) -> BlockJacobian:
-        amplitude = own[1:, 0].reshape(2, -1)
+    def changes(coefficients: FloatArray) -> BlockJacobian:
+        amplitude = coefficients[1:, 0].reshape(2, -1)
         swing = t[:, None] * waves * (amplitude[0] + 1j * amplitude[1])
         change = np.stack([swing.real, -swing.imag], axis=2).reshape(len(t), -1, 1)
         return BlockJacobian(np.arange(change.shape[1]), change)
@@ -280,8 +280,8 @@ class RecordModes(Brief):
         p, size, modes = self.poles, np.abs(self.poles), np.arange(len(self.poles))
         by_f = np.stack([p.real, p.imag], axis=1) / (2.0 * np.pi * size[:, None])
         by_zeta = np.stack([-(p.imag**2), p.real * p.imag], axis=1) / size[:, None] ** 3
-        own = self.covariance.reshape(len(p), 2, len(p), 2)[modes, :, modes]
-        u_f, u_zeta = (np.sqrt(np.einsum("mi,mij,mj->m", by, own, by)) for by in (by_f, by_zeta))
+        blocks = self.covariance.reshape(len(p), 2, len(p), 2)[modes, :, modes]
+        u_f, u_zeta = (np.sqrt(np.einsum("mi,mij,mj->m", by, blocks, by)) for by in (by_f, by_zeta))
         return u_f, u_zeta
 
 
@@ -324,9 +324,9 @@ def _starts(decay: FreeDecay, value: FloatArray, above_hz: float) -> list[comple
         size = np.abs(np.fft.rfft((value[:count] - np.mean(value[:count])) * np.hanning(count), 4 * count))
         hertz = np.fft.rfftfreq(4 * count, 1.0 / decay.rate_hz)
         size[(hertz <= above_hz) | (hertz < 2.0 * decay.rate_hz / count)] = 0.0
-        place = int(np.argmax(size))
-        if size[place] > CLEAR * np.median(size[size > 0.0]) or above_hz == 0.0:
-            omega, half = 2.0 * np.pi * float(hertz[place]), count // 2
+        index = int(np.argmax(size))
+        if size[index] > CLEAR * np.median(size[size > 0.0]) or above_hz == 0.0:
+            omega, half = 2.0 * np.pi * float(hertz[index]), count // 2
             wave = np.hanning(half) * np.exp(-1j * omega * np.arange(half) / decay.rate_hz)
             early, late = abs(wave @ value[:half]), abs(wave @ value[half : 2 * half])
             rate = float(max(np.log(early / max(late, 1e-300)), 0.1) * decay.rate_hz / half)
@@ -334,9 +334,9 @@ def _starts(decay: FreeDecay, value: FloatArray, above_hz: float) -> list[comple
     return starts
 
 
-def _fitted(decay: FreeDecay, starts: list[complex], known: ComplexArray) -> RecordModes:
+def _fitted(decay: FreeDecay, starts: list[complex], poles_before: ComplexArray) -> RecordModes:
     """Return the best fit from start poles and one additional pole."""
-    tried = [free_modes(decay, np.append(known, start)) for start in starts]
+    tried = [free_modes(decay, np.append(poles_before, start)) for start in starts]
     if not tried:
         raise ValueError(f"decay: expected an oscillation after the release of {decay.name}, found none")
     tried.sort(key=lambda point: point.loss)

@@ -59,8 +59,8 @@ class BlockMeans(Brief):
 
     def between(self, from_s: float, to_s: float) -> BlockMeans:
         """Return the blocks that start between two times."""
-        kept = (self.time_s >= from_s) & (self.time_s <= to_s)
-        return BlockMeans(self.time_s[kept], self.length[kept], self.value[kept], self.step_s)
+        selected = (self.time_s >= from_s) & (self.time_s <= to_s)
+        return BlockMeans(self.time_s[selected], self.length[selected], self.value[selected], self.step_s)
 
 
 def every_sample(value: FloatArray, time_s: FloatArray, step_s: float) -> BlockMeans:
@@ -75,10 +75,10 @@ def reduce_to_blocks(whole: BlockMeans, fine_from_s: float, fine_to_s: float, le
         """Return the starts of blocks of a size; the remainder is the first block."""
         if stop <= start:
             return np.zeros(0, dtype=np.int64)
-        places = np.arange(stop - size, start, -size, dtype=np.int64)[::-1]
-        return np.concatenate([np.array([start], dtype=np.int64), places[places > start]])
+        starts = np.arange(stop - size, start, -size, dtype=np.int64)[::-1]
+        return np.concatenate([np.array([start], dtype=np.int64), starts[starts > start]])
 
-    first, last = (int(place) for place in np.searchsorted(whole.time_s, [fine_from_s, fine_to_s]))
+    first, last = (int(index) for index in np.searchsorted(whole.time_s, [fine_from_s, fine_to_s]))
     parts = (edges(0, first, max(1, first // _RESTS)), np.arange(first, last), edges(last, len(whole.value), length))
     begins = np.concatenate([*parts, [len(whole.value)]]).astype(np.int64)
     lengths = np.diff(begins)
@@ -259,9 +259,9 @@ def release_factor(shape: ReleaseShape, x: ComplexArray) -> tuple[ComplexArray, 
         return value, 0.5 * np.pi**2 * grown / below - 2.0 * x * value / below
     small = np.abs(x) < _SMALL
     safe: ComplexArray = np.where(small, 1.0, x).astype(np.complex128)
-    away = np.expm1(safe)
-    value = away / safe
-    slope = (away + 1.0 - value) / safe
+    growth = np.expm1(safe)
+    value = growth / safe
+    slope = (growth + 1.0 - value) / safe
     if np.any(small):
         value = np.where(small, 1 + x / 2 + x**2 / 6 + x**3 / 24 + x**4 / 120, value)
         slope = np.where(small, 0.5 + x / 3 + x**2 / 8 + x**3 / 30 + x**4 / 144, slope)
@@ -325,10 +325,10 @@ def _along_line(p: ComplexArray, tau: FloatArray, length: float) -> tuple[FloatA
 
     The response is [(exp(pτ) - 1)/p - τ]/(pT).
     """
-    away = np.expm1(p * tau)
-    rise = away / p
+    grown = np.expm1(p * tau)
+    rise = grown / p
     value = (rise - tau) / (p * length)
-    slope = (tau * (away + 1.0) - rise) / p
+    slope = (tau * (grown + 1.0) - rise) / p
     return tau / length, value, slope / (p * length) - value / p
 
 
@@ -365,12 +365,12 @@ def _to_force(load: ReleaseLoad, poles: ComplexArray, samples: BlockMeans) -> Bl
     force, step = load.force, samples.step_s
     first = np.round((samples.time_s - load.start_s) / step).astype(int)
     value, slope = np.zeros((2, len(force), len(poles)), dtype=np.complex128)
-    for place, p in enumerate(poles):
-        fall, now, next_ = _hold(p, step)
-        value[:, place] = lfilter([next_[0], now[0]], [1.0, -fall], force)
-        moved = lfilter([0.0, step * fall], [1.0, -fall], value[:, place])
-        slope[:, place] = moved + lfilter([next_[1], now[1]], [1.0, -fall], force)
-    start = -force[0] * np.array([_hold(p, step)[2] for p in poles])
+    for column, p in enumerate(poles):
+        fall, now, next_ = _linear_weights(p, step)
+        value[:, column] = lfilter([next_[0], now[0]], [1.0, -fall], force)
+        moved = lfilter([0.0, step * fall], [1.0, -fall], value[:, column])
+        slope[:, column] = moved + lfilter([next_[1], now[1]], [1.0, -fall], force)
+    start = -force[0] * np.array([_linear_weights(p, step)[2] for p in poles])
     decay = np.exp(np.arange(len(force))[:, None] * step * poles)
     value += start[:, 0] * decay
     slope += (start[:, 1] + start[:, 0] * np.arange(len(force))[:, None] * step) * decay
@@ -384,7 +384,7 @@ def _to_force(load: ReleaseLoad, poles: ComplexArray, samples: BlockMeans) -> Bl
     return BlockResponses(value, blank, blank, slope)
 
 
-def _hold(p: complex, step: float) -> tuple[complex, FloatArray, FloatArray]:
+def _linear_weights(p: complex, step: float) -> tuple[complex, FloatArray, FloatArray]:
     """Return exp(pΔ) and the weights of two samples for a straight line, with derivatives."""
     x = p * step
     if abs(x) < _SMALL:

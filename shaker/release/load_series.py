@@ -37,10 +37,10 @@ from shakercal._common.notices import Notice, Value
 # Stiffnesses and dampings from the resonances of several loads.
 
 STARTS = np.geomspace(0.03, 30.0, 9)  # ratios k_L/k from which the fit starts
-ALIKE = 1e-2  # relative difference of parameters below which two minima are one
+SAME_MINIMUM = 1e-2  # relative difference of parameters below which two minima are one
 COARSE = (1e-2, 1e-1)
 """Relative scatter of frequencies and dampings with which minima are approached: their valleys are wide then."""
-FARTHEST = 1e4  # ratio of the stiffnesses beyond which one of them means nothing
+MAX_STIFFNESS_RATIO = 1e4  # ratio of the stiffnesses beyond which one of them means nothing
 INDISTINCT = 3.84  # difference of chi-squared up to which a second minimum cannot be excluded (95 %)
 CHANCE = 1e-3  # chance below which deviations are not explained by what is stated
 
@@ -54,7 +54,7 @@ def fit_resonances(measured: Resonances, masses: SeriesMasses, *, rigid: bool) -
     """
     problem = SeriesProblem(measured, masses, rigid)
     scatter = _scatter(problem, _minima(problem, (0.0, 0.0))[0][0])
-    known = all(tau > 0.0 or bool(np.all(u > 0.0)) for tau, u in zip(scatter, problem.stated(), strict=True))
+    determined = all(tau > 0.0 or bool(np.all(u > 0.0)) for tau, u in zip(scatter, problem.stated(), strict=True))
     fits = []
     for x, excess in _minima(problem, scatter):
         _, slope = problem.residual(x, problem.sigma(scatter))
@@ -66,7 +66,7 @@ def fit_resonances(measured: Resonances, masses: SeriesMasses, *, rigid: bool) -
             SeriesFit(
                 numbers=problem.numbers(x),
                 deviates=problem.deviates(x),
-                covariance=_of_numbers(problem, x, inner) if known else None,
+                covariance=_of_numbers(problem, x, inner) if determined else None,
                 frequency_hz=f,
                 damping_ratio=z,
                 scatter=scatter,
@@ -78,7 +78,7 @@ def fit_resonances(measured: Resonances, masses: SeriesMasses, *, rigid: bool) -
     return tuple(fits)
 
 
-def _least(
+def _minimise(
     problem: SeriesProblem,
     residual: Callable[[FloatArray], tuple[FloatArray, FloatArray]],
     start: FloatArray,
@@ -103,7 +103,7 @@ def _refined(
 ) -> tuple[FloatArray, float]:
     """Return the unknowns (X,) at the minimum next to a start, and their χ²."""
     sigma = problem.sigma(scatter)
-    end = _least(problem, lambda x: problem.residual(x, sigma), start, tolerance)
+    end = _minimise(problem, lambda x: problem.residual(x, sigma), start, tolerance)
     return end.parameters, end.loss
 
 
@@ -119,13 +119,14 @@ def _distinct(problem: SeriesProblem, minima: list[tuple[FloatArray, float]]) ->
     """Return the different and meaningful minima, the best first; at least the best one."""
     ordered = sorted(minima, key=lambda item: item[1])
     ratios = [1.0 if problem.rigid else float(np.divide(*problem.numbers(x)[2::-2])) for x, _ in ordered]
-    sound = [item for item, ratio in zip(ordered, ratios, strict=True) if 1.0 / FARTHEST < ratio < FARTHEST]
-    kept: list[tuple[FloatArray, float]] = []
+    low, high = 1.0 / MAX_STIFFNESS_RATIO, MAX_STIFFNESS_RATIO
+    sound = [item for item, ratio in zip(ordered, ratios, strict=True) if low < ratio < high]
+    distinct: list[tuple[FloatArray, float]] = []
     for x, cost in sound or ordered[:1]:
         numbers = problem.numbers(x)[::2]
-        if all(np.max(np.abs(numbers / problem.numbers(other)[::2] - 1.0)) > ALIKE for other, _ in kept):
-            kept.append((x, cost))
-    return kept
+        if all(np.max(np.abs(numbers / problem.numbers(other)[::2] - 1.0)) > SAME_MINIMUM for other, _ in distinct):
+            distinct.append((x, cost))
+    return distinct
 
 
 def _scatter(problem: SeriesProblem, x: FloatArray) -> tuple[float, float]:
@@ -144,12 +145,12 @@ def _scatter(problem: SeriesProblem, x: FloatArray) -> tuple[float, float]:
         return float(brentq(beyond, low, high * (1.0 + 1e-9))) if high > 0.0 and beyond(low) > 0.0 else 0.0
 
     scatter = (0.0, 0.0)
-    wanted = [
+    estimated = [
         dof > 0 and (bool(np.any(u == 0.0)) or bool(chdtrc(dof, np.sum((deviation / u) ** 2)) < CHANCE))
         for deviation, u, dof in problem.groups(x)
     ]
-    for _ in range(50 if any(wanted) else 0):
-        f, z = (tau(*group) if told else 0.0 for group, told in zip(problem.groups(x), wanted, strict=True))
+    for _ in range(50 if any(estimated) else 0):
+        f, z = (tau(*group) if estimate else 0.0 for group, estimate in zip(problem.groups(x), estimated, strict=True))
         if np.allclose((f, z), scatter, rtol=1e-6, atol=0.0):
             break
         scatter = (f, z)
@@ -162,8 +163,8 @@ def _of_numbers(problem: SeriesProblem, x: FloatArray, covariance: FloatArray) -
 
     Both are (P + Q, P + Q).
     """
-    rates, (_, by_own) = problem.number_rates(x), problem.prior(x)
-    turn = np.vstack([np.pad(rates, ((0, 0), (0, len(by_own)))), by_own])
+    rates, (_, by_prior) = problem.number_rates(x), problem.prior(x)
+    turn = np.vstack([np.pad(rates, ((0, 0), (0, len(by_prior)))), by_prior])
     return np.asarray(turn @ covariance @ turn.T)
 
 
@@ -198,10 +199,10 @@ def fit_decays(
         left, slopes = zip(*records(x), problem.prior(x), strict=True)
         return np.concatenate(left), np.vstack(slopes)
 
-    end = _least(problem, residual, problem.unknowns(start))
-    x, parts, by_own = end.parameters, records(end.parameters), problem.prior(end.parameters)[1]
+    end = _minimise(problem, residual, problem.unknowns(start))
+    x, parts, by_prior = end.parameters, records(end.parameters), problem.prior(end.parameters)[1]
     inner = np.linalg.inv(end.jacobian.T @ end.jacobian)
-    middle = sum((coloured_normal(slope, left) for left, slope in parts), by_own.T @ by_own)
+    middle = sum((coloured_normal(slope, left) for left, slope in parts), by_prior.T @ by_prior)
     modes = np.sum(np.isfinite(problem.measured.frequency_hz), axis=1)
     more = sum(float(left @ left) - (len(left) - 1 - 4 * int(modes[r])) for r, (left, _) in enumerate(parts))
     (f, z), _ = problem.modes(x)
@@ -218,7 +219,7 @@ def fit_decays(
 
 # Which second modes belong to the coupling of the load.
 
-BELONGING_FARTHEST = 0.10
+MAX_SECOND_DEVIATION = 0.10
 """Relative distance of a second mode from where the first ones put it, from which it is another one."""
 
 
@@ -232,10 +233,10 @@ def belonging(measured: Resonances, masses: SeriesMasses) -> tuple[Resonances, t
     foreign = seen & (masses.load == 0)
     if np.any(seen & ~foreign) and len(np.unique(np.round(masses.load / masses.moving, 3))) > 1:
         alone = measured.without_second(np.ones(len(seen), dtype=np.bool_))
-        foretold = np.array([fit.frequency_hz[:, 1] for fit in fit_resonances(alone, masses, rigid=False)])
-        off = np.abs(measured.frequency_hz[:, 1] / foretold - 1.0)
-        foreign |= seen & (masses.load > 0) & (np.min(off, axis=0) > BELONGING_FARTHEST)
-    return measured.without_second(foreign), tuple(int(place) for place in np.flatnonzero(foreign))
+        predicted = np.array([fit.frequency_hz[:, 1] for fit in fit_resonances(alone, masses, rigid=False)])
+        off = np.abs(measured.frequency_hz[:, 1] / predicted - 1.0)
+        foreign |= seen & (masses.load > 0) & (np.min(off, axis=0) > MAX_SECOND_DEVIATION)
+    return measured.without_second(foreign), tuple(int(record) for record in np.flatnonzero(foreign))
 
 
 # The model that a series of loads supports.
@@ -384,13 +385,15 @@ def _mass(load: float, unit: str) -> str:
 def _model(fit: SeriesFit, masses: SeriesMasses, output: SeriesOutput, number: int, count: int) -> LoadModel:
     """Return the load model of a fit, with covariances for given and for uncertain masses."""
     size = len(fit.numbers)
-    own, total = None, None
+    conditional, total = None, None
     if fit.covariance is not None:
         whole = fit.covariance
         turn = np.vstack([np.eye(size, len(whole)), np.append(np.zeros(size), masses.moving_effect)])
         total = turn @ whole @ turn.T
         across = whole[:size, size:]
-        own = whole[:size, :size] - (across @ np.linalg.solve(whole[size:, size:], across.T) if across.size else 0.0)
+        conditional = whole[:size, :size]
+        if across.size:
+            conditional = conditional - across @ np.linalg.solve(whole[size:, size:], across.T)
     k, c, *coupling = (float(number) for number in fit.numbers)
     kl, cl = coupling or (None, None)
     return LoadModel(
@@ -404,7 +407,7 @@ def _model(fit: SeriesFit, masses: SeriesMasses, output: SeriesOutput, number: i
         cl,
         sensitivity=output.sensitivity,
         u_moving_mass=masses.u_moving if total is None else float(np.sqrt(total[-1, -1])),
-        covariance=own,
+        covariance=conditional,
         u_sensitivity=output.u_sensitivity,
         covariance_with_mass=total,
         load_masses=tuple(float(mass) for mass in masses.load),
@@ -423,9 +426,9 @@ def _remarks(
         pairs = " or ".join(f"k = {m.stiffness:.4g}, k_L = {m.coupling_stiffness:.4g} {unit}" for m in models)
         unloaded = " or ".join(f"{abs(m.poles(0.0)[0]) / (2.0 * np.pi):.5g} Hz" for m in models)
         yield Notice(AMBIGUOUS_SOLUTIONS, where, count=len(models), solutions=pairs, unloaded=unloaded)
-    for tau, quantity, known in zip(fit.scatter, ("resonances", "damping ratios"), (stated, True), strict=True):
+    for tau, quantity, has_u in zip(fit.scatter, ("resonances", "damping ratios"), (stated, True), strict=True):
         if tau > 0.0:
-            declared = SERIES_SCATTER if known else SCATTER_UNCERTAINTY
+            declared = SERIES_SCATTER if has_u else SCATTER_UNCERTAINTY
             yield Notice(declared, where, quantity=quantity, scatter_percent=100.0 * tau)
     if fit.covariance is None:
         yield Notice(NO_SERIES_UNCERTAINTY, where)

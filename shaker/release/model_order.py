@@ -132,7 +132,7 @@ def start_vectors(
         costs = squares(
             OutputErrorProblem(rich, load, near, vector, np.ones(len(vector)), reading.onset_s), vector[None]
         )[0]
-        found = [vector if cost < old else kept for cost, old, kept in zip(costs, best, found, strict=True)]
+        found = [vector if cost < old else last for cost, old, last in zip(costs, best, found, strict=True)]
         best = np.minimum(best, costs)
     return found
 
@@ -305,12 +305,12 @@ _MORE = 1.5  # variance of the residual over that of the noise before the releas
 
 
 def fit_notices(
-    record: StepRecord, reading: ReleaseReading, solution: OutputErrorFit, model: ModalModel, known: FitCovariance
+    record: StepRecord, reading: ReleaseReading, solution: OutputErrorFit, model: ModalModel, spread: FitCovariance
 ) -> tuple[Notice, ...]:
     """Return notices on the poles, the residual and the release."""
     where = f"{record.name}, {reading.channel}"
-    notices = [*_of_poles(model, record.sample_rate_hz, where), *_of_residual(reading, known, where)]
-    return (*notices, *_of_release(record, solution, known, where))
+    notices = [*_of_poles(model, record.sample_rate_hz, where), *_of_residual(reading, spread, where)]
+    return (*notices, *_of_release(record, solution, spread, where))
 
 
 def _of_poles(model: ModalModel, rate_hz: float, where: str) -> Iterator[Notice]:
@@ -329,26 +329,26 @@ def _of_poles(model: ModalModel, rate_hz: float, where: str) -> Iterator[Notice]
             yield Notice(DOUBTFUL_REAL_POLE, where, frequency_hz=hz, u_hz=u_hz)
 
 
-def _of_residual(reading: ReleaseReading, known: FitCovariance, where: str) -> Iterator[Notice]:
+def _of_residual(reading: ReleaseReading, spread: FitCovariance, where: str) -> Iterator[Notice]:
     """Yield notices on the order of the model and on the noise."""
-    ratio = float(np.std(known.residual)) / reading.noise if reading.noise > 0 else np.inf
+    ratio = float(np.std(spread.residual)) / reading.noise if reading.noise > 0 else np.inf
     if ratio**2 > _MORE:
         yield Notice(RESIDUAL_ABOVE_NOISE, where, factor=ratio)
-    elif not known.white:
-        yield Notice(COLOURED_NOISE, where, factor=np.sqrt(known.excess))
+    elif not spread.white:
+        yield Notice(COLOURED_NOISE, where, factor=np.sqrt(spread.excess))
     if reading.clipped:
         yield Notice(OUTPUT_AT_LIMIT, where)
 
 
-def _of_release(record: StepRecord, solution: OutputErrorFit, known: FitCovariance, where: str) -> Iterator[Notice]:
+def _of_release(record: StepRecord, solution: OutputErrorFit, spread: FitCovariance, where: str) -> Iterator[Notice]:
     """Yield notices on the onset and the release."""
     load, samples = solution.problem.load, solution.problem.samples
     if not load.timed:
         return
     middle, length = solution.problem.release(solution.vector)
     fastest = float(np.exp(np.max(solution.vector[: solution.problem.structure.modes]))) / (2 * np.pi)
-    if known.u_onset_s > 0.1 / fastest:
-        yield Notice(ONSET_UNCERTAIN, where, u_onset_s=known.u_onset_s)
+    if spread.u_onset_s > 0.1 / fastest:
+        yield Notice(ONSET_UNCERTAIN, where, u_onset_s=spread.u_onset_s)
     coarse = samples.time_s[samples.length > 1]
     if np.any(np.abs(coarse - middle) < 0.5 * length):
         yield Notice(RELEASE_OUTSIDE_SEARCH, where, middle_s=middle)

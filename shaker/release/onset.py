@@ -115,11 +115,11 @@ class OnsetModel(Brief):
         """
         modes = len(self.frequency_hz)
         upper, omega = self.poles[:modes], 2 * np.pi * self.frequency_hz
-        own = np.diag(omega**2 / (1j * upper.imag * (1.0 + self.lag_s * upper)))
+        direct = np.diag(omega**2 / (1j * upper.imag * (1.0 + self.lag_s * upper)))
         if self.lag_s <= 0:
-            return np.asarray(own)
+            return np.asarray(direct)
         behind = omega**2 * self.lag_s / ((1.0 + self.lag_s * upper) * (1.0 + self.lag_s * upper.conj()))
-        return np.concatenate([own, behind[None]])
+        return np.concatenate([direct, behind[None]])
 
     def responses(self, time_s: FloatArray) -> ComplexArray:
         """Return the responses (N, P) of `poles`, an optional argument of `columns` and `speed`."""
@@ -192,11 +192,11 @@ class OnsetTrial:
         A bound is active if the descent would leave it.
         """
         normal, downhill = (part.copy() for part in self.projected.normal)
-        fit, held = self.fit, np.zeros(len(downhill), dtype=np.bool_)
-        held[1] = fit.release_s <= 0.0 and downhill[1] < 0.0
+        fit, fixed = self.fit, np.zeros(len(downhill), dtype=np.bool_)
+        fixed[1] = fit.release_s <= 0.0 and downhill[1] < 0.0
         longest = fit.lag_s >= (1.0 - 1e-9) * longest_lag_s(fit)
-        held[2] = (fit.lag_s <= 0.0 and downhill[2] < 0.0) or (longest and downhill[2] > 0.0)
-        normal[held], normal[:, held], downhill[held] = 0.0, 0.0, 0.0
+        fixed[2] = (fit.lag_s <= 0.0 and downhill[2] < 0.0) or (longest and downhill[2] > 0.0)
+        normal[fixed], normal[:, fixed], downhill[fixed] = 0.0, 0.0, 0.0
         return normal, downhill
 
     @property
@@ -221,8 +221,8 @@ def fit_onset(window: Window, start: OnsetModel, min_gain: float) -> OnsetTrial:
     )
 
     def at(parameters: FloatArray) -> OnsetTrial | None:
-        there = bounded_parameters(window, start, parameters)
-        return None if there is None else solve_amplitudes(window, there)
+        model = bounded_parameters(window, start, parameters)
+        return None if model is None else solve_amplitudes(window, model)
 
     return levenberg_marquardt(at, solve_amplitudes(window, start), rules).point
 
@@ -233,9 +233,9 @@ def solve_amplitudes(window: Window, start: OnsetModel) -> OnsetTrial:
     columns, target = _rows(window, start.columns(window.time_s, responses))
     count = 3 + 2 * len(start.frequency_hz)
 
-    def changes(own: FloatArray) -> BlockJacobian:
+    def changes(coefficients: FloatArray) -> BlockJacobian:
         return BlockJacobian(
-            np.arange(count), _slopes(window, replace(start, linear=own[:, 0]), columns, responses)[:, :, None]
+            np.arange(count), _slopes(window, replace(start, linear=coefficients[:, 0]), columns, responses)[:, :, None]
         )
 
     point = SeparablePoint(start.vector[:count], (LinearBlock(columns, target[:, None], changes),))
@@ -262,20 +262,21 @@ def _slopes(window: Window, fit: OnsetModel, columns: FloatArray, responses: Com
     time = window.time_s
     slopes = np.zeros((len(time) + _AHEAD, len(fit.vector) - len(fit.linear)))
     slopes[_AHEAD:, 0] = -fit.speed(time, responses)
-    here = columns[_AHEAD:] @ fit.linear
+    fitted = columns[_AHEAD:] @ fit.linear
     vector, modes = fit.vector, len(fit.frequency_hz)
-    for place in (1, 2):
+    for index in (1, 2):
         shifted = vector.copy()
-        span = max(_DIFFERENCE * abs(vector[place]), (_SHORT * window.step_s) ** 2)
-        shifted[place] += span
-        slopes[_AHEAD:, place] = (fit.with_vector(shifted).at(time) - here) / span
+        span = max(_DIFFERENCE * abs(vector[index]), (_SHORT * window.step_s) ** 2)
+        shifted[index] += span
+        slopes[_AHEAD:, index] = (fit.with_vector(shifted).at(time) - fitted) / span
     # every frequency and every damping ratio moves its own mode alone: all that are moved, side by side
     f, z = np.tile(fit.frequency_hz, 2), np.tile(fit.damping_ratio, 2)
     spans = _DIFFERENCE * np.abs(vector[3 : 3 + 2 * modes])
     spans[modes:] = np.maximum(spans[modes:], 1e-9)
     f[:modes], z[modes:] = f[:modes] + spans[:modes], z[modes:] + spans[modes:]
-    beside = replace(fit, frequency_hz=f, damping_ratio=z).columns(time)[:, 1:-1] - np.tile(columns[_AHEAD:, 1:-1], 2)
-    slopes[_AHEAD:, 3:] = beside * (np.tile(fit.linear[1:-1], 2) / spans)
+    changed = replace(fit, frequency_hz=f, damping_ratio=z).columns(time)[:, 1:-1]
+    differences = changed - np.tile(columns[_AHEAD:, 1:-1], 2)
+    slopes[_AHEAD:, 3:] = differences * (np.tile(fit.linear[1:-1], 2) / spans)
     return slopes
 
 
@@ -284,11 +285,11 @@ def bounded_parameters(window: Window, fit: OnsetModel, parameters: FloatArray) 
     vector = fit.vector
     vector[: len(parameters)] = parameters
     vector[2] = min(vector[2], longest_lag_s(fit) ** 2)
-    there = fit.with_vector(vector)
-    inside = window.time_s[0] <= there.onset_s <= window.time_s[-1] and there.release_s < window.longest_s
-    modes = (there.frequency_hz > 0) & (there.frequency_hz < 0.5 / window.step_s) & (np.abs(there.damping_ratio) < 0.9)
-    modes &= -there.damping_ratio * 2 * np.pi * there.frequency_hz * np.ptp(window.time_s) < _GROWTH
-    return there if inside and bool(np.all(modes)) else None
+    model = fit.with_vector(vector)
+    inside = window.time_s[0] <= model.onset_s <= window.time_s[-1] and model.release_s < window.longest_s
+    modes = (model.frequency_hz > 0) & (model.frequency_hz < 0.5 / window.step_s) & (np.abs(model.damping_ratio) < 0.9)
+    modes &= -model.damping_ratio * 2 * np.pi * model.frequency_hz * np.ptp(window.time_s) < _GROWTH
+    return model if inside and bool(np.all(modes)) else None
 
 
 def longest_lag_s(fit: OnsetModel) -> float:
@@ -309,8 +310,8 @@ _LONGEST = 2.0
 _CENTRES = 7
 _GRID = 160  # samples that the search for start values takes
 _SMOOTHER = 1.33  # length of a smooth release over that of the ramp of the same spread
-_UNSEEN = 0.03  # share of the change that modes too high to be seen may carry, standard deviation
-_NOTHING = 1e6  # weight that leaves nothing to modes that are not seen, in the search for start values
+_HIGH_MODE_SHARE = 0.03  # share of the change that modes too high to be seen may carry, standard deviation
+_NO_HIGH_MODES = 1e6  # weight that leaves nothing to modes that are not seen, in the search for start values
 _DECIDED = 6.0  # difference of the Schwarz criterion that decides
 _CALM = 1e-3  # gain of a step, in variances of the residual, at which a search ends
 
@@ -335,7 +336,7 @@ def find_onset(
     fits = []
     for trial in sets:
         window = _window(samples, sample_rate_hz, start_s, location, trial)
-        seen = replace(window, small=_NOTHING)
+        seen = replace(window, small=_NO_HIGH_MODES)
         first = fit_onset(seen, _start(seen, location, trial, sample_rate_hz, start_s), min_gain)
         fits.append((window, fit_onset(window, first.fit, min_gain)) if len(poles) else (seen, first))
     window, ramp = min(fits, key=lambda trial: trial[1].loss / trial[1].fit.rows)
@@ -344,18 +345,20 @@ def find_onset(
     return window, smooth if smooth.fit.penalty < ramp.fit.penalty - _DECIDED else ramp
 
 
-def _window(samples: FloatArray, sample_rate_hz: float, start_s: float, place: Location, poles: ComplexArray) -> Window:
+def _window(
+    samples: FloatArray, sample_rate_hz: float, start_s: float, location: Location, poles: ComplexArray
+) -> Window:
     """Return the samples around the onset, averaged in blocks if they are denser than necessary."""
     block = max(1, int(2 * np.pi * sample_rate_hz / (_PER_PERIOD * float(np.max(np.abs(poles))))))
-    length = place.high - place.first
+    length = location.high - location.first
     period = 2 * np.pi * sample_rate_hz / float(np.min(np.abs(poles)))
-    margin = int(min(place.first // 2, 2.0 * length + 0.7 * period + 4 * block))
-    low = place.first - margin
+    margin = int(min(location.first // 2, 2.0 * length + 0.7 * period + 4 * block))
+    low = location.first - margin
     count = int(min(len(samples) - low, _MOST * block, margin + 2.0 * length + _PERIODS * period))
     blocks = count // block
     means = np.asarray(samples[low : low + blocks * block].reshape(blocks, block).mean(axis=1))
     middle = low + (np.arange(blocks, dtype=np.float64) + 0.5) * block - 0.5
-    small = place.noise / np.sqrt(block) / max(_UNSEEN * abs(place.steady - place.baseline), 1e-300)
+    small = location.noise / np.sqrt(block) / max(_HIGH_MODE_SHARE * abs(location.steady - location.baseline), 1e-300)
     rest = float(np.mean(samples[:low])) if low else 0.0
     return Window(
         np.asarray(start_s + middle / sample_rate_hz),
@@ -363,11 +366,13 @@ def _window(samples: FloatArray, sample_rate_hz: float, start_s: float, place: L
         rest,
         low / block,
         float(small),
-        _LONGEST * place.longest / sample_rate_hz,
+        _LONGEST * location.longest / sample_rate_hz,
     )
 
 
-def _start(window: Window, place: Location, poles: ComplexArray, sample_rate_hz: float, start_s: float) -> OnsetModel:
+def _start(
+    window: Window, location: Location, poles: ComplexArray, sample_rate_hz: float, start_s: float
+) -> OnsetModel:
     """Return the best of a grid of centres and lengths without lag.
 
     The modes are fixed.
@@ -380,8 +385,8 @@ def _start(window: Window, place: Location, poles: ComplexArray, sample_rate_hz:
         before=window.before / every,
         small=float(window.small / np.sqrt(every)),
     )
-    plain_s = place.longest / sample_rate_hz
-    middle_s = start_s + 0.5 * (place.low + place.high) / sample_rate_hz
+    plain_s = location.longest / sample_rate_hz
+    middle_s = start_s + 0.5 * (location.low + location.high) / sample_rate_hz
     early_s = np.linspace(0.0, 0.3 * 2 * np.pi / float(np.min(np.abs(poles))), _CENTRES)
     frequency, damping = np.abs(poles) / (2 * np.pi), -poles.real / np.abs(poles)
     best, least = OnsetModel("ramp", middle_s, plain_s, 0.0, frequency, damping, np.zeros(0)), np.inf
@@ -426,9 +431,9 @@ def rise_time(fit: OnsetModel) -> tuple[float, float] | None:
 
     vector, u = fit.vector, np.sqrt(np.maximum(np.diagonal(fit.covariance), 0.0))
     slopes = np.zeros((2, len(u)))
-    for place in np.flatnonzero(u):
+    for index in np.flatnonzero(u):
         shifted = vector.copy()
-        shifted[place] += 1e-2 * u[place]
-        slopes[:, place] = (above(fit.with_vector(shifted)) - above(fit)) / (1e-2 * u[place])
+        shifted[index] += 1e-2 * u[index]
+        slopes[:, index] = (above(fit.with_vector(shifted)) - above(fit)) / (1e-2 * u[index])
     gradient = np.diff(-slopes / fit.speed(times)[:, None], axis=0)[0]
     return float(times[1] - times[0]), float(np.sqrt(max(gradient @ fit.covariance @ gradient, 0.0)))

@@ -88,8 +88,8 @@ class PoleStructure:
         poles, slopes = self.poles(vector), self.pole_slopes(vector)
         moves = np.concatenate([slopes, slopes[: self.modes].conj()])
         spread = slopes[:, None, :] - moves[None, :, :]
-        own = np.arange(self.terms)[:, None] * (slopes / poles[:, None])[:, None, :]
-        rate = own - (spread / self._gaps(poles)[:, :, None]).sum(axis=1)[:, None]
+        by_power = np.arange(self.terms)[:, None] * (slopes / poles[:, None])[:, None, :]
+        rate = by_power - (spread / self._gaps(poles)[:, :, None]).sum(axis=1)[:, None]
         return np.asarray(self.shares(vector)[:, :, None] * rate)
 
     def _gaps(self, poles: ComplexArray) -> ComplexArray:
@@ -98,8 +98,8 @@ class PoleStructure:
         The shape is (…, M + Q, 2M + Q). The difference of a pole to itself is replaced by `scale`.
         """
         gaps = poles[..., None] - np.concatenate([poles, poles[..., : self.modes].conj()], axis=-1)[..., None, :]
-        own = np.arange(poles.shape[-1])
-        gaps[..., own, own] = self.scale
+        diagonal = np.arange(poles.shape[-1])
+        gaps[..., diagonal, diagonal] = self.scale
         return np.asarray(gaps)
 
 
@@ -212,11 +212,11 @@ def squares(problem: OutputErrorProblem, vectors: FloatArray) -> FloatArray:
         parts = np.real(residues @ value.reshape(*poles.shape, -1))
     rows = np.ones((len(vectors), structure.terms + 2, len(samples.value)))
     rows[:, 1:-1], rows[:, -1] = parts, samples.value
-    known = np.all(np.isfinite(parts), axis=(1, 2))
-    rows[~known] = 0.0
+    finite = np.all(np.isfinite(parts), axis=(1, 2))
+    rows[~finite] = 0.0
     last = np.asarray(np.linalg.qr((rows * samples.weight).swapaxes(1, 2), mode="r"))[:, :, -1]
     left = np.cumsum(last[:, ::-1] ** 2, axis=1)[:, ::-1][:, 2:]
-    return np.where(known[:, None], left, np.inf)
+    return np.where(finite[:, None], left, np.inf)
 
 
 def solve(problem: OutputErrorProblem, start: FloatArray) -> OutputErrorFit:
@@ -235,8 +235,8 @@ def solve(problem: OutputErrorProblem, start: FloatArray) -> OutputErrorFit:
             matrix, answered = columns(problem, vector, problem.samples)
             weighted = matrix * weight
 
-        def changes(own: FloatArray) -> BlockJacobian:
-            change = slopes(problem, vector, own[:, 0], answered) * weight
+        def changes(coefficients: FloatArray) -> BlockJacobian:
+            change = slopes(problem, vector, coefficients[:, 0], answered) * weight
             return BlockJacobian(np.arange(change.shape[1]), change[:, :, None])
 
         return SeparablePoint(vector, (LinearBlock(weighted, data, changes),))
@@ -261,12 +261,12 @@ def predicted_gain(
     the richer model is worth a fit.
     """
     weight = plain.problem.samples.weight[:, None]
-    own, answered = columns(plain.problem, plain.vector, plain.problem.samples)
-    own = np.concatenate([own, slopes(plain.problem, plain.vector, plain.linear, answered)], axis=1)
+    design_of_fit, answered = columns(plain.problem, plain.vector, plain.problem.samples)
+    design_of_fit = np.concatenate([design_of_fit, slopes(plain.problem, plain.vector, plain.linear, answered)], axis=1)
     value = plain.problem.samples.value * weight[:, 0]
     best, chosen = 0.0, vectors[0]
     for vector in vectors:
-        whole = np.concatenate([own, design(problem, vector, plain.problem.samples)], axis=1) * weight
+        whole = np.concatenate([design_of_fit, design(problem, vector, plain.problem.samples)], axis=1) * weight
         left = eliminate(whole, value[:, None]).residual[:, 0]
         gain = plain.size * float(np.log(plain.square / (left @ left)))
         if gain > best:
@@ -321,8 +321,8 @@ def fit_covariance(solution: OutputErrorFit, whole: BlockMeans) -> FitCovariance
     scale = np.sqrt(np.einsum("nk,nk->k", jacobian, jacobian))
     scale[scale == 0] = 1.0
     scaled = jacobian / scale
-    known = _known(solution, scale, scaled.T @ scaled, variance)
-    normal = scaled.T @ scaled + known * variance
+    prior = _prior_normal(solution, scale, scaled.T @ scaled, variance)
+    normal = scaled.T @ scaled + prior * variance
     inverse = np.linalg.pinv(normal, rcond=1e-14, hermitian=True)
     gain = inverse @ scaled.T
     white = is_white(residual)
@@ -332,7 +332,7 @@ def fit_covariance(solution: OutputErrorFit, whole: BlockMeans) -> FitCovariance
         coloured = gain @ _correlated(residual, gain.T) * len(residual) / freedom
         excess = float(coloured[0, 0] / max(1e-300, (gain @ gain.T)[0, 0] * variance))
         slow, taken = slow_noise(scaled, residual, gain, variance)
-        middle = coloured + (taken * slow) @ taken.T + inverse @ (known * variance**2) @ inverse
+        middle = coloured + (taken * slow) @ taken.T + inverse @ (prior * variance**2) @ inverse
     middle = middle + _converter(whole, residual, gain, fitted)
     covariance = middle / np.outer(scale, scale)
     u_onset_s = u_release_s = 0.0
@@ -360,7 +360,7 @@ def modal_model(solution: OutputErrorFit, covariance: FloatArray, u_amplitude: f
     return ModalModel(omega / (2 * np.pi), damping, residues[:m], hz, residues[m:].real, 0.5 * (total + total.T))
 
 
-def _known(solution: OutputErrorFit, scale: FloatArray, normal: FloatArray, variance: float) -> FloatArray:
+def _prior_normal(solution: OutputErrorFit, scale: FloatArray, normal: FloatArray, variance: float) -> FloatArray:
     """Return the prior as the scaled normal matrix of unit variance.
 
     The prior of the onset is that of the fit. The priors of real poles and of the release's length only guided the fit.
@@ -395,8 +395,8 @@ def _correlated(residual: FloatArray, columns_: FloatArray) -> FloatArray:
     correlation = np.fft.irfft(np.abs(np.fft.rfft(residual, size)) ** 2)[:count] / count
     x = np.arange(count) / max(TESTED_LAGS, count // _LAGS)
     window = np.where(x <= 0.5, 1 - 6 * x**2 + 6 * x**3, 2 * np.maximum(0.0, 1 - x) ** 3)
-    kept = correlation * window
-    density = np.fft.rfft(np.concatenate([kept, np.zeros(size - 2 * count + 1), kept[:0:-1]]))
+    windowed = correlation * window
+    density = np.fft.rfft(np.concatenate([windowed, np.zeros(size - 2 * count + 1), windowed[:0:-1]]))
     spectrum = np.fft.rfft(columns_, size, axis=0)
     return np.asarray(np.fft.irfft(density[:, None] * spectrum, size, axis=0)[:count])
 

@@ -69,8 +69,8 @@ def ringing_poles(samples: FloatArray, sample_rate_hz: float, noise: float) -> C
     _, size, right = np.linalg.svd(hankel, full_matrices=False)
     # the largest singular value of a white Hankel matrix, about σ(√rows + √columns), is passed by a margin
     threshold = 1.5 * rough * (np.sqrt(hankel.shape[0]) + np.sqrt(hankel.shape[1]))
-    kept = int(np.clip(np.count_nonzero(size > max(threshold, 1e-9 * size[0])), 2, 2 * _MODES))
-    poles = shift_poles(right[: kept + kept % 2].T, step_s)
+    rank = int(np.clip(np.count_nonzero(size > max(threshold, 1e-9 * size[0])), 2, 2 * _MODES))
+    poles = shift_poles(right[: rank + rank % 2].T, step_s)
     powers = np.exp(np.outer(np.arange(len(means)) * step_s, poles))
     weights = np.linalg.lstsq(powers, means.astype(np.complex128), rcond=None)[0]
     upper = (poles.imag > 0) & (np.abs(poles.imag) < 0.9 * np.pi / step_s)
@@ -117,11 +117,11 @@ def peaks_hz(decay: FloatArray, step_s: float, count: int, local: bool = False) 
         middle = (np.arange(len(stretches)) + 0.5) * size
         floor = np.interp(np.arange(len(power)), middle, np.median(stretches, axis=1))[top]
     lines = top[(power[top] > _FLOOR * floor) & (frequency[top] > 3.0 / (len(decay) * step_s))]
-    kept: list[int] = []
+    selected: list[int] = []
     for line in lines[np.argsort(power[lines])[::-1]]:
-        if all(abs(line - other) > 4 for other in kept):
-            kept.append(int(line))
-    return np.asarray(frequency[kept[:count]])
+        if all(abs(line - other) > 4 for other in selected):
+            selected.append(int(line))
+    return np.asarray(frequency[selected[:count]])
 
 
 def decimate(decay: FloatArray, step_s: float, highest_hz: float) -> tuple[FloatArray, float]:
@@ -140,23 +140,23 @@ def start_poles(offered: ComplexArray, modes: int, near_hz: FloatArray) -> Compl
     A peak without a pole within 15 % of it starts at ζ = 0.02.
     """
     left = [complex(pole) for pole in offered if pole.imag > 0 and abs(pole.real) < 0.5 * abs(pole)]
-    kept = []
+    selected = []
     for omega in 2 * np.pi * near_hz[:modes]:
         nearest = min(left, key=lambda pole: abs(abs(pole) - omega), default=0j)
         fits = abs(abs(nearest) - omega) < 0.15 * omega
-        kept.append(nearest if fits else complex(omega * (-0.02 + 1j)))
-        left = [pole for pole in left if pole != kept[-1]]
+        selected.append(nearest if fits else complex(omega * (-0.02 + 1j)))
+        left = [pole for pole in left if pole != selected[-1]]
     left.sort(key=lambda pole: -pole.real / abs(pole))
-    kept += left[: modes - len(kept)]
-    kept += [kept[-1] * 1.1 ** (k + 1) for k in range(modes - len(kept))]
-    settled = [complex(-max(abs(pole.real), 1e-3 * abs(pole)), pole.imag) for pole in kept]
+    selected += left[: modes - len(selected)]
+    selected += [selected[-1] * 1.1 ** (k + 1) for k in range(modes - len(selected))]
+    settled = [complex(-max(abs(pole.real), 1e-3 * abs(pole)), pole.imag) for pole in selected]
     return np.asarray(sorted(settled, key=abs), dtype=np.complex128)
 
 
 # Many outputs of many records that share their poles.
 
 _WINDOW = 128
-_STANDS_OUT = 30.0  # noise alone reaches this density, over its mean, once in exp(30) lines
+_SIGNIFICANT_DENSITY = 30.0  # noise alone reaches this density, over its mean, once in exp(30) lines
 _ABOVE_NOISE = 1.5
 _MOST = 40
 _QUICKEST = 0.4
@@ -173,7 +173,7 @@ def highest_frequency(parts: Sequence[FloatArray], rate_hz: float) -> float:
         lines = np.fft.rfft((part - part.mean(axis=1, keepdims=True)) * window, axis=1)
         density = np.abs(lines) ** 2 / np.sum(window**2)
         floor = np.maximum(1.0, np.median(density[:, density.shape[1] // 2 :], axis=1, keepdims=True) / np.log(2.0))
-        clear = np.flatnonzero(np.any(density > _STANDS_OUT * floor, axis=0))
+        clear = np.flatnonzero(np.any(density > _SIGNIFICANT_DENSITY * floor, axis=0))
         highest = max(highest, float(clear[-1] if clear.size else 1) * rate_hz / part.shape[1])
     return highest
 
@@ -194,13 +194,13 @@ def shared_poles(parts: Sequence[FloatArray], rate_hz: float) -> ComplexArray:
         gram[1:, 1:] += tail.T @ tail - head.T @ head
         gram[0] += sum(row[:count] @ np.lib.stride_tricks.sliding_window_view(row, length) for row in part)
         windows += count * len(part)
-    for place in range(1, length):
-        gram[place, place:] += gram[place - 1, place - 1 : -1]
+    for index in range(1, length):
+        gram[index, index:] += gram[index - 1, index - 1 : -1]
     gram = np.triu(gram) + np.triu(gram, 1).T
     value, vector = np.linalg.eigh(gram / windows)
     noise = float(np.median(value[: length // 2]))
     count = int(np.clip(np.count_nonzero(value > _ABOVE_NOISE * noise), 3, min(_MOST, length // 2)))
     poles = shift_poles(vector[:, -count:], 1.0 / rate_hz)
     ratio = -poles.real / np.abs(poles)
-    kept = (poles.imag > 2e-3 * rate_hz) & (poles.imag < 0.9 * np.pi * rate_hz)
-    return np.asarray(poles[kept & (ratio > 0.0) & (ratio < _QUICKEST)])
+    oscillating = (poles.imag > 2e-3 * rate_hz) & (poles.imag < 0.9 * np.pi * rate_hz)
+    return np.asarray(poles[oscillating & (ratio > 0.0) & (ratio < _QUICKEST)])

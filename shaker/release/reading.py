@@ -77,7 +77,7 @@ class _Node(NamedTuple):
     variance: float
     centre_s: float
     by_square: float
-    own: float
+    centre_variance: float
 
 
 def release_times(window: Window, fit: OnsetModel, correlation: float) -> tuple[Interval, float] | None:
@@ -93,24 +93,26 @@ def release_times(window: Window, fit: OnsetModel, correlation: float) -> tuple[
     if len(nodes) < _FEWEST:
         return None
     lag = np.linspace(lags[0], lags[-1], _TIMES)
-    squares, length2, spread, centre, by_square, own = (cubic_spline(lags, part, lag) for part in np.array(nodes).T)
-    spread, own = np.maximum(spread, 1e-300), np.maximum(own, 0.0)
+    squares, length2, spread, centre, by_square, centre_variance = (
+        cubic_spline(lags, part, lag) for part in np.array(nodes).T
+    )
+    spread, centre_variance = np.maximum(spread, 1e-300), np.maximum(centre_variance, 0.0)
     u_square = np.sqrt(spread)
     low = np.sqrt(np.maximum(length2 - _NEAR * u_square, 0.0))
     high = np.sqrt(np.maximum(length2 + _NEAR * u_square, 1e-3 * u_square))
     length = np.linspace(low, high, _TIMES, axis=1)
-    away = length**2 - length2[:, None]
-    log_weight = -0.5 * ((squares - squares.min()) / variance)[:, None] - 0.5 * away**2 / spread[:, None]
+    deviation = length**2 - length2[:, None]
+    log_weight = -0.5 * ((squares - squares.min()) / variance)[:, None] - 0.5 * deviation**2 / spread[:, None]
     weight = np.exp(log_weight - log_weight.max()) * (length[:, -1] - length[:, 0])[:, None]
     weight /= weight.sum()
-    onset = centre[:, None] + by_square[:, None] * away - 0.5 * length - lag[:, None]
+    onset = centre[:, None] + by_square[:, None] * deviation - 0.5 * length - lag[:, None]
     edges = np.concatenate([log_weight[0], log_weight[-1], log_weight[length == 0.0]])
     bounded = bool(np.any(edges > log_weight.max() - _LIKELY[0]))
     likely = log_weight > log_weight.max() - _LIKELY[int(bounded)]
     damper = _DAMPER * float(np.max(np.abs(fit.damping_ratio) / (2 * np.pi * fit.frequency_hz)))
     onset_s, u_onset_s = _moments(weight, onset, likely)
     release_s, u_release_s = _moments(weight, length, likely)
-    u_onset_s = float(np.sqrt(u_onset_s**2 + np.sum(weight * own[:, None]) + damper**2))
+    u_onset_s = float(np.sqrt(u_onset_s**2 + np.sum(weight * centre_variance[:, None]) + damper**2))
     return Interval(onset_s, u_onset_s, release_s, u_release_s), float(np.sum(weight * lag[:, None]))
 
 
@@ -128,15 +130,15 @@ def _nodes(window: Window, fit: OnsetModel, variance: float) -> tuple[FloatArray
     lags = np.linspace(min(low, 0.99 * high), high, _NODES)
     middle = int(np.argmin(np.abs(lags - fit.lag_s)))
     nodes: dict[int, _Node] = {}
-    for way in (range(middle, _NODES), range(middle - 1, -1, -1)):
-        here = fit
-        for place in way:
-            at_lag = _node(window, here, float(lags[place]), variance)
+    for direction in (range(middle, _NODES), range(middle - 1, -1, -1)):
+        neighbour = fit
+        for index in direction:
+            at_lag = _node(window, neighbour, float(lags[index]), variance)
             if at_lag is None:
                 break
-            nodes[place], here = at_lag
-    places = sorted(nodes)
-    return lags[places], [nodes[place] for place in places]
+            nodes[index], neighbour = at_lag
+    indices = sorted(nodes)
+    return lags[indices], [nodes[index] for index in indices]
 
 
 def _node(window: Window, near: OnsetModel, lag_s: float, variance: float) -> tuple[_Node, OnsetModel] | None:
@@ -147,27 +149,27 @@ def _node(window: Window, near: OnsetModel, lag_s: float, variance: float) -> tu
     square = near.release_s**2 + (near.lag_s**2 - lag_s**2) / MOMENTS[near.shape]
     start = replace(near, lag_s=lag_s, release_s=float(np.sqrt(max(square, 0.0))))
     trial = solve_amplitudes(window, start)
-    here, (normal, downhill) = trial.fit, trial.projected.normal
+    fit, (normal, downhill) = trial.fit, trial.projected.normal
     others = np.arange(len(downhill)) != 2
     scale = np.sqrt(np.maximum(np.diag(normal)[others], 1e-300))
     inverse = np.linalg.pinv(normal[np.ix_(others, others)] / np.outer(scale, scale), rcond=1e-12, hermitian=True)
     inverse = inverse / np.outer(scale, scale)
     step = inverse @ downhill[others]
     parameters = trial.parameters + np.insert(step, 2, 0.0)
-    there = bounded_parameters(window, here, parameters)
-    if there is None:
+    moved = bounded_parameters(window, fit, parameters)
+    if moved is None:
         return None
     covariance = variance * inverse
     by_square = float(covariance[0, 1] / covariance[1, 1])
     node = _Node(
-        squares=here.squares - float(downhill[others] @ step),
+        squares=fit.squares - float(downhill[others] @ step),
         length2=float(parameters[1]),
         variance=float(covariance[1, 1]),
         centre_s=float(parameters[0]),
         by_square=by_square,
-        own=max(float(covariance[0, 0] - by_square * covariance[0, 1]), 0.0),
+        centre_variance=max(float(covariance[0, 0] - by_square * covariance[0, 1]), 0.0),
     )
-    return node, there
+    return node, moved
 
 
 def _moments(weight: FloatArray, value: FloatArray, likely: BoolArray) -> tuple[float, float]:
@@ -176,8 +178,8 @@ def _moments(weight: FloatArray, value: FloatArray, likely: BoolArray) -> tuple[
     The standard deviation is large enough for the 95 % interval to include every likely value, also a time of zero.
     """
     mean = float(np.sum(weight * value))
-    away = float(np.max(np.abs(value[likely] - mean)))
-    return mean, max(float(np.sqrt(np.sum(weight * (value - mean) ** 2))), away / _COVERAGE)
+    farthest = float(np.max(np.abs(value[likely] - mean)))
+    return mean, max(float(np.sqrt(np.sum(weight * (value - mean) ** 2))), farthest / _COVERAGE)
 
 
 # The release as a force channel measured it.
@@ -202,10 +204,10 @@ def read_force(force: FloatArray, sample_rate_hz: float, start_s: float) -> Forc
 
     Least squares of level, change, middle and length of `load_share` around the release.
     """
-    place = locate(force)
-    length = max((place.high - place.low) / 0.8, 2.0)
-    low = max(0, int(place.low - _LENGTHS * length - 8))
-    high = min(len(force), int(place.high + _LENGTHS * length + 8))
+    location = locate(force)
+    length = max((location.high - location.low) / 0.8, 2.0)
+    low = max(0, int(location.low - _LENGTHS * length - 8))
+    high = min(len(force), int(location.high + _LENGTHS * length + 8))
     number, data = np.arange(low, high, dtype=np.float64), force[low:high, None]
 
     def at(times: FloatArray, shape: Literal["ramp", "smooth"]) -> SeparablePoint | None:
@@ -217,13 +219,13 @@ def read_force(force: FloatArray, sample_rate_hz: float, start_s: float) -> Forc
         slopes = np.stack([-rate, -rate * (number - middle) / long], axis=1)
         design = np.stack([np.ones(len(number)), share], axis=1)
 
-        def changes(own: FloatArray) -> BlockJacobian:
-            return BlockJacobian(np.arange(2), (own[1, 0] * slopes)[:, :, None])
+        def changes(coefficients: FloatArray) -> BlockJacobian:
+            return BlockJacobian(np.arange(2), (coefficients[1, 0] * slopes)[:, :, None])
 
         return SeparablePoint(times, (LinearBlock(design, data, changes),))
 
     def fitted(shape: Literal["ramp", "smooth"]) -> tuple[ForceReading, float]:
-        begin = at(np.array([0.5 * (place.low + place.high), length]), shape)
+        begin = at(np.array([0.5 * (location.low + location.high), length]), shape)
         assert begin is not None
         point = levenberg_marquardt(lambda times: at(times, shape), begin, LMOptions()).point
         part = point.solved[0]
@@ -266,20 +268,20 @@ class Timing(Interval):
 def locate_channels(record: StepRecord) -> list[Location]:
     """Return the approximate release of every channel; a record without one is refused."""
     near = None if record.onset_s is None else round((record.onset_s - record.start_s) * record.sample_rate_hz)
-    places = [locate(samples, near) for samples in record.samples]
-    strength = max(place.strength for place in places)
+    locations = [locate(samples, near) for samples in record.samples]
+    strength = max(location.strength for location in locations)
     if strength < STRONG:
         raise ValueError(
             f"record: expected an output that changes by {STRONG:g} standard deviations of its noise or more, found "
             f"{strength:.2g} at most in {record.name}"
         )
-    return places
+    return locations
 
 
-def timing_of(record: StepRecord, channel: int, place: Location) -> Timing:
+def timing_of(record: StepRecord, channel: int, location: Location) -> Timing:
     """Return the times of a channel's release; a measured force gives start and length."""
     samples, name = record.samples[channel], record.channels[channel]
-    window, found = find_onset(samples, record.sample_rate_hz, record.start_s, place)
+    window, found = find_onset(samples, record.sample_rate_hz, record.start_s, location)
     fit = found.with_covariance
     residual = (window.samples - fit.at(window.time_s))[window.time_s > fit.onset_s]
     correlation = correlation_factor(residual)
@@ -289,15 +291,15 @@ def timing_of(record: StepRecord, channel: int, place: Location) -> Timing:
     if crossing is None or times is None:
         # a straight line through 10 % and 90 %
         step_s = 1.0 / record.sample_rate_hz
-        rise_s = max(place.high - place.low, 1.0) * step_s
-        u = float(np.hypot(_ROUGH * place.longest * step_s, step_s))
-        onset_s = record.start_s + place.low * step_s - rise_s / 8.0
+        rise_s = max(location.high - location.low, 1.0) * step_s
+        u = float(np.hypot(_ROUGH * location.longest * step_s, step_s))
+        onset_s = record.start_s + location.low * step_s - rise_s / 8.0
         timing = Timing(onset_s, u, rise_s / 0.8, u, name, 0.0, rise_s, u, "ramp", None, 1.0)
     else:
         interval, lag_s = times
         shape: ReleaseShape = "step" if interval.release_s < 2.0 * interval.u_release_s else fit.shape
         block = window.step_s * record.sample_rate_hz
-        misfit = float(np.sqrt(block * np.mean(residual**2))) / max(place.noise, 1e-300)
+        misfit = float(np.sqrt(block * np.mean(residual**2))) / max(location.noise, 1e-300)
         when = interval.onset_s, interval.u_onset_s, interval.release_s, interval.u_release_s
         timing = Timing(*when, name, lag_s, *crossing, shape, fit, misfit)
     if record.force is None:
@@ -348,10 +350,10 @@ def read_release(record: StepRecord, channel: str) -> ReleaseReading:
     """
     if channel not in record.channels:
         raise ValueError(f"channel: expected one of {', '.join(record.channels)}, found {channel!r}")
-    places = locate_channels(record)
-    own = record.channels.index(channel)
-    timed = own if places[own].strength >= STRONG else _strongest(places)
-    return _reading(record, own, places[own], timing_of(record, timed, places[timed]))
+    locations = locate_channels(record)
+    index = record.channels.index(channel)
+    timed = index if locations[index].strength >= STRONG else _strongest(locations)
+    return _reading(record, index, locations[index], timing_of(record, timed, locations[timed]))
 
 
 def initial_release(record: StepRecord) -> tuple[float, float, ReleaseShape]:
@@ -361,14 +363,14 @@ def initial_release(record: StepRecord) -> tuple[float, float, ReleaseShape]:
     over its noise. To second order a lag behind the sensor acts like a later and longer release: the middle of the
     fitted release is later by the lag, and its second moment adds to the release's.
     """
-    places = locate_channels(record)
+    locations = locate_channels(record)
     shape: ReleaseShape
     if record.force is not None:
         interval, _, _, shape = read_force(record.force, record.sample_rate_hz, record.start_s)
         middle_s, length_s = interval.onset_s + 0.5 * interval.release_s, interval.release_s
     else:
-        own, rate = _strongest(places), record.sample_rate_hz
-        fit = find_onset(record.samples[own], rate, record.start_s, places[own], _NEAR_ENOUGH)[1].fit
+        index, rate = _strongest(locations), record.sample_rate_hz
+        fit = find_onset(record.samples[index], rate, record.start_s, locations[index], _NEAR_ENOUGH)[1].fit
         middle_s, shape = fit.centre_s, fit.shape
         length_s = float(np.sqrt(fit.release_s**2 + fit.lag_s**2 / MOMENTS[shape]))
     ends = (middle_s + length_s * np.array([-0.5, 0.5]) - record.start_s) * record.sample_rate_hz
@@ -388,22 +390,24 @@ def _check_length(record: StepRecord, rests_to: float, rings_from: float) -> Non
 
 def read_releases(record: StepRecord) -> tuple[ReleaseReading, ...]:
     """Return the readings of all channels of a record, as `read_release`."""
-    places = locate_channels(record)
-    strongest = _strongest(places)
-    common = timing_of(record, strongest, places[strongest])
+    locations = locate_channels(record)
+    strongest = _strongest(locations)
+    common = timing_of(record, strongest, locations[strongest])
     readings = []
-    for channel, place in enumerate(places):
-        by_itself = place.strength >= STRONG and channel != strongest
-        readings.append(_reading(record, channel, place, timing_of(record, channel, place) if by_itself else common))
+    for channel, location in enumerate(locations):
+        by_itself = location.strength >= STRONG and channel != strongest
+        readings.append(
+            _reading(record, channel, location, timing_of(record, channel, location) if by_itself else common)
+        )
     return tuple(readings)
 
 
-def _strongest(places: list[Location]) -> int:
+def _strongest(locations: list[Location]) -> int:
     """Return the channel with the largest change of level over its noise."""
-    return int(np.argmax([place.strength for place in places]))
+    return int(np.argmax([location.strength for location in locations]))
 
 
-def _reading(record: StepRecord, channel: int, place: Location, timing: Timing) -> ReleaseReading:
+def _reading(record: StepRecord, channel: int, location: Location, timing: Timing) -> ReleaseReading:
     """Return the reading of a channel at given times."""
     samples, rate = record.samples[channel], record.sample_rate_hz
     rests_to = (timing.onset_s - 2.0 * timing.u_onset_s - record.start_s) * rate
@@ -413,8 +417,8 @@ def _reading(record: StepRecord, channel: int, place: Location, timing: Timing) 
     poles, after = np.zeros(0, dtype=np.complex128), int(np.ceil(rings_from))
     if timing.fit is not None:
         poles = np.asarray(timing.fit.poles[: len(timing.fit.frequency_hz)] / rate)
-    baseline = ringing_level(samples[: int(rests_to)], poles[:0], place.resolution)
-    steady = ringing_level(samples[after:], poles, place.resolution)
+    baseline = ringing_level(samples[: int(rests_to)], poles[:0], location.resolution)
+    steady = ringing_level(samples[after:], poles, location.resolution)
     change = steady.value - baseline.value
     gain = change / record.amplitude
     u_gain = np.hypot(np.hypot(baseline.u, steady.u) / record.amplitude, gain * record.u_amplitude)
@@ -439,7 +443,7 @@ def _reading(record: StepRecord, channel: int, place: Location, timing: Timing) 
         static_gain=gain,
         u_static_gain=float(u_gain),
         noise=baseline.noise,
-        clipped=any(cut_run(side, place.resolution, baseline.noise) for side in (samples, -samples)),
+        clipped=any(cut_run(side, location.resolution, baseline.noise) for side in (samples, -samples)),
         peaks=spectrum_peaks(samples[after:] - steady.value, rate, baseline.noise),
     )
     return replace(reading, notices=_remarks(record, reading, timing, (baseline, steady)))
@@ -508,15 +512,17 @@ class ReleaseKind:
 
 def compare_releases(readings: Sequence[ReleaseReading]) -> tuple[ReleaseKind, ...]:
     """Return the kinds of release among readings of one output and one component, by rank."""
-    places = {(reading.channel, reading.component) for reading in readings}
-    if len(places) != 1:
-        told = ", ".join(f"{channel} under {component}" for channel, component in sorted(places)) or "none"
-        raise ValueError(f"readings: expected those of one output under one component, found {told}")
+    outputs = {(reading.channel, reading.component) for reading in readings}
+    if len(outputs) != 1:
+        found = ", ".join(f"{channel} under {component}" for channel, component in sorted(outputs)) or "none"
+        raise ValueError(f"readings: expected those of one output under one component, found {found}")
     kinds = []
     for name in dict.fromkeys(reading.release for reading in readings):
-        own = [reading for reading in readings if reading.release == name]
-        rise = _spread([r.rise_s for r in own], [r.u_rise_s for r in own])
-        kinds.append((name, len(own), rise, _spread([r.release_s for r in own], [r.u_release_s for r in own])))
+        members = [reading for reading in readings if reading.release == name]
+        rise = _spread([r.rise_s for r in members], [r.u_rise_s for r in members])
+        kinds.append(
+            (name, len(members), rise, _spread([r.release_s for r in members], [r.u_release_s for r in members]))
+        )
     kinds.sort(key=lambda kind: kind[2].mean)
     faster = [*(_faster(one[2], other[2]) for one, other in pairwise(kinds)), np.nan]
     ranked = enumerate(zip(kinds, faster, strict=True), 1)
@@ -527,13 +533,15 @@ def _spread(values: Sequence[float], u: Sequence[float]) -> RepeatedMean:
     """Return mean and scatter of values; `u_mean` is at least that of the values' uncertainties."""
     value: FloatArray = np.asarray(values, dtype=np.float64)
     count = len(value)
-    own = float(np.sqrt(np.sum(np.square(u)))) / count
+    u_readings = float(np.sqrt(np.sum(np.square(u)))) / count
     if count == 1:
-        return RepeatedMean(float(value[0]), own, np.nan, np.nan, np.inf)
+        return RepeatedMean(float(value[0]), u_readings, np.nan, np.nan, np.inf)
     scatter = float(np.std(value, ddof=1))
     u_mean = scatter / np.sqrt(count)
-    dof = float(count - 1) if u_mean >= own else np.inf
-    return RepeatedMean(float(value.mean()), max(u_mean, own), scatter, scatter / np.sqrt(2.0 * (count - 1)), dof)
+    dof = float(count - 1) if u_mean >= u_readings else np.inf
+    return RepeatedMean(
+        float(value.mean()), max(u_mean, u_readings), scatter, scatter / np.sqrt(2.0 * (count - 1)), dof
+    )
 
 
 def _faster(one: RepeatedMean, other: RepeatedMean) -> float:

@@ -210,10 +210,10 @@ def _passing(samples: FloatArray, baseline: float, steady: float, share: float, 
     above = np.flatnonzero(runs[: len(relative)] >= _RUN)
     if not above.size:
         return float(len(samples) - 1)
-    place = int(above[0])
-    if place == 0:
+    index = int(above[0])
+    if index == 0:
         return float(start)
-    return start + place - 1 + float((share - relative[place - 1]) / (relative[place] - relative[place - 1]))
+    return start + index - 1 + float((share - relative[index - 1]) / (relative[index] - relative[index - 1]))
 
 
 # Levels before and after a release, and whether the record holds all of it.
@@ -241,9 +241,9 @@ def ringing_level(samples: FloatArray, poles: ComplexArray, resolution: float) -
     noise at the end of the samples that is next to the release.
     """
     count = len(samples)
-    place = np.arange(count, dtype=np.float64)
-    decays = np.exp(np.outer(place, poles))
-    middle = (place - place.mean()) / count
+    number = np.arange(count, dtype=np.float64)
+    decays = np.exp(np.outer(number, poles))
+    middle = (number - number.mean()) / count
     columns = np.concatenate([np.ones((count, 1)), decays.real, decays.imag], axis=1)
     value, u, residual = _fitted(columns, samples, 0)
     drift, u_drift, _ = _fitted(np.concatenate([columns, middle[:, None]], axis=1), samples, columns.shape[1])
@@ -256,15 +256,15 @@ def ringing_level(samples: FloatArray, poles: ComplexArray, resolution: float) -
     return Level(value, float(np.hypot(u, digit)), max(noise, least), drift, drift / max(u_drift, digit, 1e-300))
 
 
-def _fitted(columns: FloatArray, samples: FloatArray, wanted: int) -> tuple[float, float, FloatArray]:
+def _fitted(columns: FloatArray, samples: FloatArray, column: int) -> tuple[float, float, FloatArray]:
     """Return one coefficient with standard uncertainty, and the residual (N,)."""
     size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     inverse = np.linalg.pinv((columns / size).T @ (columns / size), rcond=1e-12, hermitian=True)
     linear = inverse @ ((columns / size).T @ samples)
     residual = samples - (columns / size) @ linear
     variance = float(residual @ residual) / max(len(samples) - columns.shape[1], 1) * correlation_factor(residual)
-    u = float(np.sqrt(variance * inverse[wanted, wanted]) / size[wanted])
-    return float(linear[wanted] / size[wanted]), u, residual
+    u = float(np.sqrt(variance * inverse[column, column]) / size[column])
+    return float(linear[column] / size[column]), u, residual
 
 
 TESTED_LAGS = 40  # lags that a residual is tested for correlation at
@@ -355,8 +355,8 @@ def spectrum_peaks(ringing: FloatArray, sample_rate_hz: float, noise: float, mos
     order: list[int] = []
     for top in tops[np.argsort(-size[tops], kind="stable")].tolist():
         dip = min(size[top] / 1.5, size[top] - _DIP * floor)  # what the spectrum falls below between two peaks
-        apart = all(np.min(size[min(top, other) : max(top, other) + 1]) < dip for other in order)
-        if apart and len(order) < most:
+        separated = all(np.min(size[min(top, other) : max(top, other) + 1]) < dip for other in order)
+        if separated and len(order) < most:
             order.append(top)
     weighted, near = ringing * window, spectrum.frequency_hz[order].tolist()
     refined = np.array([_refined(weighted, window, sample_rate_hz, hertz, noise) for hertz in near]).reshape(-1, 4)
@@ -376,16 +376,16 @@ def _refined(
     omega = 2 * np.pi * near_hz
     limit = np.pi * sample_rate_hz / (_PADDED * len(weighted))
     for _ in range(_REFINED):
-        turned = np.exp(-1j * omega * time_s)
-        x0, x1, x2 = (np.sum(weighted * turned * (-1j * time_s) ** k) for k in range(3))
+        rotation = np.exp(-1j * omega * time_s)
+        x0, x1, x2 = (np.sum(weighted * rotation * (-1j * time_s) ** k) for k in range(3))
         slope = 2.0 * float(np.real(np.conj(x0) * x1))
         curvature = 2.0 * float(np.abs(x1) ** 2 + np.real(np.conj(x0) * x2))
         move = float(np.clip(-slope / curvature, -limit, limit)) if curvature < 0 else float(np.sign(slope)) * limit
         omega += move
         if abs(move) < 1e-9 * omega:
             break
-    by_sample = 2.0 * np.real(window * turned * (np.conj(x0) * (-1j * time_s) + np.conj(x1)))
-    by_size = np.real(np.conj(x0) * window * turned) / abs(x0)
+    by_sample = 2.0 * np.real(window * rotation * (np.conj(x0) * (-1j * time_s) + np.conj(x1)))
+    by_size = np.real(np.conj(x0) * window * rotation) / abs(x0)
     scale = 2.0 / window.sum()
     u_omega = noise * float(np.linalg.norm(by_sample)) / abs(curvature)
     u_size = noise * float(np.linalg.norm(by_size)) * scale

@@ -138,14 +138,14 @@ class SeriesProblem:
             with np.errstate(invalid="ignore", divide="ignore"):
                 left.append(np.log(z[z_rows] / self.measured.damping_ratio[z_rows]))
                 slopes.append(rates[1][z_rows] / z[z_rows][:, None])
-        own, by_own = self.prior(x)
-        residual = np.concatenate([np.concatenate(left) / sigma, own])
-        return residual, np.vstack([np.vstack(slopes) / sigma[:, None], by_own])
+        prior, by_prior = self.prior(x)
+        residual = np.concatenate([np.concatenate(left) / sigma, prior])
+        return residual, np.vstack([np.vstack(slopes) / sigma[:, None], by_prior])
 
     def prior(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the stated masses as residuals (Q,) with their derivatives (Q, X)."""
-        own = self.deviates(x)
-        return own, np.eye(len(x))[len(x) - len(own) :]
+        deviates = self.deviates(x)
+        return deviates, np.eye(len(x))[len(x) - len(deviates) :]
 
     def stated(self) -> tuple[FloatArray, FloatArray]:
         """Return the stated relative standard uncertainties of the fitted frequencies and dampings."""

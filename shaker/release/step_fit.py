@@ -87,8 +87,8 @@ def as_step_fit(
     solution = found.solution
     value = record.samples[record.channels.index(reading.channel)]
     whole = every_sample(value, record.time_s, 1.0 / record.sample_rate_hz)
-    known = fit_covariance(solution, whole)
-    model = modal_model(solution, known.covariance, record.u_amplitude)
+    covariance = fit_covariance(solution, whole)
+    model = modal_model(solution, covariance.covariance, record.u_amplitude)
     middle, length = solution.problem.release(solution.vector)
     timed = solution.problem.load.timed
     decimation = int(solution.problem.samples.length[-1])
@@ -100,20 +100,20 @@ def as_step_fit(
         model=model,
         system=model.system,
         time_s=whole.time_s,
-        fitted=known.fitted,
-        residual=known.residual,
+        fitted=covariance.fitted,
+        residual=covariance.residual,
         sample_rate_hz=record.sample_rate_hz / decimation,
         decimation=decimation,
         order=solution.problem.structure.order,
-        variance_accounted=1.0 - float(np.sum(known.residual**2) / np.sum((value - value.mean()) ** 2)),
+        variance_accounted=1.0 - float(np.sum(covariance.residual**2) / np.sum((value - value.mean()) ** 2)),
         convergence=np.array(found.path),
         duration_s=time.perf_counter() - began,
         onset_s=middle - 0.5 * length if timed else reading.onset_s,
-        u_onset_s=known.u_onset_s if timed else reading.u_onset_s,
+        u_onset_s=covariance.u_onset_s if timed else reading.u_onset_s,
         release_s=length,
-        u_release_s=known.u_release_s,
+        u_release_s=covariance.u_release_s,
         shape=solution.problem.load.shape,
-        notices=fit_notices(record, reading, solution, model, known),
+        notices=fit_notices(record, reading, solution, model, covariance),
     )
 
 
@@ -218,10 +218,10 @@ def merge_alternatives(fits: Sequence[StepFit], excess: float | None = None) -> 
         if more >= REJECT_CHI2 or first.model is None or other.model is None or first.model.covariance is None:
             continue
         far = excess_chi2_sigmas(more)
-        away = (other.model.vector - first.model.vector) / far
+        shift = (other.model.vector - first.model.vector) / far
         first = replace(
             first,
-            model=replace(first.model, covariance=first.model.covariance + np.outer(away, away)),
+            model=replace(first.model, covariance=first.model.covariance + np.outer(shift, shift)),
             u_onset_s=float(np.hypot(first.u_onset_s, (other.onset_s - first.onset_s) / far)),
             u_release_s=float(np.hypot(first.u_release_s, (other.release_s - first.release_s) / far)),
         )
@@ -292,8 +292,8 @@ class OrderFamily(Brief):
         `direct`: with a term b0·u(k).
         """
         last = 2 * np.arange(1, self.most + 1) + 1
-        own = self.triangle[last, last] ** 2
-        return np.asarray(own if direct else own + self.triangle[last - 1, last] ** 2)
+        squares = self.triangle[last, last] ** 2
+        return np.asarray(squares if direct else squares + self.triangle[last - 1, last] ** 2)
 
     def parameters(self, order: int, direct: bool = True) -> FloatArray:
         """Return the parameters of one order, interleaved.
@@ -312,9 +312,9 @@ class OrderFamily(Brief):
 
         y(k) = Σ b_i u(k-i) - Σ a_i y(k-i).
         """
-        own = self.parameters(order, direct)
-        load, past = own[: 2 * order : 2][::-1], own[1 : 2 * order : 2][::-1]
-        numerator = np.concatenate([own[-1:] if direct else [0.0], load])
+        parameters = self.parameters(order, direct)
+        load, past = parameters[: 2 * order : 2][::-1], parameters[1 : 2 * order : 2][::-1]
+        numerator = np.concatenate([parameters[-1:] if direct else [0.0], load])
         return LinearSystem.from_coefficients(numerator, np.concatenate([[1.0], -past]), self.sample_rate_hz)
 
     def bend(self, direct: bool = True) -> int:
@@ -563,7 +563,7 @@ def fit_all_methods(
             return fit_step(record, channel, reading=reading, modes=modes, real_poles=real_poles, method=start)
         if method in ("sim", "sim_zoh"):
             return fit_sim(record, channel, reading=reading, conversion="tustin" if method == "sim" else "zoh")
-        own: Literal["modes", "coefficients"] = "modes" if method == "evolution" else "coefficients"
-        return fit_evolution(record, channel, rng=rng, reading=reading, parametrisation=own)
+        parametrisation: Literal["modes", "coefficients"] = "modes" if method == "evolution" else "coefficients"
+        return fit_evolution(record, channel, rng=rng, reading=reading, parametrisation=parametrisation)
 
     return tuple(map(fitted, methods))

@@ -30,9 +30,9 @@ AIR_GAS_CONSTANT = 3.483740e-3  # kg K/J, molar mass of dry air with 400 ppm CO2
 ABSOLUTE_ZERO_C = -273.15
 U_FORMULA = 22e-6
 """Relative standard uncertainty of the CIPM-2007 formula itself."""
-WEATHER_PA, ANY_PLACE_PA = 1000.0, 4000.0
+WEATHER_PA, UNKNOWN_HEIGHT_PA = 1000.0, 4000.0
 """Standard deviation of the pressure about the standard atmosphere's: at a known height, and where none is known."""
-ROOM_C, U_ROOM_C = 20.0, 3.0
+USUAL_C, U_USUAL_C = 20.0, 3.0
 HUMIDITY, U_HUMIDITY = 0.5, 0.2
 U_MEASURED_PA, U_MEASURED_C, U_MEASURED_HUMIDITY = 100.0, 0.5, 0.05
 """Standard uncertainties that are taken for pressure, temperature and humidity where somebody has measured them."""
@@ -109,10 +109,11 @@ def air_density_at(
     Pressure: the standard atmosphere at the height, ±10 hPa for weather; without a height that at sea level ±40 hPa. 20
     °C ± 3 K. Relative humidity 0.5 ± 0.2. Measured values have 1 hPa, 0.5 K and 0.05 (all k = 1).
     """
-    weather = SourcedValue(standard_pressure(height_m or 0.0), ANY_PLACE_PA if height_m is None else WEATHER_PA, "")
+    u_weather = UNKNOWN_HEIGHT_PA if height_m is None else WEATHER_PA
+    weather = SourcedValue(standard_pressure(height_m or 0.0), u_weather, "")
     parts = [
         weather if pressure_pa is None else SourcedValue(pressure_pa, U_MEASURED_PA, "pressure"),
-        SourcedValue(ROOM_C, U_ROOM_C, "")
+        SourcedValue(USUAL_C, U_USUAL_C, "")
         if temperature_c is None
         else SourcedValue(temperature_c, U_MEASURED_C, "temperature"),
         SourcedValue(HUMIDITY, U_HUMIDITY, "")
@@ -196,14 +197,14 @@ class AngleFit(Brief):
 
     def amplitude(self, order: int = 1) -> ComplexArray:
         """Return A (C,) of a harmonic, so that the reading is Re{A exp(+j·order·angle)}."""
-        cosine, sine = self._places(order)
+        cosine, sine = self._columns(order)
         return np.asarray(self.coefficient[cosine] - 1j * self.coefficient[sine])
 
     def covariance(self, order: int = 1) -> FloatArray:
         """Return the noise covariance (2C, 2C) of [all Re, all Im] of a harmonic's amplitude."""
-        places = self._places(order)
+        indices = self._columns(order)
         turn = np.array([[1.0, -1.0], [-1.0, 1.0]])
-        return np.asarray(np.kron(turn * self.inverse[np.ix_(places, places)], self.noise))
+        return np.asarray(np.kron(turn * self.inverse[np.ix_(indices, indices)], self.noise))
 
     def curve(self, angle_rad: FloatArray) -> FloatArray:
         """Return offset and harmonics at angles (M,) as (M, C), without drift and sense."""
@@ -211,17 +212,17 @@ class AngleFit(Brief):
 
     def reversal(self) -> Reversal:
         """Return the differences between readings at angles that were read in both senses."""
-        sense, turned = turning_sense(self.angle_rad), np.mod(self.angle_rad, 2.0 * np.pi)
-        met, differences = [], []
-        for angle in _distinct(turned):
-            here = np.abs(np.angle(np.exp(1j * (turned - angle)))) < SAME_ANGLE_RAD
-            forward, back = here & (sense > 0.0), here & (sense < 0.0)
+        sense, angles = turning_sense(self.angle_rad), np.mod(self.angle_rad, 2.0 * np.pi)
+        both, differences = [], []
+        for angle in _distinct(angles):
+            near = np.abs(np.angle(np.exp(1j * (angles - angle)))) < SAME_ANGLE_RAD
+            forward, back = near & (sense > 0.0), near & (sense < 0.0)
             if forward.any() and back.any():
-                met.append(angle)
+                both.append(angle)
                 differences.append(self.reading[forward].mean(axis=0) - self.reading[back].mean(axis=0))
-        return Reversal(np.array(met), np.reshape(differences, (len(met), len(self.channels))))
+        return Reversal(np.array(both), np.reshape(differences, (len(both), len(self.channels))))
 
-    def _places(self, order: int) -> list[int]:
+    def _columns(self, order: int) -> list[int]:
         if order not in self.orders:
             raise ValueError(f"order: expected one of {self.orders}, found {order}")
         return [self.terms.index(f"{part} {order}") for part in ("cos", "sin")]
@@ -305,12 +306,12 @@ def _periodic(name: str, angle: FloatArray) -> FloatArray:
     return np.full(len(angle), float(name == "offset"))
 
 
-def _distinct(turned: FloatArray) -> FloatArray:
+def _distinct(angle: FloatArray) -> FloatArray:
     """Return the different angles within one revolution."""
-    ordered = np.sort(turned)
-    kept = ordered[np.diff(ordered, prepend=-np.inf) > SAME_ANGLE_RAD]
-    wraps = len(kept) > 1 and kept[0] + 2.0 * np.pi - kept[-1] < SAME_ANGLE_RAD
-    return np.asarray(kept[:-1] if wraps else kept)
+    ordered = np.sort(angle)
+    distinct = ordered[np.diff(ordered, prepend=-np.inf) > SAME_ANGLE_RAD]
+    wraps = len(distinct) > 1 and distinct[0] + 2.0 * np.pi - distinct[-1] < SAME_ANGLE_RAD
+    return np.asarray(distinct[:-1] if wraps else distinct)
 
 
 def _last_digit(column: FloatArray) -> float:
@@ -337,11 +338,11 @@ def _clearest(design: FloatArray, blocks: list[list[Term]], values: FloatArray, 
     left = values - basis @ (basis.T @ values)
     before = np.sum(left**2, axis=0)
     best, least = None, CHANCE / max(1, len(floor))
-    for place, block in enumerate(blocks):
+    for index, block in enumerate(blocks):
         columns = np.stack([column for _, column in block], axis=1)
-        own = columns - basis @ (basis.T @ columns)
+        orthogonal = columns - basis @ (basis.T @ columns)
         dof = len(design) - design.shape[1] - len(block)
-        axes, size, _ = np.linalg.svd(own, full_matrices=False)
+        axes, size, _ = np.linalg.svd(orthogonal, full_matrices=False)
         if dof < LEAST_DOF or size[-1] * LARGEST_CONDITION < np.linalg.norm(columns[:, 0]):
             continue
         gain = np.sum((axes.T @ left) ** 2, axis=0)
@@ -349,5 +350,5 @@ def _clearest(design: FloatArray, blocks: list[list[Term]], values: FloatArray, 
         ratio = gain / len(block) / np.where(noise > 0.0, noise, 1.0)
         chance = float(np.min(fdtrc(len(block), dof, ratio)))
         if chance < least:
-            best, least = place, chance
+            best, least = index, chance
     return best

@@ -80,19 +80,19 @@ class RotationRecord(Brief):
         return share, across / share, np.cross(self.axis, across) / share
 
 
-def weight_load(record: RotationRecord, own: FloatArray, sense: int) -> tuple[ComplexArray, ComplexArray]:
+def weight_load(record: RotationRecord, unknowns: FloatArray, sense: int) -> tuple[ComplexArray, ComplexArray]:
     """Return the load phasor (6,) of a recording's unknowns (7,), and its derivatives (6, 7)."""
     share, _, _ = record.frame
-    turn = sense * np.exp(1j * own[4])
-    phasor = turn * turning_phasor(record, own[5:])
+    turn = sense * np.exp(1j * unknowns[4])
+    phasor = turn * turning_phasor(record, unknowns[5:])
     tilts = turn * share * np.outer(record.axis, [-1.0, -1j])
     columns = np.zeros((6, UNKNOWNS_PER_RECORD), np.complex128)
     columns[:3, 0] = phasor
     columns[3:, 1:4] = np.cross(np.eye(3), phasor).T
-    load = columns[:, :4] @ own[:4]
+    load = columns[:, :4] @ unknowns[:4]
     columns[:, 4] = 1j * load
-    columns[:3, 5:] = own[0] * tilts
-    columns[3:, 5:] = np.cross(own[1:4], tilts, axisb=0).T
+    columns[:3, 5:] = unknowns[0] * tilts
+    columns[3:, 5:] = np.cross(unknowns[1:4], tilts, axisb=0).T
     return np.asarray(load), columns
 
 
@@ -297,8 +297,8 @@ class _WeightProblem:
     @cached_property
     def start(self) -> FloatArray:
         """Start values of the unknowns."""
-        own = [start_values(record, self.outputs) for record in self.records]
-        return np.concatenate([*own, np.zeros(self.shared)])
+        starts = [start_values(record, self.outputs) for record in self.records]
+        return np.concatenate([*starts, np.zeros(self.shared)])
 
     @cached_property
     def departures(self) -> FloatArray:
@@ -342,24 +342,25 @@ class _WeightProblem:
     def point(self, vector: FloatArray) -> WhitenedResiduals:
         """Return the weighted residuals, and the unknowns over their prior standard deviation."""
         residuals, blocks = [], []
-        own = UNKNOWNS_PER_RECORD * len(self.records)
+        shared_start = UNKNOWNS_PER_RECORD * len(self.records)
         elements, matrix = self.elements, self.outputs.sensitivity.copy()
         rows, columns = elements.T
-        matrix[rows, columns] += vector[own : own + len(elements)] * self.outputs.u[rows, columns]
+        matrix[rows, columns] += vector[shared_start : shared_start + len(elements)] * self.outputs.u[rows, columns]
         for r, record in enumerate(self.records):
-            load, by_own = weight_load(
+            load, by_unknowns = weight_load(
                 record, vector[UNKNOWNS_PER_RECORD * r : UNKNOWNS_PER_RECORD * (r + 1)], self.outputs.sense
             )
             if self.u_angle_rad > 0.0:
                 twice = self.u_angle_rad * complex(vector[-2], -vector[-1])
                 by_head = -0.5j * np.conj(load)[:, None] * self.u_angle_rad * np.array([1.0, -1j])
-                load, by_own = load - 0.5j * np.conj(load) * twice, by_own - 0.5j * np.conj(by_own) * twice
+                by_unknowns = by_unknowns - 0.5j * np.conj(by_unknowns) * twice
+                load = load - 0.5j * np.conj(load) * twice
             else:
                 by_head = np.zeros((6, 0), np.complex128)
             jacobian = np.zeros((len(matrix), len(vector)), np.complex128)
-            jacobian[:, UNKNOWNS_PER_RECORD * r : UNKNOWNS_PER_RECORD * (r + 1)] = matrix @ by_own
-            jacobian[rows, own + np.arange(len(elements))] = self.outputs.u[rows, columns] * load[columns]
-            jacobian[:, own + len(elements) :] = matrix @ by_head
+            jacobian[:, UNKNOWNS_PER_RECORD * r : UNKNOWNS_PER_RECORD * (r + 1)] = matrix @ by_unknowns
+            jacobian[rows, shared_start + np.arange(len(elements))] = self.outputs.u[rows, columns] * load[columns]
+            jacobian[:, shared_start + len(elements) :] = matrix @ by_head
             missing = record.amplitude - matrix @ load
             residuals += [missing.real, missing.imag]
             blocks += [jacobian.real, jacobian.imag]
@@ -389,12 +390,12 @@ class _WeightSolution:
     def tests(self) -> tuple[_Test, _Test]:
         """χ² of all outputs and of the force outputs."""
         problem, count = self.problem, len(self.problem.records)
-        own, shares = np.split(self.point.residual**2, [len(problem.weight)])
-        known = (problem.prior * np.diag(self.inverse))[: UNKNOWNS_PER_RECORD * count]
+        squares, shares = np.split(self.point.residual**2, [len(problem.weight)])
+        from_prior = (problem.prior * np.diag(self.inverse))[: UNKNOWNS_PER_RECORD * count]
         rows = 2 * int(problem.forces.sum())
         freedom = count * max(0, rows - 2 - (2 if rows > 4 else 0))
-        forces = float(own.reshape(count, 2, -1)[:, :, problem.forces].sum())
-        every = _Test(self.point.loss, len(own) - float(np.sum(1.0 - known)))
+        forces = float(squares.reshape(count, 2, -1)[:, :, problem.forces].sum())
+        every = _Test(self.point.loss, len(squares) - float(np.sum(1.0 - from_prior)))
         return every, _Test(forces + float(shares.sum()), float(freedom))
 
 
@@ -415,8 +416,8 @@ def _projection(problem: _WeightProblem, r: int, vector: FloatArray) -> ComplexA
 
     The weight is the real part of the product.
     """
-    own = vector[UNKNOWNS_PER_RECORD * r : UNKNOWNS_PER_RECORD * (r + 1)]
-    phasor = problem.outputs.sense * np.exp(1j * own[4]) * turning_phasor(problem.records[r], own[5:])
+    unknowns = vector[UNKNOWNS_PER_RECORD * r : UNKNOWNS_PER_RECORD * (r + 1)]
+    phasor = problem.outputs.sense * np.exp(1j * unknowns[4]) * turning_phasor(problem.records[r], unknowns[5:])
     size = np.abs(phasor)
     seen = problem.outputs.determined[:FORCES] & (size > MIN_FORCE_SHARE)
     return np.asarray(np.where(seen, np.conj(phasor) / np.where(seen, size, 1.0) ** 2, np.nan))
@@ -429,9 +430,10 @@ def _sources(fit: _WeightSolution) -> Iterator[WeightErrorSource]:
     """
     problem, vector, outputs = fit.problem, fit.point.parameters, fit.problem.outputs
     count, elements, u_angle = len(problem.records), problem.elements, problem.u_angle_rad
-    own, (row, column) = UNKNOWNS_PER_RECORD * count, elements.T
+    shared_start, (row, column) = UNKNOWNS_PER_RECORD * count, elements.T
     wide = np.zeros((ROWS * count, len(vector)))  # which value is which unknown
-    wide.reshape(count, ROWS, -1)[:, :UNKNOWNS_PER_RECORD, :own] = np.eye(own).reshape(count, UNKNOWNS_PER_RECORD, own)
+    unit = np.eye(shared_start).reshape(count, UNKNOWNS_PER_RECORD, shared_start)
+    wide.reshape(count, ROWS, -1)[:, :UNKNOWNS_PER_RECORD, :shared_start] = unit
     by_row = wide @ fit.inverse @ (fit.point.jacobian[: len(problem.weight)].T * np.sqrt(problem.weight))
     shared = -wide @ (fit.inverse * problem.prior)
     size = 2 * len(outputs.sensitivity)
@@ -444,17 +446,17 @@ def _sources(fit: _WeightSolution) -> Iterator[WeightErrorSource]:
         by_element = outputs.inverse[:FORCES, row] * outputs.u[row, column] * load[column]
         by_head = -0.5j * u_angle * np.conj(load[:FORCES, None]) * np.array([1.0, -1j])
         every = np.hstack([by_element, by_head]) if u_angle > 0.0 else by_element
-        shared[alone, own:] = np.real(every * projection)
+        shared[alone, shared_start:] = np.real(every * projection)
         yield WeightErrorSource(
             f"noise of {record.name}", "A", record.dof, by_row[:, rows] @ covariance_root(record.covariance)
         )
     if problem.departure > 0.0:
         freedom = min(test.dof for test in fit.tests if test.dof > 0.5)
         yield WeightErrorSource("channels that disagree", "A", freedom, by_row * problem.departures)
-    ends = own + len(elements)
+    ends = shared_start + len(elements)
     if len(elements):
-        yield WeightErrorSource("calibration matrix", "B", np.inf, shared[:, own:ends])
+        yield WeightErrorSource("calibration matrix", "B", np.inf, shared[:, shared_start:ends])
     if u_angle > 0.0:
         yield WeightErrorSource("angle of the head", "B", np.inf, shared[:, ends:])
-    weak = [UNKNOWNS_PER_RECORD * r + place for r in range(count) for place in (1, 2, 3, 5, 6)]
+    weak = [UNKNOWNS_PER_RECORD * r + unknown for r in range(count) for unknown in (1, 2, 3, 5, 6)]
     yield WeightErrorSource("what no channel tells", "B", np.inf, shared[:, weak] / np.sqrt(problem.prior[weak]))
