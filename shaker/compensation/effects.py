@@ -25,14 +25,14 @@ from shaker.compensation.filter import (
 )
 from shaker.lti.system import LinearSystem
 
-# The target that keeps a whole sensor within a permitted error up to a wanted frequency.
+# Target for a permitted error of the whole sensor up to a specified frequency.
 
 MODEL_ERROR_SHARE = 0.1
-"""Share of the permitted error that is left to the uncertainty of the model."""
-HIGHEST_FACTOR = 32.0
-RESOLUTION = 1e-10
-REACH, FINE = 4.0, 2001
-POINTS = 257
+"""Share of the permitted error that is reserved for the uncertainty of the model, chosen."""
+HIGHEST_FACTOR = 32.0  # range of the search for the target's frequency over the bandwidth
+RESOLUTION = 1e-10  # relative, of the target's frequency
+REACH, FINE = 4.0, 2001  # range over the target's frequency, and points, of the search for the widest band
+POINTS = 257  # of a band
 
 
 def target_for_bandwidth(
@@ -133,7 +133,7 @@ def _gains(sensor: SensorDynamics, frequency_hz: FloatArray) -> Callable[[Compen
     return gain
 
 
-# What a compensation filter makes of the sensor's noise.
+# Noise after a compensation filter.
 
 
 def white_noise_gain(sections: Sections) -> float:
@@ -200,10 +200,10 @@ def state_space(sections: Sections) -> tuple[FloatArray, FloatArray, FloatArray,
     return a, b, sections.gain * c, float(sections.gain * d)
 
 
-# What is left where a filter meets another sensor than it was made for: another load, or a model that is off.
+# Mismatch of filter and sensor: another load, or an inaccurate model.
 
-PERIODS = 6
-PER_PERIOD = 256
+PERIODS = 6  # of the slowest oscillation
+PER_PERIOD = 256  # points of the fastest oscillation
 
 
 def with_parameters(sensor: SensorDynamics, vector: FloatArray) -> LinearSystem:
@@ -243,7 +243,7 @@ def residual_ringing(compensation: Compensation, sensor: LinearSystem, after_s: 
     return float(np.max(np.abs(whole.step_between(after_s, after_s + span, count) / whole.static_gain - 1.0)))
 
 
-# How well a compensated signal is known: by frequency and sample by sample.
+# Uncertainty of a compensated signal by frequency and by sample.
 
 
 @dataclass(frozen=True, repr=False)

@@ -12,7 +12,7 @@ from shaker.lti.indices import step_shares
 from shaker.lti.system import LinearSystem, ModalModel
 from shaker.release.load_model import LoadModel
 
-# What a compensation filter takes out of a sensor: modes, real poles and static gain, with covariance.
+# Dynamics of a sensor that a filter compensates: modes, real poles and static gain, with covariance.
 
 
 @dataclass(frozen=True, repr=False)
@@ -127,10 +127,10 @@ def loaded_dynamics(model: LoadModel, load_mass: float, *, modes: int = 1) -> Se
     return SensorDynamics(f, zeta, np.zeros(0), float(gain[0]), system, covariance)
 
 
-# The dynamics a compensated sensor shall have, stated or found for a wanted bandwidth.
+# Target dynamics of a compensated sensor.
 
 MODE_SPACING = 2.0
-"""How far apart, over the target's frequency, further modes are put at least."""
+"""Smallest spacing of further modes over the target's frequency."""
 
 
 @dataclass(frozen=True)
@@ -216,7 +216,7 @@ def mode_poles(frequency_hz: float, damping_ratio: float) -> ComplexArray:
     return np.asarray(2 * np.pi * frequency_hz * np.array([-damping_ratio + root, -damping_ratio - root]))
 
 
-# The continuous compensation filter: the sensor's denominator over the wanted one.
+# Continuous compensation filter: the sensor's denominator over that of the target.
 
 
 @dataclass(frozen=True)
@@ -289,12 +289,12 @@ class Compensation:
         return np.concatenate([by_frequency, 2.0 * s / omega / mode, by_real, by_gain], axis=1)
 
 
-# The compensation filter for samples: second-order sections, each of static gain 1, and what sampling costs.
+# Digital compensation filter: second-order sections of static gain 1, and discretisation error.
 
 Discretisation = Literal["matched", "tustin"]
 HIGHEST_SHARE = 0.45
-"""Share of the sampling rate up to which a pole or a zero may lie."""
-DISCRETE_RELATIVE_STEP = 1e-6
+"""Largest frequency of a pole or zero over the sampling rate."""
+DISCRETE_RELATIVE_STEP = 1e-6  # of central differences
 
 
 @dataclass(frozen=True, repr=False)
@@ -421,7 +421,7 @@ def discretisation_error(compensation: Compensation, sections: Sections, frequen
     return np.asarray(sections.response(frequency_hz) / compensation.system.response(frequency_hz) - 1.0)
 
 
-# A compensation filter that runs along with the data, block by block.
+# Streaming compensation filter.
 
 
 class CompensationFilter:
@@ -453,7 +453,7 @@ class CompensationFilter:
     >>> sections = discretise(Compensation(single_mode(300.0, 0.02), CompensationTarget(1000.0, 0.7)), 20e3)
     >>> run = CompensationFilter(sections, level=None)
     >>> first, second = run(np.ones((1, 100))), run(np.ones((1, 100)))
-    >>> print(first[0, -1].round(9), second[0, -1].round(9))  # a constant load stays what it is
+    >>> print(first[0, -1].round(9), second[0, -1].round(9))  # a constant load does not change
     1.0 1.0
     """
 

@@ -17,9 +17,9 @@ from shaker.compensation.filter import Sections
 from shaker.lti.system import LinearSystem
 
 RUNAWAY = 1e3
-"""Forces over the largest one the hand could give at rest from which a run is given up."""
-HIGHEST_GAIN = 1e4
-GRID = 161
+"""Force over the largest static force of the hand, above which a run is unstable."""
+HIGHEST_GAIN = 1e4  # end of the search for the stability limit
+GRID = 161  # gains over seven decades
 
 
 @dataclass(frozen=True)

@@ -47,11 +47,11 @@ from shaker.release.record import ReleaseShape, StepRecord
 from shaker.release.release_notices import DOUBTFUL_MODE
 from shakercal._common.notices import Notice
 
-_PER_PERIOD = 6.0
-_LEAST_BLOCKS = 1200
-_MIN_DISTANCE = 2.0
-_NEAR = 0.5
-_BEFORE, _AFTER = 0.3, 2.0  # time constants of the slowest mode that the number of poles is looked for in
+_PER_PERIOD = 6.0  # blocks per period of the highest significant frequency
+_LEAST_BLOCKS = 1200  # per record, if it has as many samples
+_MIN_DISTANCE = 2.0  # of different poles, in decay rates
+_NEAR = 0.5  # gain of a step of a fit that is continued later, in variances
+_BEFORE, _AFTER = 0.3, 2.0  # range of the search for the number of poles, in time constants of the slowest mode
 
 
 def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most_reals: int = 2) -> MultiFit:
@@ -186,10 +186,10 @@ def _swings(decays: Sequence[FloatArray], loads: Sequence[str], rate_hz: float) 
     return poles
 
 
-# What was found, in the units of the records.
+# Result of a fit, in the units of the records.
 
-_COLOURED = 2.0
-_SCATTERED = 3.0
+_COLOURED = 2.0  # residual over the noise above which a notice is given
+_SCATTERED = 3.0  # scatter of releases over their noise above which a notice is given
 
 
 @dataclass(frozen=True, repr=False)
@@ -274,7 +274,9 @@ def multi_fit(
     releases = _releases(problem, records, fit, spread + later.T @ later)
     shares = np.array([_scale_share(name, records, releases) for name in problem.components])
     for outputs, coefficients in zip(follows, point.coefficients, strict=True):
-        for c, follow in enumerate(outputs):  # of those that start smoothly, and as the basis of these turns
+        for c, follow in enumerate(
+            outputs
+        ):  # coefficients of outputs with a smooth start, and the rotation of their basis
             outputs[c] = poles.smooth @ follow
             outputs[c][:, : poles.count] += (poles.smooth_slopes @ coefficients[:, c]).T
     elements = [follow for outputs in follows for follow in outputs]

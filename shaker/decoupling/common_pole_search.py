@@ -16,29 +16,29 @@ from shaker.release.load_response import MOMENTS
 from shaker.release.poles import shared_poles
 from shaker.release.record import ReleaseShape
 
-_ROUNDS = 12
-_CANDIDATES = 3
-_FEW_STEPS = 12
-_ROUGH = 2.0
-_ALONG_A_VALLEY = (40, 0.1)  # steps and calm for a lag, which nearly does what a later and longer release does
+_ROUNDS = 12  # changes of the number of poles, at most
+_CANDIDATES = 3  # poles of a residual that are tried per load
+_FEW_STEPS = 12  # of a fit near its minimum
+_ROUGH = 2.0  # gain of a step of a comparison, in variances
+_ALONG_A_VALLEY = (40, 0.1)  # steps and smallest gain for a lag, which acts almost like a later and longer release
 _AS_LONG = (1.25, 1.35, 1.45, 1.55)
-"""Durations of half a cosine over that of a line that does nearly the same: 1.33 by spread, more for fast modes."""
-_LAGS = (1.5, 4.0, 10.0)  # first lags tried, in frequencies of the lowest mode
-_SHORTEST = 0.3  # of a release as read, that is left to it by a lag tried
-_REAL_SHARES = (0.3, 1.0, 3.0)  # further lags tried, in frequencies of the highest mode
-_HIGHEST_REAL = 0.45
-_RESOLVED_SAMPLES = 2.0
+"""Trial durations of half a cosine over that of a similar ramp: 1.33 by second moment, more for fast modes."""
+_LAGS = (1.5, 4.0, 10.0)  # trial first lags, in frequencies of the lowest mode
+_SHORTEST = 0.3  # smallest remaining share of a release's duration after a trial lag
+_REAL_SHARES = (0.3, 1.0, 3.0)  # trial further lags, in frequencies of the highest mode
+_HIGHEST_REAL = 0.45  # share of the sampling rate
+_RESOLVED_SAMPLES = 2.0  # duration below which the shape is not resolved
 _LONGER = (0.5, 2.0)
-_UNEXPLAINED = 1.5
-_CLEARLY = 10.0
+_UNEXPLAINED = 1.5  # mean square residual over the noise
+_CLEARLY = 10.0  # significant difference of the loss
 _DURATION_FACTORS = (0.75, 1.4)
-_HARDLY_MORE = 12.0  # loss with poles held, with which no fit of all comes below `REFUTED`
-_MIN_DIFFERENCE = 0.1  # of durations
+_HARDLY_MORE = 12.0  # excess loss for fixed poles above which no fit of all parameters is below `REJECT_CHI2`
+_MIN_DIFFERENCE = 0.1  # relative, of different durations
 _STRONG = 0.5
-"""A mode above this share of the strongest is no make-up for releases read some hundredths of a period off."""
+"""A mode above this share of the strongest does not merely compensate for an error of the release times."""
 
 AlternativeTimes: TypeAlias = tuple[list[int], tuple[ReleaseTiming, ...]]
-"""Some records, and other releases of theirs."""
+"""Indices of some records, and alternative times of their releases."""
 
 
 @dataclass(frozen=True)
@@ -264,7 +264,7 @@ def _smaller(problem: StepProblem, fit: PoleFit, most: int | None) -> PoleFit | 
     if losses[weakest] > _STRONG * losses.max():
         return None
     fewer, count = poles.without(weakest), problem.values
-    # The loss at which the criterion is as high as here.
+    # The loss at which both criteria are equal.
     target_loss = count * float(np.exp((criterion(problem, poles, fit.loss) - _charge(problem, fewer)) / count))
     fitted = fit_poles(problem, fewer, fit.releases, *_ALONG_A_VALLEY, target_loss=target_loss)
     return fitted if fitted.loss < target_loss else None

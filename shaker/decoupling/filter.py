@@ -12,7 +12,7 @@ from numpy.random import Generator
 from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape, check_shapes
 from shaker.decoupling.model import MultiModel, Poles, StateSpace, sampled_modes
 
-# The filter against cross-talk: outputs to loads, as direct taps and a bank of poles, block by block.
+# Decoupling filter: outputs to loads, as taps and a bank of poles, block by block.
 
 
 @dataclass(frozen=True, repr=False)
@@ -142,12 +142,12 @@ class DecouplingFilter(Brief):
         return np.asarray(np.sqrt(power + np.real(np.einsum("dn,nm,dm->d", shown, gram, shown.conj()))))
 
 
-# Design of the filter against cross-talk: the load that explains the outputs best, with wanted dynamics.
+# Design of the decoupling filter: the best estimate of the loads with target dynamics.
 
-_DELAYS = 32
-_GAIN_LEFT = 2.0
-_SMALL = 1e-2
-_REAL = 1e-9
+_DELAYS = 32  # samples, longest delay that is tried
+_GAIN_LEFT = 2.0  # error of a short delay over that of the longest
+_SMALL = 1e-2  # error over the load that is sufficient
+_REAL = 1e-9  # relative imaginary part of a real pole
 
 
 @dataclass(frozen=True, repr=False)
@@ -217,7 +217,7 @@ def design_decoupling(
     --------
     >>> import numpy as np
     >>> from shaker import design_decoupling
-    >>> from shaker.decoupling.filter import SignalLevels, DecouplingTarget
+    >>> from shaker.decoupling.filter import DecouplingTarget, SignalLevels
     >>> from shaker.decoupling.model import MultiModel
     >>> loads, residue = ("Fx", "Fy"), -1j * np.array([[[200.0, 9.0], [5.0, 3.0]], [[2.0, 4.0], [-6.0, 190.0]]])
     >>> modes = np.array([310.0, 400.0]), np.array([0.02, 0.015])
@@ -329,12 +329,12 @@ def _assembled(
     )
 
 
-# How much of one load is read as another: before, with the static matrix alone, and behind the filter.
+# Cross-talk without correction, with the static matrix, and after the filter.
 
 Reader: TypeAlias = FloatArray | DecouplingFilter
-_DECAYS = 5.0
-_LONGEST = 20000
-_SHORTENED = 0.05
+_DECAYS = 5.0  # time constants of the slowest mode
+_LONGEST = 20000  # samples of a step response
+_SHORTENED = 0.05  # share of a sampled deviation, within the linear range
 
 
 @dataclass(frozen=True, repr=False)

@@ -16,7 +16,7 @@ from shaker.release.load_response import exponentials
 from shaker.release.release_notices import GROWING_POLE
 from shakercal._common.notices import Notice
 
-# Poles that outputs and loads share.
+# Common poles of outputs and loads.
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -156,7 +156,7 @@ class Poles(Brief):
         return [index, index + self.modes] if index < self.modes else [index + self.modes]
 
 
-# A system with several outputs and several loads as a sum of modes that all its elements share.
+# System with several outputs and loads as a sum of common modes.
 
 Names: TypeAlias = tuple[str, ...]
 
@@ -331,9 +331,9 @@ def growing_pole_notices(model: MultiModel) -> list[Notice]:
     return [Notice(GROWING_POLE, "model", frequency_hz=abs(pole) / (2.0 * np.pi))]
 
 
-# A sum of modes at the samples' times, for loads that go straight from sample to sample.
+# Sampled sum of modes, for loads that are linear between samples.
 
-_NO_SHAPE = 1e-9
+_NO_SHAPE = 1e-9  # relative singular value of a residue matrix that is rounding
 
 
 @dataclass(frozen=True, repr=False)
@@ -385,9 +385,9 @@ def _pole(pole: complex, residue: ComplexArray | FloatArray, step_s: float) -> S
     return StateSpace(a, b, np.concatenate([2 * seen.real, -2 * seen.imag], axis=1), 2 * direct.real)
 
 
-# Whether loads were excited, and whether the outputs tell them apart.
+# Excited loads, and loads that the outputs distinguish.
 
-_SEPARATE = 1e-3
+_SEPARATE = 1e-3  # smallest singular value of the matrix of unit columns
 
 
 def sort_components(components: Iterable[str]) -> tuple[str, ...]:

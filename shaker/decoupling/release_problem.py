@@ -45,7 +45,7 @@ class ReleaseTiming:
 
 
 PoleCandidate: TypeAlias = tuple[Poles, tuple[ReleaseTiming, ...]]
-"""Poles with the releases that they answer to, of all records."""
+"""Poles with the releases of all records."""
 
 
 class ExplainedData(NamedTuple):

@@ -15,8 +15,8 @@ from shaker.fitting import BlockJacobian, LinearBlock, SeparablePoint, levenberg
 from shaker.identification.identification_notices import MODEL_MISFIT
 from shakercal._common.notices import Notice
 
-_UNEXPLAINED = 1.5
-_WORSE = 2  # numbers of modes tried beyond the best
+_UNEXPLAINED = 1.5  # χ²/dof above which a notice is given
+_WORSE = 2  # numbers of modes above the best that are tried
 
 Point: TypeAlias = tuple[Poles, SeparablePoint]
 
@@ -115,7 +115,7 @@ def fit_responses(measured: Responses, most_modes: int = 12) -> ResponseFit:
             break
     point = _fitted(measured, points[best][0])
     while (count := point[0].modes + len(point[0].real_hz)) > 1:
-        first = 0 if point[0].modes > 1 else 1  # something that swings stays
+        first = 0 if point[0].modes > 1 else 1  # at least one mode remains
         fewer = [_point(measured, point[0].without(index)) for index in range(first, count)]
         tried = [_trial(measured, *one).criterion for one in fewer]
         if min(tried) >= _trial(measured, *point).criterion:
@@ -190,8 +190,8 @@ def _result(
 
 # Common poles of many frequency responses by vector fitting, as a start for least squares.
 
-_ROUNDS = 12
-_START_DAMPING = 0.01
+_ROUNDS = 12  # of vector fitting, chosen
+_START_DAMPING = 0.01  # as recommended by Gustavsen and Semlyen
 
 
 def fitted_poles(frequency_hz: FloatArray, responses: ComplexArray, weights: FloatArray, modes: int) -> Poles:

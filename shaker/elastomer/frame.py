@@ -18,7 +18,7 @@ from shaker.elastomer.geometry import CrossBeams, ElasticMaterial, Section, beam
 from shaker.fitting import LMOptions, WhitenedResiduals, levenberg_marquardt
 from shakercal._common.notices import Notice
 
-# Rigid bodies of the element: the platform and what stands on it, as mass, height and inertia.
+# Rigid bodies of the element, the platform and attached parts, as mass, height and inertia.
 
 
 @dataclass(frozen=True, repr=False)
@@ -85,7 +85,7 @@ def join_bodies(parts: Sequence[RigidPart]) -> RigidPart:
     return RigidPart(mass, height, np.sum(inertia, axis=0))
 
 
-# A frame of beams in space with one rigid body and clamped ends: assembly and reduction.
+# Frame of beams in space with one rigid body and clamped ends: assembly and reduction.
 
 
 @dataclass(frozen=True, repr=False)
@@ -176,7 +176,7 @@ def rigid_motion(offset_m: FloatArray) -> FloatArray:
 MODE_NAMES = ("Tx", "Ty", "Tz", "Rx", "Ry", "Rz")
 """Translations along and rotations about the axes."""
 EQUAL = 1e-4
-"""Relative distance below which frequencies count as one, of a symmetric element's pairs."""
+"""Relative difference below which frequencies are equal, as the pairs of a symmetric element."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -229,7 +229,7 @@ def named_modes(
     shape = shape.copy()
     separate = np.diff(frequency_hz) > EQUAL * frequency_hz[1:]
     for group in np.split(np.arange(len(frequency_hz)), 1 + np.flatnonzero(separate)):
-        if len(group) > 1:  # turned so that each takes part in one axis as far as it can
+        if len(group) > 1:  # rotated so that each follows one axis as closely as possible
             axes = np.sort(qr(factor[group], pivoting=True, mode="r")[1][: len(group)])
             turn = polar(factor[group][:, axes])[0]
             shape[:, group] = shape[:, group] @ turn
@@ -250,10 +250,10 @@ def assign_names(factor: FloatArray) -> IntArray:
     return np.asarray(linear_sum_assignment(-(np.asarray(factor) ** 2).T)[1])
 
 
-# The element as a frame: frequencies, shapes, stiffness, and what each dimension does to them.
+# The element as a frame: frequencies, shapes, stiffness, and their sensitivities to the dimensions.
 
 SAME_M = 1e-9
-"""Nodes nearer than this are one."""
+"""Distance below which nodes are the same, 1 nm."""
 
 
 def cross_frame(beams: CrossBeams, half_size_m: float, pieces: int = 6, consistent: bool = True) -> BeamFrame:
@@ -409,13 +409,13 @@ def sensitivities(beams: CrossBeams, half_size_m: float, platform: RigidPart) ->
     return {name: slope(name) for name in (*DIMENSIONS, "half_size_m", "mass_kg", "height_m", "inertia_kgm2")}
 
 
-# Platform data that give measured frequencies: a family of solutions, which validates nothing.
+# Platform data for measured frequencies: a family of solutions, which does not validate the model.
 
 NEEDED = (("Tx", "Ty"), ("Tz",), ("Rx", "Ry"), ("Rz",))
 """Of each group one frequency at least: they fix mass, height and two moments of inertia."""
 EXACT = 1e-4
-"""Relative misfit below which frequencies count as met."""
-PIECES = 3
+"""Relative misfit below which frequencies agree."""
+PIECES = 3  # per arm, chosen for speed
 SMALL = 1e-7
 """Step of the derivatives by logarithms of platform data."""
 

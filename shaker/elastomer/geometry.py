@@ -120,7 +120,7 @@ def _check_positive(owner: object, names: tuple[str, ...]) -> None:
 # Stiffness and mass of a straight Timoshenko beam in space, 12 × 12.
 
 IN_PLANE, ACROSS = [1, 5, 7, 11], [2, 4, 8, 10]
-"""Deflection and slope of both ends in the planes xy and xz; in the latter a positive slope is a negative turn."""
+"""Deflection and slope of both ends in the planes xy and xz; in xz a positive slope is a negative rotation."""
 ALONG, TWIST = [0, 6], [3, 9]
 
 
@@ -191,7 +191,7 @@ def _translation(phi: float, length: float) -> FloatArray:
     return np.array(rows) / (1.0 + phi) ** 2
 
 
-# Stiffness of the element by beam formulas: those of the publication by name, and what is right in their place.
+# Stiffness of the element by beam formulas: published and correct ones.
 
 
 @dataclass(frozen=True)

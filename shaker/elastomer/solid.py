@@ -22,9 +22,9 @@ PARITIES = {"vertical": (False, False), "sideways": (True, False), "turning": (T
 NAMED = {"vertical": ("Tz",), "sideways": ("Tx", "Ry"), "turning": ("Rz",)}
 """Rigid motions of each kind; Ty and Rx are Tx and Ry mirrored in the diagonal."""
 COARSE_LENGTH = 6.0
-"""Longest edge of the coarsest mesh over the thinnest section: longer elements hold thin beams straight."""
+"""Longest edge of the coarsest mesh over the thinnest section; longer elements are too stiff in bending."""
 COUNT = 6
-"""Modes computed of each kind."""
+"""Number of computed modes of each kind."""
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import numpy as np
 from shaker.arrays import Brief, ComplexArray, FloatArray
 from shaker.identification.measured_curves import MeasuredCurve
 
-_PASSES = 3  # alternating circle and angles; the third no longer changes the result
+_PASSES = 3  # alternating fits of circle and angles, chosen
 FEWEST_LINES = 5
 """Lines for three parameters of a circle with some redundancy."""
 
@@ -52,7 +52,7 @@ def fit_circle(curve: MeasuredCurve, frequency_hz: float, damping_ratio: float) 
             return None
         (x, y, radius), by_point = circle
         (f0, zeta), by_angle = angles
-    # f₀ and ζ change with every point by its own angle and by the centre that all points set.
+    # f₀ and ζ depend on the angle of every point, and on the centre, which depends on all points.
     out = points - complex(x, y)
     tangent, normal = 1j * out / np.abs(out) ** 2, out / np.abs(out)
     by_centre = np.stack([by_angle @ tangent.real, by_angle @ tangent.imag], axis=1)

@@ -399,21 +399,21 @@ def _curve(
     )
 
 
-# Where a fit starts: parameters whose modes are those of the measured poles, and the gains that follow.
+# Start values: parameters whose modes have the measured poles, and the gains for them.
 
 _RULES = LMOptions(predicted_decrease=1e-2, predicted_decrease_share=1e-4, max_steps=40)
-_POLE_PRECISION = 3e-3  # relative, of a measured pole
-_FACTOR_RANGE = 2.0  # standard deviation of ln k and ln b about where a structure starts
-_INERTIA_RANGE = 0.3  # standard deviation of an inertia, in parts of the whole
-_LARGEST_DAMPING_RATIO = 0.4  # of what is taken for a mode
-_SIGNIFICANT = 30.0  # decrease of χ² per real number by which a pole is more than a feature of the noise
-_SAME_START = 1e-3  # relative difference of starting values that are one
+_POLE_PRECISION = 3e-3  # relative standard deviation of a measured pole, chosen for start values
+_FACTOR_RANGE = 2.0  # standard deviation of ln k and ln b about the structure's start: a factor of 7
+_INERTIA_RANGE = 0.3  # standard deviation of an inertia, share of the whole
+_LARGEST_DAMPING_RATIO = 0.4  # of a mode; poles above it do not ring
+_SIGNIFICANT = 30.0  # decrease of χ² per real number by a significant pole
+_SAME_START = 1e-3  # relative difference below which start values are equal
 
 
 def starting_vectors(problem: IdentificationProblem, starts: FloatArray) -> list[FloatArray]:
     """Return start vectors of the unknowns from the `starts` (S, P) of a structure."""
     measured = []
-    for curve in problem.curves:  # poles that lie in the band, ring and stand out
+    for curve in problem.curves:  # significant poles in the band that ring
         roots = curve.record.poles(curve.mechanics.forcing.shape[1])
         size, s = np.abs(roots), np.abs(curve.record.s)
         inside = (size > 0.7 * s.min()) & (size < 1.3 * s.max()) & (-roots.real < _LARGEST_DAMPING_RATIO * size)
@@ -484,7 +484,7 @@ def _matched(
         every = {k: problem.curves[k].poles(vector) for k in set(representative)}
         for k, roots in zip(representative, measured, strict=True):
             modes, by_unknown = every[k]
-            whose = np.arange(len(modes))  # in order, or of the nearest where some lack
+            whose = np.arange(len(modes))  # in order; the nearest if a measured pole is missing
             if len(roots) != len(modes):
                 whose = np.argmin(np.abs(np.log(np.abs(roots[:, None] / modes))), axis=1)
             off, slope = np.log(modes[whose] / roots), by_unknown[whose][:, free] * scale / modes[whose, None]

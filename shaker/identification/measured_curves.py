@@ -13,7 +13,7 @@ from shaker.mechanics import laplace
 from shaker.sine.phasor import Phasors
 
 REFERENCE_INDEX = -1
-"""Place of the reference among the transducers of a recording, whose responses count from 0."""
+"""Index of the reference among the transducers of a recording; responses count from 0."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -301,10 +301,10 @@ class MeasuredCurve(Brief):
         return np.asarray(spread + line_correlation_term(self.frequency_hz, white.T, self.line_correlation))
 
 
-# Poles of measured curves from a linear rational fit: where an identification starts.
+# Poles of measured curves from a linear rational fit, as start values of an identification.
 
-_ROUNDS = 8
-_SETTLED = 1e-4  # change of the denominator's coefficients that no longer moves a start
+_ROUNDS = 8  # of reweighting, at most
+_SETTLED = 1e-4  # change of the denominator's coefficients without effect on start values
 
 
 def rational_poles(
@@ -346,7 +346,7 @@ def rational_poles(
     return np.concatenate([oscillating[np.argsort(np.abs(oscillating))], beyond])
 
 
-# The noise of measured lines: whitened, correlated between lines, as stated from scatter and as residuals show it.
+# Noise of measured lines: whitening, correlation between lines, estimate from residuals.
 
 
 def whitening_matrices(covariance: FloatArray, name: str = "covariance") -> FloatArray:
@@ -380,7 +380,7 @@ def line_correlation_term(
     return total
 
 
-_FEWEST_DOF, _MOST_DOF = 3.0, 1e9  # of a stated covariance, as used
+_FEWEST_DOF, _MOST_DOF = 3.0, 1e9  # limits of the degrees of freedom: variances exist above 2
 
 
 @dataclass(frozen=True, repr=False)
@@ -429,7 +429,7 @@ def estimate_residual_noise(curves: Sequence[CurveResidual], unknowns: float) ->
     pairs = list(zip(curves, freedoms, strict=True))
     real = sum(curve.size * len(curve.length) for curve in curves)
     chi_squared = float(sum(curve.length.sum() for curve in curves))
-    # T² of p real numbers varies more than χ² does, as the F distribution says.
+    # By the F distribution T² of p real numbers varies more than χ².
     spread = sum(c.size * np.sum((v + c.size - 2.0) / np.maximum(v - 4.0, 1.0)) for c, v in pairs) / real
     expected = float(sum(curve.size * np.sum(v / (v - 2.0)) for curve, v in pairs) / real)
     dof = max(1.0, real - unknowns)

@@ -30,9 +30,9 @@ _ORDER: dict[str, int] = {"transmissibility": 0, "receptance": 0, "mobility": 1,
 _RULES = LMOptions(
     predicted_decrease=1e-13, predicted_decrease_share=0.0, max_steps=60, max_dampings=13, initial_damping=1e-6
 )
-"""A fit has converged where the whitened model would change by 3e-7, or where no damping up to 1e6 helps."""
-_NOISE_ROUNDS = 5
-_EVEN = 0.01  # relative spread over the lines of what their covariances change by, at which weights have settled
+"""A fit has converged if the whitened model would change by 3e-7, or if no damping up to 1e6 helps."""
+_NOISE_ROUNDS = 5  # of reweighting by the residuals, at most
+_EVEN = 0.01  # relative spread over the lines of the change of their covariances at which weights have settled
 
 
 @dataclass(frozen=True, repr=False)
@@ -246,7 +246,7 @@ def _adjusted(
 # The maximum of |H| and the points at a given share of it, between the lines.
 
 PeakWidth = Literal["half_power", "half_amplitude"]
-_PASSES = 3  # of the search; the third no longer changes the result
+_PASSES = 3  # refinements of the search, chosen
 LEVELS: dict[PeakWidth, float] = {"half_power": 2.0, "half_amplitude": 4.0}  # of 1/|H|², relative to the maximum
 
 
@@ -395,7 +395,7 @@ def peak_line_variance_hz2(curve: MeasuredCurve, top: PeakPoint, width_hz: float
     return float(chance @ (frequency - chance @ frequency) ** 2)
 
 
-_RESOLVED_LINES = 4.0  # in the half-power width, below which a width read from the lines is not to be trusted
+_RESOLVED_LINES = 4.0  # in the half-power width, below which a width from the lines is unreliable
 
 
 @dataclass(frozen=True)
@@ -454,7 +454,7 @@ def peak_readings(curve: MeasuredCurve) -> PeakReadings:
             f"{lines:.1f} lines in the half-power width, fewer than {_RESOLVED_LINES:.0f}: between them the curve is "
         )
         note += "taken to be that of one oscillator"
-    # The line of the maximum is uncertain by half a spacing and by which line noise lets win.
+    # The line of the maximum is uncertain by half a spacing and by the effect of noise on its selection.
     line_hz = float(curve.frequency_hz[np.argmax(np.abs(curve.value))])
     wandering = peak_line_variance_hz2(curve, top, width) if np.isfinite(width) else np.nan
     u_line = float(np.sqrt(curve.spacing_hz**2 / 12.0 + wandering))

@@ -67,7 +67,7 @@ LABELS = {
 }
 """The parameters of a `SensitivityFit` in words."""
 _RULES = LMOptions(predicted_decrease=1e-12, predicted_decrease_share=1e-12, max_steps=200)
-_SMALLEST_TURN = 0.01  # rad at the highest line with which a lag starts, lest it be the same as a delay
+_SMALLEST_TURN = 0.01  # rad at the highest line: start of a lag that differs from a delay
 
 
 @dataclass(frozen=True, repr=False)
@@ -243,7 +243,7 @@ class _ChainProblem:
         """
         angular, value = 2.0 * np.pi * self.measured.frequency_hz, self.measured.value
         left = []
-        for sign in (1.0, -1.0):  # sign and delay that together leave the smallest phases
+        for sign in (1.0, -1.0):  # sign and delay of the smallest remaining phases
             phase = np.unwrap(np.angle(sign * value))
             for delay in (0.0, -float(angular @ phase / (angular @ angular))):
                 rotated = np.angle(sign * value * np.exp(1j * angular * delay))
@@ -291,16 +291,16 @@ def sensor_model(fit: SensitivityFit, mechanics: FloatArray, covariance: FloatAr
     return SensorModel(fit.sensitivity, stiffness, damping, mass, fit.chain, covariance, fit.unit)
 
 
-# What makes the sensitivity change with frequency: the sensor's damper, or the measuring chain behind it.
+# Causes of a frequency-dependent sensitivity: the sensor's damper, or the measuring chain.
 
 Verdict = Literal["supported", "more than needed", "refuted"]
 
 SIGNIFICANCE = 0.01
-"""Probability below which a test refutes."""
+"""Probability below which a test rejects, 1 % by convention."""
 SMALLEST_WEIGHT = 0.05
-"""Akaike weight, relative to the best, below which an explanation is refuted by a better one."""
+"""Akaike weight, relative to the best, below which an explanation is refuted by a better one (Δ AICc of 6)."""
 FARTHEST_ERROR = 3.0
-"""Standard uncertainties of a common error beyond which the fit stretches it."""
+"""Standard uncertainties of a common error above which its statement is doubtful, 3 σ."""
 CHAIN_WORDS: dict[ChainKind, str] = {
     "none": "the sensor's damper alone",
     "delay": "a delay",
@@ -309,9 +309,9 @@ CHAIN_WORDS: dict[ChainKind, str] = {
     "second_order": "a low-pass of second order",
     "delay_lag": "a delay with a first-order lag",
 }
-"""What each explanation says of the chain, where the resonance tells the sensor's own damping."""
+"""Each explanation in words, if the resonance determines the damping of the sensor."""
 WORDS_WITHOUT_RESONANCE = CHAIN_WORDS | {"none": "a constant sensitivity"}
-"""What each says where nothing does: its lag is that of the chain and of the sensor's damper together."""
+"""Each explanation in words without a resonance: the lag is that of chain and damper together."""
 _PART_OF: dict[ChainKind, tuple[ChainKind, ...]] = {
     "none": (),
     "delay": ("none",),
@@ -406,7 +406,7 @@ def _verdicts(fits: tuple[SensitivityFit, ...], weight: FloatArray) -> tuple[Ver
     acceptable = {fit.chain.kind for fit in fits if fit.probability >= SIGNIFICANCE}
     supported = set()
     for fit, share in zip(fits, weight / weight.max(), strict=True):
-        # A filter's poles lie on the left: a₁ and a₂ are not below 0 beyond twice their uncertainty.
+        # A stable filter: a₁ and a₂ are not significantly negative (2 u).
         stable = all(getattr(fit.chain, name) >= -2.0 * fit.u(name) for name in fit.chain.names if name != "delay_s")
         if fit.chain.kind in acceptable and share >= SMALLEST_WEIGHT and stable:
             supported.add(fit.chain.kind)

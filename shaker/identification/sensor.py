@@ -104,10 +104,10 @@ class ChainModel(Brief):
 
 
 NO_CHAIN = ChainModel("none", np.empty(0))
-"""A chain that passes everything as it is."""
+"""A chain with the response 1."""
 
 
-# The sensor as a whole: what it puts out for the force on its load.
+# The sensor: output for a force on its load.
 
 SensorExcitation = Literal["base", "force"]
 
@@ -223,13 +223,13 @@ class SensorModel(Brief):
         return np.asarray(1.0 + (self.damping + s * mass) * s / self.stiffness)
 
 
-# Up to which frequency the static sensitivity is enough.
+# Usable band of the static sensitivity.
 
 
 Limit = Literal["rise", "drop", "phase", "nothing"]
 
 _LIMITS: tuple[Limit, Limit, Limit] = ("rise", "drop", "phase")
-_POINTS_PER_DECADE = 200
+_POINTS_PER_DECADE = 200  # of the grid that brackets the first edge: steps of 1 %
 
 
 @dataclass(frozen=True)
@@ -293,13 +293,13 @@ def usable_band(
     return UsableBand(upper, u, permitted, permitted_phase_rad, _LIMITS[which])
 
 
-# Force on the load from the sensor's output: the model's response taken off, with the uncertainty of the model.
+# Force on the load from the sensor's output by the inverse model, with its uncertainty.
 
 
 TRANSITION = 0.25
-"""Share of the band above its limit in which the taper falls to nothing."""
+"""Width of the taper's transition over the band; shorter ones need longer filters."""
 ATTENUATION_DB = 100.0
-"""Attenuation of the taper beyond, and so its ripple below: 1e-5."""
+"""Attenuation of the taper above the band, equal to its ripple below: 1e-5."""
 
 
 @dataclass(frozen=True, repr=False)

@@ -166,9 +166,9 @@ _RULES = LMOptions(
     min_damping=1e-12,
     max_damping=1e8,
 )
-"""A fit has converged where a step would be 1e-4 of the standard uncertainties, or lowers χ² by less than 1e-4."""
-_SHARE = 0.1  # of a step, over which the curvature of the residuals is seen
-_RANK_TOLERANCE = 1e-10  # singular value, columns of unit length, below which a direction is open
+"""A fit has converged if a step would be 1e-4 of the standard uncertainties, or lowers χ² by less than 1e-4."""
+_SHARE = 0.1  # of a step, over which the curvature of the residuals is evaluated
+_RANK_TOLERANCE = 1e-10  # singular value, columns of unit length, below which a direction is undetermined
 
 
 @dataclass(frozen=True, repr=False)
@@ -395,8 +395,8 @@ def _against_stated(estimate: ParameterEstimate, stated: float, u: float) -> Ite
 
 # All recordings in one complex least-squares fit.
 
-_EXPLAINED = 4.0  # χ² per line below which no other start is tried
-_NOISE_ROUNDS = 4
+_EXPLAINED = 4.0  # χ² per real number below which no other start is tried
+_NOISE_ROUNDS = 4  # of reweighting by the residuals, at most
 
 
 def identify(

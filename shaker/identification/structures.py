@@ -75,11 +75,11 @@ def _seen(record: MeasuredTransfer, body: FloatArray, matrices: FloatArray, forc
 
 
 SENSOR = "sensor"
-"""Name of the stage that is the sensor itself."""
-_SPACING = 1.5  # factor between the resonances of the components where a fit starts
-_WIDE_SPACING = 6.0  # the same where only the lowest is seen
-_MOST_ORDERS = 24  # of resonances to components that are tried
-_DAMPING_RATIO = 0.01  # where a fit starts
+"""Name of the stage of the sensor."""
+_SPACING = 1.5  # factor between the resonances of the components in a start
+_WIDE_SPACING = 6.0  # the same if only the lowest is observed
+_MOST_ORDERS = 24  # assignments of resonances to components, at most
+_DAMPING_RATIO = 0.01  # of a start
 
 
 @dataclass(frozen=True)

@@ -17,10 +17,10 @@ from numba.core.caching import FunctionCache
 from shaker.arrays import FloatArray
 
 MUTATION, CROSSOVER = 0.8, 0.7  # the published settings
-HUGE = 1e100  # loss from which a model counts as grown without bound
+HUGE = 1e100  # loss above which a model has grown without bound
 
 Losses = Callable[[FloatArray, FloatArray], FloatArray]
-"""Of members (P, N) and the losses (P,) that they have to keep to: losses (P,), infinite where a member exceeds its."""
+"""Function from members (P, N) and their largest losses (P,) to losses (P,), infinite above the largest."""
 
 
 def evolve(
@@ -73,7 +73,7 @@ def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
                 super().save_overload(*entry)
 
     kernel = numba.njit(nogil=True)(function)
-    with suppress(RuntimeError, OSError):  # no folder for it
+    with suppress(RuntimeError, OSError):  # no cache folder
         kernel._cache = TolerantCache(function)
     compiled: Callable[..., Any] = kernel
     return compiled

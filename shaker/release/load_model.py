@@ -139,7 +139,7 @@ class LoadModel(Brief):
         return LinearSystem.from_coefficients(n * np.array([cl, kl]), np.array(below))
 
 
-# Poles of the loaded sensor and how they move with every stiffness, damping and mass.
+# Poles of the loaded sensor and their derivatives by stiffness, damping and mass.
 
 
 def upper_poles(numbers: FloatArray, moving_mass: float, load_mass: float) -> tuple[ComplexArray, ComplexArray]:
@@ -167,7 +167,7 @@ def _chain(count: int) -> Mechanics:
     return Mechanics(*chain_terms(count), np.zeros((1, count)), np.ones(1), np.zeros(count), 1.0)
 
 
-# Resonance and damping of a sensor over the mass it carries, with their uncertainties.
+# Resonance and damping of a sensor over the load mass, with uncertainties.
 
 
 @dataclass(frozen=True, repr=False)
@@ -230,10 +230,10 @@ def _modes(model: LoadModel, masses: FloatArray) -> FloatArray:
     return modes.ravel()
 
 
-# How far a loaded sensor can be used as it is.
+# Working bands of a loaded sensor.
 
-TOLERANCES = (0.05, 0.10)  # departures of the gain from that at rest for which bands are given
-SMALLEST_DAMPING = 1e-4  # damping ratio that stands for none: bands do not depend on it
+TOLERANCES = (0.05, 0.10)  # deviations of the gain from the static one, as usual in data sheets
+SMALLEST_DAMPING = 1e-4  # damping ratio for an undamped model: bands do not depend on it
 
 
 def working_bands(model: LoadModel, load_mass: float, tolerances: tuple[float, ...] = TOLERANCES) -> FloatArray:
@@ -254,7 +254,7 @@ def working_bands(model: LoadModel, load_mass: float, tolerances: tuple[float, .
 
 
 MIN_PARAMETER_SHARE = 0.02
-"""Share of itself to which a stiffness, damping or mass may fall when a model is moved within its uncertainty."""
+"""Smallest share of a stiffness, damping or mass that remains when a model is varied within its uncertainty."""
 
 
 def figures_u(model: LoadModel, figures: Callable[[LoadModel], FloatArray]) -> tuple[FloatArray, FigureRange]:
@@ -272,10 +272,10 @@ def figures_u(model: LoadModel, figures: Callable[[LoadModel], FloatArray]) -> t
     return np.asarray(seen.factor * np.sqrt(np.maximum(np.einsum("qp,pr,qr->q", slope, total, slope), 0.0))), seen
 
 
-# How much load a sensor bears before its resonance, or a formula for it, is off by more than permitted.
+# Load limits: masses above which the resonance, or a formula for it, deviates by more than permitted.
 
-ROUNDING = 1e-9  # relative uncertainty that only the rounding of a root makes
-HEAVIEST = 1e4  # load mass over the moving mass up to which limits are looked for
+ROUNDING = 1e-9  # relative uncertainty from the rounding of a root
+HEAVIEST = 1e4  # load mass over the moving mass, upper end of the search for limits
 
 
 class LoadLimit(NamedTuple):

@@ -11,7 +11,7 @@ from shaker.fitting import BlockJacobian, LinearBlock, LMOptions, SeparablePoint
 from shaker.labels import mechanical_units, typeset
 from shaker.release.record import ReleaseReading, StepRecord
 
-# The output that is read, and the masses of a series of loads as named unknowns.
+# The output, and the masses of a series of loads as named unknowns.
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def stated_masses(moving: float, u_moving: float, load: FloatArray, u_load: Floa
     return SeriesMasses(float(moving), loads, names[first:], moved[first:], effect[:, first:])
 
 
-# What is measured of every load: resonances and dampings, read from records or stated.
+# Resonances and dampings of every load, from records or stated.
 
 
 @dataclass(frozen=True, repr=False)
@@ -130,15 +130,15 @@ def stated_resonances(
     return Resonances(tuple(f"{f:g} Hz" for f in first), both, both * (u / first)[:, None], empty, empty)
 
 
-# The free oscillation after a release, decimated: what the poles of a load are fitted to.
+# The decimated free oscillation after a release, to which the poles of a load are fitted.
 
 RATE_OVER_FIRST = 16.0
 """Sampling rate over the first resonance: second modes up to six times the first stay in the passband."""
-PASSBAND = 0.42  # edge of the decimating filter's passband over the rate it decimates to
-TAPS = 20  # length of the decimating filter in samples of the decimated record
-FEWEST = 64
+PASSBAND = 0.42  # edge of the decimating filter's passband over the decimated rate
+TAPS = 20  # length of the decimating filter, in samples of the decimated record
+FEWEST = 64  # samples after the release
 SEARCH = LMOptions(initial_damping=1e-4, damping_decrease=0.2, min_damping=1e-15, max_damping=1e12)
-"""How a search for poles, stiffnesses and dampings is damped; it ends where a step promises 10⁻¹⁰ of the loss."""
+"""Damping of a search for poles, stiffnesses and dampings; it ends at a predicted gain of 10⁻¹⁰ of the loss."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -240,15 +240,15 @@ def coloured_normal(slope: FloatArray, residual: FloatArray) -> FloatArray:
     return np.asarray((lines.conj().T * (smooth * weight / count)) @ lines).real
 
 
-# The modes that one record shows after its release, by itself.
+# Modes of one record after its release.
 
-PARTS = (1, 3, 9, 27)  # the record and ever shorter beginnings of it in which modes of any damping stand out
-NEAREST = 2  # number of starts that are followed, those that leave least
-SEPARATE = 1.15  # ratio to the first resonance from which another one counts as second mode
-CLEAR = 8.0  # height of a line over the median of the spectrum from which it may be a mode
-SURE = 1e-6  # chance of a second mode in noise above which none is taken to be seen
+PARTS = (1, 3, 9, 27)  # beginnings of the record, by their share 1/n, for modes of any damping
+NEAREST = 2  # number of starts that are fitted, those of least residual
+SEPARATE = 1.15  # lowest ratio of a second mode to the first
+CLEAR = 8.0  # height of a line over the median of the spectrum of a possible mode
+SURE = 1e-6  # largest chance in noise of a second mode that is accepted
 HEAVIEST, VAGUEST = 0.3, 0.05
-"""Damping ratio and relative uncertainty of the frequency up to which a second mode is used."""
+"""Largest damping ratio and relative uncertainty of the frequency of a second mode that is used."""
 
 
 @dataclass(frozen=True, repr=False)

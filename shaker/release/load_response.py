@@ -18,13 +18,13 @@ from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray, check_shape
 from shaker.lti.system import even_exponentials
 from shaker.release.record import ReleaseShape
 
-_SMALL = 1e-2  # |x| below which factors are taken from their series
-_SERIES = 64  # evenly spaced times from which on exponentials at them are products of two short series
-_EVEN = 1e-9  # intervals by which times may be off even ones
-_RESTS = 40  # blocks of what comes before the release
+_SMALL = 1e-2  # |x| below which factors are computed from their series
+_SERIES = 64  # number of equally spaced times above which exponentials are products of two short series
+_EVEN = 1e-9  # deviation of equally spaced times, in intervals
+_RESTS = 40  # number of blocks before the release
 MOMENTS: dict[ReleaseShape, float] = {"step": 0.0, "ramp": 1.0 / 12.0, "smooth": 0.25 - 2.0 / np.pi**2}
-"""Second moment of a release about its middle over its squared length: what 1/a² of a lag adds to."""
-BLOCKS_PER_PERIOD = 12  # blocks in a period of the fastest mode: its mean over one loses 1 % of it, sinc(1/12)
+"""Second moment of a release about its middle over its squared length; 1/a² of a lag adds to it."""
+BLOCKS_PER_PERIOD = 12  # blocks per period of the fastest mode: the mean of a block is 1 % lower, sinc(1/12)
 
 
 @dataclass(frozen=True, repr=False)
@@ -314,7 +314,7 @@ def _at_times(shape: ReleaseShape, p: ComplexArray, tau: FloatArray, length: flo
         during[0] = value
         if rows > 1:
             by_onset = -(p * value + share)
-            # the answer is T·f(τ/T, pT), so that the derivative to the length follows from those to time and pole
+            # the response is T·f(τ/T, pT): the derivative by the length follows from those by time and pole
             by_length = (value + early * by_onset + p * by_pole) / length - 0.5 * by_onset
             during[1:] = (by_onset, by_length, by_pole)[: rows - 1]
     return whole

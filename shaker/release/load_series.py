@@ -36,13 +36,13 @@ from shakercal._common.notices import Notice, Value
 
 # Stiffnesses and dampings from the resonances of several loads.
 
-STARTS = np.geomspace(0.03, 30.0, 9)  # ratios k_L/k from which the fit starts
-SAME_MINIMUM = 1e-2  # relative difference of parameters below which two minima are one
+STARTS = np.geomspace(0.03, 30.0, 9)  # ratios k_L/k of the starts
+SAME_MINIMUM = 1e-2  # relative difference of parameters below which two minima are the same
 COARSE = (1e-2, 1e-1)
-"""Relative scatter of frequencies and dampings with which minima are approached: their valleys are wide then."""
-MAX_STIFFNESS_RATIO = 1e4  # ratio of the stiffnesses beyond which one of them means nothing
-INDISTINCT = 3.84  # difference of chi-squared up to which a second minimum cannot be excluded (95 %)
-CHANCE = 1e-3  # chance below which deviations are not explained by what is stated
+"""Relative scatter of frequencies and dampings in a first fit, which widens the valleys of the minima."""
+MAX_STIFFNESS_RATIO = 1e4  # ratio of the stiffnesses above which one of them has no effect
+INDISTINCT = 3.84  # difference of χ² up to which a second minimum cannot be excluded (95 %)
+CHANCE = 1e-3  # chance below which the stated uncertainties do not explain the deviations
 
 
 def fit_resonances(measured: Resonances, masses: SeriesMasses, *, rigid: bool) -> tuple[SeriesFit, ...]:
@@ -168,9 +168,9 @@ def _of_numbers(problem: SeriesProblem, x: FloatArray, covariance: FloatArray) -
     return np.asarray(turn @ covariance @ turn.T)
 
 
-# One load model fitted to the time records of all loads together.
+# One load model fitted to the records of all loads together.
 
-ALLOWED = 2.0  # excess over that of white noise that is taken for the noise's colour
+ALLOWED = 2.0  # excess over that of white noise that coloured noise explains
 
 
 def fit_decays(
@@ -220,7 +220,7 @@ def fit_decays(
 # Which second modes belong to the coupling of the load.
 
 MAX_SECOND_DEVIATION = 0.10
-"""Relative distance of a second mode from where the first ones put it, from which it is another one."""
+"""Relative deviation of a second mode from its prediction by the first ones, above which it is foreign."""
 
 
 def belonging(measured: Resonances, masses: SeriesMasses) -> tuple[Resonances, tuple[int, ...]]:
@@ -239,11 +239,11 @@ def belonging(measured: Resonances, masses: SeriesMasses) -> tuple[Resonances, t
     return measured.without_second(foreign), tuple(int(record) for record in np.flatnonzero(foreign))
 
 
-# The model that a series of loads supports.
+# Selection of the model that a series of loads supports.
 
 CONTRADICTED = 0.01  # chance below which a rigid load is contradicted
-NEGLIGIBLE = 1e-3  # deviation in % that is not worth a number
-UNLIKELY = 3.0  # standard uncertainties by which a mass may differ from what is stated before the user is told
+NEGLIGIBLE = 1e-3  # deviation in % below which 0 is reported
+UNLIKELY = 3.0  # standard uncertainties by which a mass may deviate from its statement without a notice, 3 σ
 
 
 @dataclass(frozen=True)

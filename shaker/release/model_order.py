@@ -38,11 +38,11 @@ from shaker.release.release_notices import (
 )
 from shakercal._common.notices import Notice
 
-# The modes that ring after a release: how many, and where the fit with the release starts from.
+# Modes that ring after a release: their number, and start values of the fit with the release.
 
-MOST = 4  # modes that the rule looks for
-CLEAR = 12.0  # fall of B·ln(sum of squares) by a parameter that is taken for real
-_STEEP = 0.5  # damping ratio above which a further mode is taken for a disturbance
+MOST = 4  # largest number of modes by the rule
+CLEAR = 12.0  # fall of B·ln(sum of squares) by a significant parameter
+_STEEP = 0.5  # damping ratio above which a further mode is a disturbance
 
 
 def decay_modes(
@@ -107,13 +107,13 @@ def _left(decay: BlockMeans, found: OutputErrorFit) -> FloatArray:
     return np.asarray(decay.value - design(found.problem, found.vector, decay) @ found.linear)
 
 
-# When and how a load goes, how fast the real poles are, how smooth the start is: the best of a grid, modes known.
+# Start values of release and real poles: the best of a grid, for known modes.
 
-LENGTHS = (0.25, 0.6, 1.2)  # lengths of the release tried, in rise times
-TERM = 8.0  # fall of B·ln(sum of squares) by a numerator term that is taken for real
-_REAL = (1.5, 4.0, 10.0)  # real poles tried, in frequencies of the lowest mode
-_LAG = (0.0, 0.08, 0.17, 0.25)  # periods by which the half-way point follows the middle of the release
-_LOOSE = (1.5, 2.0)  # standard deviations of what the grid says of logarithms of real poles and of the length
+LENGTHS = (0.25, 0.6, 1.2)  # trial lengths of the release, in rise times
+TERM = 8.0  # fall of B·ln(sum of squares) by a significant numerator term
+_REAL = (1.5, 4.0, 10.0)  # trial real poles, in frequencies of the lowest mode
+_LAG = (0.0, 0.08, 0.17, 0.25)  # trial delays of the half-way point after the middle of the release, in periods
+_LOOSE = (1.5, 2.0)  # standard deviations of logarithms of real poles and of the length about the grid point
 
 
 def start_vectors(
@@ -182,9 +182,9 @@ def _grid(
     return vectors
 
 
-# How many poles a record tells, how its load went, and how smoothly its response starts.
+# Order search: number of poles, time course of the load, numerator terms.
 
-_ROUNDING = 1e-9  # share of the output below which a residual is taken for rounding
+_ROUNDING = 1e-9  # share of the output below which a residual is rounding
 
 
 @dataclass(frozen=True)
@@ -222,7 +222,7 @@ def search_order(search: OrderSearch) -> tuple[SupportedFit, ...]:
     blocks, divided by the density of coloured noise, which would lower it by chance.
     """
     ringing, force = search.whole, search.loads[0].force
-    if force is not None:  # what simply follows a measured load is taken off, so that what rings is left
+    if force is not None:  # the part proportional to a measured load is subtracted, so that the ringing remains
         follows = np.stack([np.ones(len(force)), force], axis=1)
         left = ringing.value - follows @ np.linalg.lstsq(follows, ringing.value, rcond=None)[0]
         ringing = replace(ringing, value=left)

@@ -14,12 +14,12 @@ from shaker.release.load_response import load_rate, load_share, pole_responses
 from shaker.release.poles import ringing_poles
 from shaker.release.record import Location, ReleaseShape
 
-# The beginning of a response: onset and length of the release, by the modes that answer it.
+# Fit of the onset and the length of a release from the response of the modes.
 
-_GROWTH = 30.0  # largest exponent by which a trial mode may grow over the window
-_DIFFERENCE = 1e-5
-_AHEAD = 2  # rows ahead of the samples
-_SHORT = 0.3  # samples: shortest release and lag by which slopes are taken
+_GROWTH = 30.0  # largest exponent of a growing trial mode over the window
+_DIFFERENCE = 1e-5  # relative step of numerical derivatives
+_AHEAD = 2  # prior rows before the samples
+_SHORT = 0.3  # samples: smallest step of release and lag for derivatives
 
 
 @dataclass(frozen=True, repr=False)
@@ -269,7 +269,7 @@ def _slopes(window: Window, fit: OnsetModel, columns: FloatArray, responses: Com
         span = max(_DIFFERENCE * abs(vector[index]), (_SHORT * window.step_s) ** 2)
         shifted[index] += span
         slopes[_AHEAD:, index] = (fit.with_vector(shifted).at(time) - fitted) / span
-    # every frequency and every damping ratio moves its own mode alone: all that are moved, side by side
+    # a frequency or damping ratio affects its mode only: all changed modes are evaluated together
     f, z = np.tile(fit.frequency_hz, 2), np.tile(fit.damping_ratio, 2)
     spans = _DIFFERENCE * np.abs(vector[3 : 3 + 2 * modes])
     spans[modes:] = np.maximum(spans[modes:], 1e-9)
@@ -300,19 +300,19 @@ def longest_lag_s(fit: OnsetModel) -> float:
     return float(1.0 / (2 * np.pi * np.min(fit.frequency_hz)))
 
 
-# The fit of a beginning from start values that the record itself gives.
+# Fit of an onset from start values of the record.
 
-_PERIODS = 12.0  # of the lowest mode after the release that the fit takes
-_PER_PERIOD = 50  # samples per period of the highest mode below which nothing is averaged
-_MOST = 2000
-_LENGTHS = np.array([0.1, 0.35, 0.55, 0.75, 0.95, 1.15, 1.4])  # tried, over that of a ramp that the output follows
-_LONGEST = 2.0
-_CENTRES = 7
-_GRID = 160  # samples that the search for start values takes
-_SMOOTHER = 1.33  # length of a smooth release over that of the ramp of the same spread
-_HIGH_MODE_SHARE = 0.03  # share of the change that modes too high to be seen may carry, standard deviation
-_NO_HIGH_MODES = 1e6  # weight that leaves nothing to modes that are not seen, in the search for start values
-_DECIDED = 6.0  # difference of the Schwarz criterion that decides
+_PERIODS = 12.0  # of the lowest mode after the release, in the fit
+_PER_PERIOD = 50  # samples per period of the highest mode that are retained
+_MOST = 2000  # blocks in the fit, at most
+_LENGTHS = np.array([0.1, 0.35, 0.55, 0.75, 0.95, 1.15, 1.4])  # trial lengths over that of the longest plausible ramp
+_LONGEST = 2.0  # length of a release over that of the longest plausible ramp, at most
+_CENTRES = 7  # trial centres
+_GRID = 160  # samples in the search for start values
+_SMOOTHER = 1.33  # length of a smooth release over that of the ramp of equal second moment
+_HIGH_MODE_SHARE = 0.03  # standard deviation of the share of the change in modes too high to be observed
+_NO_HIGH_MODES = 1e6  # prior weight that suppresses unobserved modes in the search for start values
+_DECIDED = 6.0  # significant difference of the Schwarz criterion
 _CALM = 1e-3  # gain of a step, in variances of the residual, at which a search ends
 
 
@@ -324,12 +324,12 @@ def find_onset(
     The first sample is at `start_s`. The release is a straight ramp unless the Schwarz criterion selects a smooth one.
     Without ringing, one trial mode is fitted. `min_gain` as in `fit_onset`.
     """
-    # a sample that is after the release with all likelihood
+    # a sample that is almost certainly after the release
     end = location.first + 1.5 * max(location.high - location.first, 4.0)
     after = int(min(end, location.first + 0.5 * (len(samples) - location.first)))
     poles = ringing_poles(samples[after:] - location.steady, sample_rate_hz, location.noise)
     sets = [poles]
-    if not len(poles):  # one well damped mode at several times the rise
+    if not len(poles):  # trial modes with large damping, by the rise time
         rise_s = max(location.high - location.low, 2.0) / sample_rate_hz
         frequency = np.minimum(np.array([0.3, 1.0, 3.0]) / rise_s, 0.2 * sample_rate_hz)
         sets = [2 * np.pi * f * np.array([-0.5 + 0.75**0.5 * 1j]) for f in frequency]
@@ -392,7 +392,7 @@ def _start(
     best, least = OnsetModel("ramp", middle_s, plain_s, 0.0, frequency, damping, np.zeros(0)), np.inf
     for length in _LENGTHS * plain_s:
         trial = replace(best, centre_s=middle_s, release_s=length)
-        times = thin.time_s + early_s[:, None]  # as the samples are seen from a centre that much earlier
+        times = thin.time_s + early_s[:, None]  # times relative to an earlier centre
         columns, target = _rows(thin, trial.columns(times.ravel()).reshape(*times.shape, -1))
         joined = np.concatenate([columns, np.broadcast_to(target[:, None], (*columns.shape[:2], 1))], axis=-1)
         squares = np.asarray(np.linalg.qr(joined, mode="r"))[:, -1, -1] ** 2
@@ -402,11 +402,11 @@ def _start(
     return solve_amplitudes(thin, best).fit
 
 
-# The rise time of a response from its fitted beginning.
+# Rise time of a response from its fitted onset.
 
 _SHARES = np.array([0.1, 0.9])
-_CURVE = 800  # samples of it in which crossings are looked for
-_SOON = 1.5  # periods of the lowest mode after release and lag
+_CURVE = 800  # points of the curve for the search of crossings
+_SOON = 1.5  # periods of the lowest mode after release and lag within which the crossings must be
 
 
 def rise_time(fit: OnsetModel) -> tuple[float, float] | None:

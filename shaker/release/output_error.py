@@ -20,7 +20,7 @@ from shaker.lti.system import ModalModel, modal_poles
 from shaker.release.load_response import BlockMeans, BlockResponses, ReleaseLoad, responses, responses_with_derivatives
 from shaker.release.record import TESTED_LAGS, is_white, slow_noise
 
-# How many poles and zeros a model has, and what its parameters make of them.
+# Numbers of poles and zeros of a model, and their parameters.
 
 
 @dataclass(frozen=True)
@@ -105,8 +105,8 @@ class PoleStructure:
 
 # Output-error least squares: linear parameters projected out, the others by Levenberg-Marquardt.
 
-_STEPS = 60  # more than any solvable case was seen to take
-_ENOUGH = 1e-4  # foretold fall of the sum of squares, over the variance, below which a step changes nothing
+_STEPS = 60  # more than any solvable case has needed
+_ENOUGH = 1e-4  # predicted fall of the sum of squares, over the variance, below which a step has no effect
 _STEEPEST = 0.995  # largest |ζ| of an oscillating mode
 
 
@@ -282,9 +282,9 @@ def _twice(structure: PoleStructure) -> FloatArray:
     return np.concatenate([np.full(structure.modes, 2.0), np.ones(structure.reals)])
 
 
-# Covariance of a fit, honest with noise that is coloured by a filter and with a coarse converter.
+# Covariance of a fit, also for coloured noise and for a coarse converter.
 
-_LAGS = 20  # the record's length over the lags of the residual's correlation that are kept, at least `TESTED`
+_LAGS = 20  # length of the record over the lags of the residual's correlation; at least `TESTED_LAGS` are used
 
 
 @dataclass(frozen=True, repr=False)

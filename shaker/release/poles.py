@@ -13,9 +13,9 @@ import numpy as np
 
 from shaker.arrays import ComplexArray, FloatArray
 
-PER_PERIOD = 8  # samples that are left of the period of the fastest mode
-_LONGEST = 240  # of them that a start is taken from
-UNCLEAR = 0.25  # relative standard uncertainty of a real pole or of a damping ratio that says little of it
+PER_PERIOD = 8  # samples per period of the fastest mode after decimation
+_LONGEST = 240  # samples for a start, at most
+UNCLEAR = 0.25  # relative standard uncertainty of a real pole or damping ratio above which it is doubtful
 
 
 def shift_poles(space: FloatArray, step_s: float) -> ComplexArray:
@@ -47,11 +47,11 @@ def instrumental_variables(values: FloatArray, step_s: float, order: int) -> Com
     return np.asarray(np.log(turns[np.abs(turns) > 1e-6]) / step_s)
 
 
-# One output that rings: as many modes as stand out of its noise.
+# One ringing output: all modes above its noise.
 
-_LINE = 6.0  # noise levels that a line of the spectrum must stand above
-_SMALL = 3e-3  # share of the highest line below which others are left out
-_MODES = 3
+_LINE = 6.0  # smallest height of a spectral line, in noise levels
+_SMALL = 3e-3  # share of the highest line below which others are ignored
+_MODES = 3  # at most
 
 
 def ringing_poles(samples: FloatArray, sample_rate_hz: float, noise: float) -> ComplexArray:
@@ -67,7 +67,7 @@ def ringing_poles(samples: FloatArray, sample_rate_hz: float, noise: float) -> C
     rough = noise / np.sqrt(step_s * sample_rate_hz)
     hankel = np.lib.stride_tricks.sliding_window_view(means, len(means) // 3 + 1)
     _, size, right = np.linalg.svd(hankel, full_matrices=False)
-    # the largest singular value of a white Hankel matrix, about σ(√rows + √columns), is passed by a margin
+    # 1.5 times the largest singular value of a white Hankel matrix, about σ(√rows + √columns)
     threshold = 1.5 * rough * (np.sqrt(hankel.shape[0]) + np.sqrt(hankel.shape[1]))
     rank = int(np.clip(np.count_nonzero(size > max(threshold, 1e-9 * size[0])), 2, 2 * _MODES))
     poles = shift_poles(right[: rank + rank % 2].T, step_s)
@@ -92,10 +92,10 @@ def _highest_line(samples: FloatArray, sample_rate_hz: float, noise: float) -> f
     return float(lines[-1] * sample_rate_hz / count) if lines.size else None
 
 
-# One output, modes one by one: those of the highest peaks.
+# One output, modes of the highest peaks.
 
-_STRETCHES = 16  # stretches of the spectrum that tell their own noise
-_FLOOR = 25.0  # power of a peak over the median of the spectrum, that noise alone passes once in 10^7 lines
+_STRETCHES = 16  # parts of the spectrum with separate noise levels
+_FLOOR = 25.0  # power of a peak over the median of the spectrum; noise alone exceeds it once in 10^7 lines
 
 
 def peaks_hz(decay: FloatArray, step_s: float, count: int, local: bool = False) -> FloatArray:
@@ -155,11 +155,11 @@ def start_poles(offered: ComplexArray, modes: int, near_hz: FloatArray) -> Compl
 
 # Many outputs of many records that share their poles.
 
-_WINDOW = 128
-_SIGNIFICANT_DENSITY = 30.0  # noise alone reaches this density, over its mean, once in exp(30) lines
-_ABOVE_NOISE = 1.5
-_MOST = 40
-_QUICKEST = 0.4
+_WINDOW = 128  # samples, at most
+_SIGNIFICANT_DENSITY = 30.0  # density over its mean; noise alone reaches it once in exp(30) lines
+_ABOVE_NOISE = 1.5  # significant eigenvalue over that of the noise
+_MOST = 40  # dimensions of the space, at most
+_QUICKEST = 0.4  # largest damping ratio of a mode
 
 
 def highest_frequency(parts: Sequence[FloatArray], rate_hz: float) -> float:
@@ -187,8 +187,8 @@ def shared_poles(parts: Sequence[FloatArray], rate_hz: float) -> ComplexArray:
     length = min(_WINDOW, min(part.shape[1] for part in parts) // 2)
     gram, windows = np.zeros((length, length)), 0
     for part in parts:
-        # G[i, j] sums y(n + i)·y(n + j) over the beginnings n of windows; one place on along a diagonal it has the
-        # product behind the last window more and the one ahead of the first less
+        # G[i, j] sums y(n + i)·y(n + j) over the first samples n of windows. The next element of a diagonal contains
+        # in addition the product after the last window, and not that before the first
         count = part.shape[1] - length + 1
         head, tail = part[:, : length - 1], part[:, count:]
         gram[1:, 1:] += tail.T @ tail - head.T @ head

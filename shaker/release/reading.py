@@ -44,12 +44,12 @@ from shaker.release.release_notices import (
 )
 from shakercal._common.notices import Notice
 
-# Onset and length of a release with what noise, and an unknown lag behind the sensor, leave open of them.
+# Onset and length of a release with uncertainties from noise and an unknown lag behind the sensor.
 
-_NODES = 13  # lags at which everything else is fitted anew
-_FEWEST = 5
-_TIMES = 121
-_FAR, _NEAR = 10.0, 6.0  # standard deviations that the lags, and the lengths at each of them, reach
+_NODES = 13  # lags at which all other parameters are fitted
+_FEWEST = 5  # lags for an interpolation
+_TIMES = 121  # points of the integration over lags and lengths
+_FAR, _NEAR = 10.0, 6.0  # range of the lags, and of the lengths at each of them, in standard deviations
 _COVERAGE = 1.96  # half a 95 % interval over its standard uncertainty
 _LIKELY = (1.92, 3.0)  # logarithm of the likelihood below its largest: 95 % of one and of two parameters
 _DAMPER = 2.0 / np.sqrt(3.0)  # of ζ/ω: rectangular distribution of half width 2ζ/ω
@@ -182,9 +182,9 @@ def _moments(weight: FloatArray, value: FloatArray, likely: BoolArray) -> tuple[
     return mean, max(float(np.sqrt(np.sum(weight * (value - mean) ** 2))), farthest / _COVERAGE)
 
 
-# The release as a force channel measured it.
+# The release in a force channel.
 
-_LENGTHS = 3.0  # of the release on either side that the fit takes
+_LENGTHS = 3.0  # lengths of the release on either side, in the fit
 
 
 class ForceReading(NamedTuple):
@@ -242,11 +242,11 @@ def read_force(force: FloatArray, sample_rate_hz: float, start_s: float) -> Forc
     return min((fitted("ramp"), fitted("smooth")), key=lambda reading: reading[1])[0]
 
 
-# When the channels of a record were released, and what they ring with.
+# Times and ringing of the channels of a record.
 
-STRONG = 5.0  # change of level, over the noise of a sample, from which a channel shows the release by itself
-_NEAR_ENOUGH = 1.0  # variances of the residual that a step has to gain where a fit is no more than a start
-_ROUGH = 2.0  # of the longest ramp that the output may follow: what lag, ringing and noise make of times without a fit
+STRONG = 5.0  # change of level, over the noise of a sample, above which a channel is read separately
+_NEAR_ENOUGH = 1.0  # gain of a step in variances of the residual, for a fit that is only a start
+_ROUGH = 2.0  # uncertainty of times without a fit, over the longest plausible ramp: lag, ringing and noise
 
 
 @dataclass(frozen=True)
@@ -308,12 +308,12 @@ def timing_of(record: StepRecord, channel: int, location: Location) -> Timing:
     return replace(timing, **asdict(interval), shape="measured")
 
 
-# Reading of a release: when, how long, from which level to which, and what rings then.
+# Reading of a release: times, levels and ringing.
 
-_SETTLED = 8.0  # lags after the release from which the ringing is free
-_LEAST = 32  # samples of either level
-_DRIFTS = 4.0  # standard uncertainties
-_MISFIT = 1.5
+_SETTLED = 8.0  # lags after the release; exp(-8) of the lag's response remains
+_LEAST = 32  # samples of either level, at least
+_DRIFTS = 4.0  # significant drift, in standard uncertainties
+_MISFIT = 1.5  # residual over the noise at rest above which a notice is given
 
 
 def read_release(record: StepRecord, channel: str) -> ReleaseReading:

@@ -74,10 +74,10 @@ class StepRecord:
         return np.asarray(self.start_s + np.arange(self.samples.shape[1]) / self.sample_rate_hz)
 
 
-# What a record shows of its release before any model is identified.
+# Reading of a record before a model is identified.
 
 ReleaseShape = Literal["step", "ramp", "smooth", "measured"]
-"""How the load goes: at once, along a straight line, along half a cosine, or as the force channel shows."""
+"""Time course of a load: at once, linear, along half a cosine, or as the force channel shows."""
 
 
 @dataclass(frozen=True)
@@ -131,13 +131,13 @@ class ReleaseReading:
     notices: tuple[Notice, ...] = ()
 
 
-# Where in a record the release is, found without a model.
+# Location of the release in a record, without a model.
 
-_FIRST = 0.005  # share of the record that is taken for rest before the release is looked for
-_LAST = 0.2  # share of what follows the release from which the new level is read
-_MOTION = 5.0  # standard deviations that a sample must leave the baseline by
-_RUN = 3  # samples in a row that must have passed a level
-_GUARD = 0.9  # share of the rest before the first motion that is free of it beyond doubt
+_FIRST = 0.005  # share of the record that is at rest in the first step of the search
+_LAST = 0.2  # share of the samples after the release that give the new level
+_MOTION = 5.0  # significant deviation of a sample from the baseline, in standard deviations
+_RUN = 3  # successive samples beyond a level
+_GUARD = 0.9  # share of the samples before the first motion that are certainly at rest
 
 
 @dataclass(frozen=True)
@@ -216,7 +216,7 @@ def _passing(samples: FloatArray, baseline: float, steady: float, share: float, 
     return start + index - 1 + float((share - relative[index - 1]) / (relative[index] - relative[index - 1]))
 
 
-# Levels before and after a release, and whether the record holds all of it.
+# Levels before and after a release, and noise.
 
 
 @dataclass(frozen=True)
@@ -267,9 +267,9 @@ def _fitted(columns: FloatArray, samples: FloatArray, column: int) -> tuple[floa
     return float(linear[column] / size[column]), u, residual
 
 
-TESTED_LAGS = 40  # lags that a residual is tested for correlation at
-_WHITE = 73.4  # largest sum of N·r² over forty lags that white noise passes 999 times in 1000
-_SLOW = 20  # half periods over a record up to which noise counts as slow
+TESTED_LAGS = 40  # lags of the test of a residual for correlation
+_WHITE = 73.4  # 99.9 % quantile of the sum of N·r² over 40 lags for white noise: χ² of 40
+_SLOW = 20  # half periods per record of the fastest slow noise
 
 
 def is_white(residual: FloatArray) -> bool:
@@ -317,13 +317,13 @@ def correlation_factor(residual: FloatArray) -> float:
     return max(1.0, 1.0 + 2.0 * total)
 
 
-# The spectrum of a response: its first and second peak.
+# Spectrum of a response with its first and second peak.
 
-_LEVEL = 5.0  # noise levels that a peak must stand above
+_LEVEL = 5.0  # smallest height of a peak, in noise levels
 _PADDED = 4  # length of the transform over that of the record, at least
-_DIP = 7.0  # noise levels that the spectrum dips by between two peaks
-_SHARE = 1e-3  # of the highest peak below which others are the window's
-_REFINED = 40
+_DIP = 7.0  # smallest dip between two peaks, in noise levels
+_SHARE = 1e-3  # of the highest peak; lower ones are side lobes of the window
+_REFINED = 40  # Newton steps, at most
 
 
 def response_spectrum(ringing: FloatArray, sample_rate_hz: float) -> Spectrum:
@@ -354,7 +354,7 @@ def spectrum_peaks(ringing: FloatArray, sample_rate_hz: float, noise: float, mos
     tops = tops[(tops >= 2 * _PADDED) & (size[tops] > max(_LEVEL * floor, _SHARE * size.max()))]
     order: list[int] = []
     for top in tops[np.argsort(-size[tops], kind="stable")].tolist():
-        dip = min(size[top] / 1.5, size[top] - _DIP * floor)  # what the spectrum falls below between two peaks
+        dip = min(size[top] / 1.5, size[top] - _DIP * floor)  # level below which the spectrum falls between two peaks
         separated = all(np.min(size[min(top, other) : max(top, other) + 1]) < dip for other in order)
         if separated and len(order) < most:
             order.append(top)

@@ -11,8 +11,8 @@ from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, check_shap
 from shaker.release.load_model import upper_poles
 from shaker.release.load_modes import Resonances, SeriesMasses
 
-LARGEST = 100.0  # logarithm of a stiffness or damping, in size, from which a step has gone astray
-FLOOR = 1e-8  # relative uncertainty that stands where none is stated and none has shown yet
+LARGEST = 100.0  # |logarithm| of a stiffness or damping above which a step has diverged
+FLOOR = 1e-8  # relative uncertainty if none is stated or estimated yet
 
 
 @dataclass(frozen=True)

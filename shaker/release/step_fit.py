@@ -117,7 +117,7 @@ def as_step_fit(
     )
 
 
-# A model of a sensor from the record of one release.
+# Model of a sensor from the record of one release.
 
 SHAPES = {"step": "a step", "ramp": "a ramp", "smooth": "half a cosine", "measured": "the measured force"}
 ReleaseOption = Literal["step", "ramp", "smooth", "measured"]
@@ -263,7 +263,7 @@ def candidate_loads(
 
 # Difference equations of every order from one factorisation of the data.
 
-_BEND = 0.15  # share of the whole fall of ln J that may be left beyond the order chosen
+_BEND = 0.15  # share of the fall of ln J that may remain above the selected order
 
 
 @dataclass(frozen=True, repr=False)
@@ -341,7 +341,7 @@ def fit_all_orders(load: FloatArray, output: FloatArray, sample_rate_hz: float, 
     return OrderFamily(np.asarray(np.linalg.qr(rows)[1]), sample_rate_hz)
 
 
-# Simultaneous identification of order and parameters, as the published work does it.
+# Simultaneous identification of order and parameters, as published.
 
 
 def fit_sim(
@@ -459,12 +459,12 @@ def modal_form(system: LinearSystem) -> ModalModel | None:
     )
 
 
-# Differential evolution: with the published settings, and on parameters that suit the problem.
+# Differential evolution: with the published settings, and on modal parameters.
 
 POPULATION, GENERATIONS, BOUND = 100, 500, 5.0  # the published settings
-_FEWER = (30, 40)  # members and generations that three bounded parameters take
+_FEWER = (30, 40)  # members and generations for three bounded parameters
 _DAMPING = (1e-4, 0.5)
-_BLOCKS = 1000  # blocks of the record that the evolution looks at
+_BLOCKS = 1000  # blocks of the record in the evolution
 
 
 def fit_evolution(
@@ -503,7 +503,7 @@ def fit_evolution(
     bounds = [(slow, fast), _DAMPING, *[(slow, edge)] * structure.reals]
 
     def losses(members: FloatArray, _: FloatArray) -> FloatArray:
-        vectors = np.insert(members, order, onset_s, axis=1)  # as many at once as the processor holds near by
+        vectors = np.insert(members, order, onset_s, axis=1)  # groups that fit the cache of the processor
         return np.concatenate([squares(problem, part)[:, -1] for part in np.array_split(vectors, _FEWER[0] // 10)])
 
     best, path = evolve(losses, bounds, rng, _FEWER)
@@ -521,7 +521,7 @@ def _published(
     from shaker.release.evolution import evolve, output_errors
 
     signals = load_and_output(record, reading, 1)
-    begin = int(np.argmax(signals[0] != 0.0))  # until then no model answers
+    begin = int(np.argmax(signals[0] != 0.0))  # no model responds before it
     load, output = signals[:2, begin:]
     before = float(np.sum(signals[1, :begin] ** 2))
     bounds = [(-BOUND, BOUND)] * (2 * order)

@@ -9,7 +9,7 @@ import numpy as np
 
 from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape
 
-# What a weighing needs of its surroundings: gravity from latitude and height, density of the air.
+# Ambient conditions of a weighing: gravity from latitude and height, density of the air.
 
 GRS80_EQUATOR_MPS2 = 9.7803267715
 GRS80_POLE_MPS2 = 9.8321863685
@@ -18,24 +18,24 @@ GRS80_FLATTENING = 1.0 / 298.257222101
 GRS80_ROTATION = 0.00344978600308
 """m = ω²a²b/(GM) of the Geodetic Reference System 1980."""
 U_NORMAL_GRAVITY = 0.5e-4
-"""Relative standard uncertainty with which normal gravity stands for gravity at a place.
+"""Relative standard uncertainty of normal gravity as an estimate of local gravity.
 
 Half of the 10⁻⁴ that PTB states for the same formula from latitude and height above the sea (g-Extractor of the gravity
 information system). Measured gravity differs from it by some 35·10⁻⁵ m/s² on the global average; in high mountains, and
 on ocean islands, it may differ by several times as much.
 """
-LAYER_K, LAPSE_K_PER_M, SEA_PRESSURE_PA = 288.15, 0.0065, 101_325.0
-STANDARD_EXPONENT = 5.255877
+LAYER_K, LAPSE_K_PER_M, SEA_PRESSURE_PA = 288.15, 0.0065, 101_325.0  # ISO 2533
+STANDARD_EXPONENT = 5.255877  # g/(R·lapse rate), ISO 2533
 AIR_GAS_CONSTANT = 3.483740e-3  # kg K/J, molar mass of dry air with 400 ppm CO2 over R, CIPM-2007 eq. 2
 ABSOLUTE_ZERO_C = -273.15
 U_FORMULA = 22e-6
 """Relative standard uncertainty of the CIPM-2007 formula itself."""
 WEATHER_PA, UNKNOWN_HEIGHT_PA = 1000.0, 4000.0
-"""Standard deviation of the pressure about the standard atmosphere's: at a known height, and where none is known."""
-USUAL_C, U_USUAL_C = 20.0, 3.0
-HUMIDITY, U_HUMIDITY = 0.5, 0.2
+"""Standard deviation of the pressure from the standard atmosphere: at a known height, and at an unknown one."""
+USUAL_C, U_USUAL_C = 20.0, 3.0  # of a laboratory, assumed
+HUMIDITY, U_HUMIDITY = 0.5, 0.2  # of a laboratory, assumed
 U_MEASURED_PA, U_MEASURED_C, U_MEASURED_HUMIDITY = 100.0, 0.5, 0.05
-"""Standard uncertainties that are taken for pressure, temperature and humidity where somebody has measured them."""
+"""Assumed standard uncertainties of measured pressure, temperature and humidity."""
 
 
 class SourcedValue(NamedTuple):
@@ -134,16 +134,16 @@ def air_density_at(
     return SourcedValue(value, u, f"CIPM-2007 from {', '.join(stated) or 'the usual conditions of a laboratory'}")
 
 
-# Readings over the angle of an indexing head as harmonics: all channels in one solve, only what the data show.
+# Readings over the angle of an indexing head as harmonics: all channels together, significant terms only.
 
 CHANCE = 1e-3
-"""Probability with which a term that is not there may enter a fit."""
-HIGHEST_ORDER = 8
-LEAST_DOF = 3
-LARGEST_CONDITION = 30.0
-SAME_ANGLE_RAD = 1e-3
+"""Probability of a false term in a fit."""
+HIGHEST_ORDER = 8  # of a harmonic
+MIN_DOF = 3  # of a fit with an additional term
+LARGEST_CONDITION = 30.0  # of a design, above which angles do not separate the terms
+SAME_ANGLE_RAD = 1e-3  # about 0.06°
 ROUNDING, FINEST, WHOLE = 1e-12, 1e-12, 1e-3
-"""Relative precision of computed numbers, that of the finest display looked for, and what counts as a whole number."""
+"""Relative precision of computed numbers, that of the finest display, and the tolerance of a whole number."""
 
 
 class Reversal(NamedTuple):
@@ -343,7 +343,7 @@ def _clearest(design: FloatArray, blocks: list[list[Term]], values: FloatArray, 
         orthogonal = columns - basis @ (basis.T @ columns)
         dof = len(design) - design.shape[1] - len(block)
         axes, size, _ = np.linalg.svd(orthogonal, full_matrices=False)
-        if dof < LEAST_DOF or size[-1] * LARGEST_CONDITION < np.linalg.norm(columns[:, 0]):
+        if dof < MIN_DOF or size[-1] * LARGEST_CONDITION < np.linalg.norm(columns[:, 0]):
             continue
         gain = np.sum((axes.T @ left) ** 2, axis=0)
         noise = np.maximum((before - gain) / dof, floor)

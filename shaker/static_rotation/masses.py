@@ -16,8 +16,8 @@ FORCES = 3
 UNKNOWNS_PER_RECORD = 7
 """Unknowns of a recording: weight N, first moment N·m (3), zero angle rad, tilt of the axis rad (2)."""
 MIN_FORCE_SHARE = 0.3
-"""Share of the weight that a force component must feel at some angle for a weight of its own."""
-DETERMINED = 1e-6
+"""Smallest share of the weight in a force component, at some angle, for a separate weight."""
+DETERMINED = 1e-6  # tolerance of the unit matrix
 
 
 @dataclass(frozen=True, repr=False)
@@ -130,17 +130,17 @@ def turning_phasor(record: RotationRecord, tilt: FloatArray) -> ComplexArray:
     return np.asarray(share * (turn @ (along + 1j * across)))
 
 
-# Weights, first moments and masses from the first harmonic of a sensor that is turned about a horizontal axis.
+# Weights, first moments and masses from the first harmonic of a sensor rotated about a horizontal axis.
 
 Number = TypeVar("Number", float, FloatArray)
 ROWS = UNKNOWNS_PER_RECORD + FORCES
-"""Numbers of a recording in `WeightFit`: its unknowns, then the weight by each force component alone."""
+"""Numbers of a recording in `WeightFit`: its unknowns, then the weight from each force component."""
 LEVER_M, TILT_RAD = 1.0, 0.1
-"""Standard deviations of what nothing is known of: lever of the weight, tilt of the axis."""
+"""Standard deviations of the priors without a statement: lever of the weight, tilt of the axis."""
 USUAL_LEVER_M = 0.1
-"""Lever at which forces and moments count alike where outputs of either kind are told apart."""
+"""Lever at which forces and moments have equal weight in the classification of outputs."""
 CHANCE, CHANCE_OF_FEW, FEW_DOF = 1e-3, 1e-2, 5.0
-"""Probability with which channels that agree may be taken for ones that do not; with fewer degrees of freedom, more."""
+"""Probability of a false disagreement of channels; larger with few degrees of freedom."""
 _RULES = LMOptions(
     predicted_decrease=1e-14,
     predicted_decrease_share=0.0,
@@ -149,7 +149,7 @@ _RULES = LMOptions(
     initial_damping=1e-9,
     min_damping=1e-12,
 )
-"""A fit has converged where a step would be 1e-7 of the standard uncertainties."""
+"""A fit has converged if a step would be 1e-7 of the standard uncertainties."""
 _SMALLEST_DEPARTURE, _DEPARTURE_STEP = 1e-9, 1.001
 
 
@@ -243,7 +243,7 @@ def fit_weights(records: Sequence[RotationRecord], outputs: SensorOutputs, u_ang
     --------
     >>> import numpy as np
     >>> from shaker import fit_weights
-    >>> from shaker.static_rotation.masses import SensorOutputs, RotationRecord
+    >>> from shaker.static_rotation.masses import RotationRecord, SensorOutputs
     >>> axis, down = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, -1.0])
     >>> turning = down + 1j * np.cross(axis, down)
     >>> load = np.concatenate([10.0 * turning, np.cross([0.0, 0.0, 0.3], turning)])  # 10 N, 30 mm above the origin
@@ -380,7 +380,7 @@ class _WeightSolution:
     @staticmethod
     def of(problem: _WeightProblem) -> _WeightSolution:
         point = problem.point(problem.start)
-        for _ in range(2):  # what is little beside the loss of a far start may be much beside the noise
+        for _ in range(2):  # a gain that is small against the loss of a far start may be large against the noise
             point = levenberg_marquardt(problem.point, point, _RULES).point
         normal, _ = point.normal
         scale = 1.0 / np.sqrt(np.diag(normal))
@@ -431,13 +431,13 @@ def _sources(fit: _WeightSolution) -> Iterator[WeightErrorSource]:
     problem, vector, outputs = fit.problem, fit.point.parameters, fit.problem.outputs
     count, elements, u_angle = len(problem.records), problem.elements, problem.u_angle_rad
     shared_start, (row, column) = UNKNOWNS_PER_RECORD * count, elements.T
-    wide = np.zeros((ROWS * count, len(vector)))  # which value is which unknown
+    wide = np.zeros((ROWS * count, len(vector)))  # derivatives of the values by the unknowns
     unit = np.eye(shared_start).reshape(count, UNKNOWNS_PER_RECORD, shared_start)
     wide.reshape(count, ROWS, -1)[:, :UNKNOWNS_PER_RECORD, :shared_start] = unit
     by_row = wide @ fit.inverse @ (fit.point.jacobian[: len(problem.weight)].T * np.sqrt(problem.weight))
     shared = -wide @ (fit.inverse * problem.prior)
     size = 2 * len(outputs.sensitivity)
-    for r, record in enumerate(problem.records):  # weights by each force component alone have effects of their own
+    for r, record in enumerate(problem.records):  # weights from each force component have separate effects
         alone, rows = slice(ROWS * r + UNKNOWNS_PER_RECORD, ROWS * (r + 1)), slice(size * r, size * (r + 1))
         projection = _projection(problem, r, vector)[:, None]
         to_load = outputs.inverse[:FORCES] * projection
