@@ -64,8 +64,8 @@ def _timoshenko_hz(length: float, both: bool) -> FloatArray:
         change[2, 3], change[2, 1], change[3, 0] = -1.0, -turning * squared, -mass * squared
         size = np.array([1.0, 1.0 / length, bending / length**2, bending / length**3])
         transfer = expm(change * length) * size[None, :] / size[:, None]
-        wanted = transfer[:2, 2:] if both else transfer[2:, 2:]
-        return float(np.linalg.det(wanted))
+        block_of = transfer[:2, 2:] if both else transfer[2:, 2:]
+        return float(np.linalg.det(block_of))
 
     grid = np.linspace(50.0, 60e3, 4000)
     values = np.array([ends(f) for f in grid])
@@ -124,7 +124,7 @@ def test_torsion_and_axial_frequencies_of_a_bar_and_the_torsion_constant_of_sain
 
 @settings(max_examples=25, deadline=None)
 @given(length=st.floats(1e-3, 1.0), width=st.floats(1e-3, 0.1), height=st.floats(1e-3, 0.1), motion=st.integers(0, 5))
-def test_a_beam_moved_rigidly_has_no_force_and_its_own_mass(length, width, height, motion):
+def test_a_beam_moved_rigidly_has_no_force_and_its_mass(length, width, height, motion):
     section = Section(width, height)
     stiffness, mass = beam_matrices(ALUMINIUM, section, length, SHEAR)
     ends = np.concatenate([rigid_motion(np.array([x, 0.0, 0.0])) for x in (0.0, length)])[:, motion]
@@ -188,7 +188,7 @@ def test_platform_data_of_a_given_half_size(half_size, mass, height, gyration):
     assert [notice.code for notice in fit.notices] == [PLATFORM_NOT_VALIDATED.code]
 
 
-def test_fit_finds_a_platform_that_was_there_and_tells_where_none_is():
+def test_fit_finds_a_true_platform_and_gives_a_notice_without_one():
     stiff = {**PUBLISHED_HZ, "Tx": 2600.0, "Ty": 2600.0}  # above what a centred platform allows beside this Tz
     fit = fit_platform(ELEMENT, 0.012, stiff)
     assert fit.misfit > 0.01
@@ -220,7 +220,7 @@ def test_no_mode_is_higher_with_more_mass_or_lower_with_more_pieces():
     assert rough == pytest.approx(finer, rel=3e-3)
 
 
-def test_modes_of_one_frequency_are_turned_into_the_axes():
+def test_modes_of_one_frequency_are_rotated_into_the_axes():
     platform = RigidPart(0.0097, 0.0127, 0.0097 * np.array([0.0135, 0.0135, 0.0148]) ** 2)
     model = solve_frame(ELEMENT, 0.014, platform)
     shape = model.modes.shape.copy()
@@ -230,9 +230,9 @@ def test_modes_of_one_frequency_are_turned_into_the_axes():
     mass = model.frame.matrices[1].copy()
     mass[:6, :6] += platform.mass_matrix
     centre = np.array([0.0, 0.0, 0.0127 * 0.0097 / 0.0107])
-    again = named_modes(model.modes.frequency_hz, shape, lambda x: mass @ x, model.frame.rigid_motions(centre))
+    renamed = named_modes(model.modes.frequency_hz, shape, lambda x: mass @ x, model.frame.rigid_motions(centre))
     for mode, other in {0: 1, 1: 0, 3: 4, 4: 3, 2: None, 5: None}.items():
-        motion = np.abs(again.shape[:6, mode])
+        motion = np.abs(renamed.shape[:6, mode])
         assert motion[mode] > 0.0, MODE_NAMES[mode]
         assert other is None or motion[other] < 1e-6 * motion[mode], MODE_NAMES[mode]
 
@@ -262,8 +262,8 @@ def test_kinetic_energy_of_joined_parts_is_that_of_the_parts(motion, heights):
     velocity, turn = np.array(motion[:3]), np.array(motion[3:])
     energy = 0.0
     for part in parts:
-        own = velocity + np.cross(turn, [0.0, 0.0, part.height_m])
-        energy += part.mass_kg * own @ own + turn @ (part.inertia_kgm2 * turn)
+        centre_velocity = velocity + np.cross(turn, [0.0, 0.0, part.height_m])
+        energy += part.mass_kg * centre_velocity @ centre_velocity + turn @ (part.inertia_kgm2 * turn)
     whole = np.array(motion) @ join_bodies(parts).mass_matrix @ np.array(motion)
     assert whole == pytest.approx(energy, rel=1e-9, abs=1e-15)
 

@@ -169,7 +169,7 @@ def test_a_clock_moves_the_stiffness_by_twice_its_error():
     assert [unknown.name for unknown in found.unknowns] == ["clock"]
 
 
-def test_gain_and_delay_that_nobody_stated():
+def test_unstated_gain_and_delay():
     recordings = []
     for load, gain, delay in zip(LOADS, (3.0 * np.exp(1j), 0.4), (2e-5, -3e-6), strict=True):
         record = twin(load)
@@ -206,9 +206,9 @@ def test_units_scale(mass, time):
         scaled.append(recording(r.name, *curve, noise=0.02, errors=r.errors, inertia_errors=loads))
     other = identify(scaled, VERTICAL)
     units = np.array([mass / time**2, mass / time, mass])
-    for place, name in enumerate(first.names):
-        assert other.value(name) == pytest.approx(units[place] * first.value(name), rel=1e-5)
-        assert other.u(name) == pytest.approx(units[place] * first.u(name), rel=1e-3)
+    for index, name in enumerate(first.names):
+        assert other.value(name) == pytest.approx(units[index] * first.value(name), rel=1e-5)
+        assert other.u(name) == pytest.approx(units[index] * first.u(name), rel=1e-3)
 
 
 def test_correlated_lines_widen_the_uncertainty():
@@ -226,7 +226,7 @@ def test_correlated_lines_widen_the_uncertainty():
     assert together.u("stiffness_z") == pytest.approx(widening * alone.u("stiffness_z"), rel=0.02)
 
 
-def test_equal_loads_leave_the_internal_mass_open_and_say_so():
+def test_equal_loads_do_not_determine_the_internal_mass_and_give_a_notice():
     rng = np.random.default_rng(9)
     recordings = [twin(4.236, noise=1e-3, rng=rng, name=name) for name in ("first", "second")]
     found = identify(recordings, VERTICAL)
@@ -243,7 +243,7 @@ def test_equal_loads_leave_the_internal_mass_open_and_say_so():
     assert notice.values["u"] == nearly.u("internal_mass")
 
 
-def test_a_stated_mass_passes_through_where_the_curves_say_nothing_of_it():
+def test_a_stated_mass_is_unchanged_if_the_curves_do_not_determine_it():
     found = identify([twin(4.236)], VERTICAL, stated_values={"internal_mass": (MI, 0.004)})
     assert found.u("internal_mass") == pytest.approx(0.004, rel=1e-6)
     u_mass = np.hypot(0.004, 3e-4)
@@ -265,7 +265,7 @@ def test_a_misfit_enlarges_the_uncertainty_and_is_named():
     assert not notices_at(good, "identification")
 
 
-def test_curves_without_a_resonance_tell_nothing_and_say_so():
+def test_curves_without_a_resonance_determine_no_parameter_and_give_notices():
     rng, frequency = np.random.default_rng(1), np.linspace(20.0, 120.0, 101)
     for value in (np.ones(101) + 0j, np.zeros(101) + 0j):
         found = identify([recording("a", frequency, value, rigid_mass(5.0), ALONG_Z, noise=0.01, rng=rng)], VERTICAL)
@@ -280,7 +280,7 @@ def test_a_scale_that_is_off_by_more_than_stated_is_named():
     assert found.value("stiffness_z") == pytest.approx(K, rel=1e-3)
 
 
-def test_response_and_poles_of_any_mechanics_have_the_derivatives_they_say():
+def test_derivatives_of_response_and_poles_are_those_of_differences():
     rng = np.random.default_rng(12)
     size, terms = 3, 5
     square = rng.standard_normal((1 + terms, 3, size, size))
@@ -328,7 +328,7 @@ def test_what_cannot_be_fitted_is_refused_with_a_reason():
     refused("^name: ", identify([record], VERTICAL).value, "damping_x")
 
 
-def test_covariances_from_few_periods_still_give_the_scatter():
+def test_covariances_from_few_periods_give_the_scatter():
     # 8 degrees of freedom at every line: weights 1/s² alone would understate the scatter of b by a quarter.
     rng = np.random.default_rng(17)
     deviation, mass = [], LOADS[0] + MI
@@ -345,7 +345,7 @@ def test_covariances_from_few_periods_still_give_the_scatter():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("noise", [2e-3, 5e-2])
-def test_intervals_hold_the_truth(noise):
+def test_intervals_cover_the_truth(noise):
     rng, trials = np.random.default_rng(21), 300
     deviation = np.zeros((trials, 3))
     for trial in range(trials):

@@ -67,11 +67,11 @@ def test_a_late_clock_turns_a_sensitivity_and_does_not_enlarge_it():
 
 
 @pytest.mark.parametrize("kind", CHAIN_PARAMETERS)
-def test_every_shape_is_found_again(kind):
+def test_every_shape_is_recovered(kind):
     value = STATIC / (1.0 + 1j * OMEGA * TIME) * chains()[kind]
     spring = SpringPrior(STIFFNESS, 5e-4 * STIFFNESS, DAMPING, 0.02 * DAMPING)
     fit, corner = fit_chain(clean(value), kind, spring), 2.0 * np.pi * 4000.0
-    wanted: dict[ChainKind, list[float]] = {
+    expected: dict[ChainKind, list[float]] = {
         "none": [],
         "delay": [40e-6],
         "lag": [LAG],
@@ -81,7 +81,7 @@ def test_every_shape_is_found_again(kind):
     }
     assert fit.chi_squared < 1e-6
     assert (fit.sensitivity, fit.spring_time_s) == (pytest.approx(STATIC, rel=1e-6), pytest.approx(TIME, rel=1e-5))
-    assert fit.chain.parameters == pytest.approx(wanted[kind], rel=1e-4)
+    assert fit.chain.parameters == pytest.approx(expected[kind], rel=1e-4)
     assert np.allclose(fit.model(FREQUENCY), value, rtol=1e-6)
     named = {estimate.name: estimate.value for estimate in fit.estimates}
     has_corner = kind in {"butterworth", "second_order"}
@@ -180,7 +180,7 @@ def test_without_a_resonance_the_lag_is_nobodys():
     assert free.spring_time_s == pytest.approx(found["lag"].chain.lag_s, rel=1e-6)
 
 
-def test_what_is_none_of_them_is_said():
+def test_data_of_no_explanation_support_none():
     rocking = 1.0 + 0.05 / (1.0 - (FREQUENCY / 400.0) ** 2 + 0.05j * FREQUENCY / 400.0)
     found = fit_sensitivity(measured(rocking, np.random.default_rng(2)), resonance())
     assert "supported" not in found.verdict
