@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
@@ -11,6 +11,17 @@ import numpy as np
 
 from fusion.base import round_to_uncertainty
 from fusion.estimation.coverage import Polar, polar, region_factor
+from fusion.estimation.estimation_notices import (
+    COMPARED_ONLY,
+    GROSS_ERROR,
+    INSTRUMENTS_DISAGREE,
+    INSTRUMENTS_DISPUTED,
+    NOISE_ONLY,
+    READINGS_SCATTER,
+    SINGLE_ERROR_NOT_ASSESSED,
+    UNBOUNDED_MOTION,
+    UNOBSERVED_COMPONENTS,
+)
 from fusion.estimation.instrument_consistency import (
     CommonEstimate,
     Consistency,
@@ -41,7 +52,7 @@ from fusion.estimation.least_squares import (
     bounded_system,
     products,
     solve,
-    unbounded_text,
+    unmeasured_drive,
 )
 from fusion.estimation.measurement_model import SCALE, Observation, UnobservedMotion
 from fusion.estimation.uncertainty import (
@@ -459,111 +470,98 @@ def _notices(
     out of what is stated, where the readings contradict that, and whether they explain it; `swapped`: channels that,
     exchanged, leave no contradiction.
     """
-    notices = []
-    titles = ", ".join(result.instruments)
-    seen = result.observed if result.disputed is None else result.observed | result.disputed
-    for pattern in [] if np.all(seen) else np.unique(~seen, axis=0):
-        if np.any(pattern):
-            lines = int(np.sum(np.all(seen == ~pattern, axis=1)))
-            missing = ", ".join(name for name, hidden in zip(MOTION_COMPONENTS, pattern, strict=True) if hidden)
-            text = (
-                f"{missing} of the {result.body} cannot be told from the readings of {titles} at {lines} of "
-                f"{len(result.observed)} lines: too few points, directions or usable lines; no values are given"
-            )
-            notices.append(Notice("note", text, result.body))
-    if np.any(np.isinf(result.unobserved_amplitude)):
-        observed = np.any(result.observed, axis=0)
-        notices.append(Notice("warning", unbounded_text(result.body, result.unseen, observed), result.body))
+    titles, body = ", ".join(result.instruments), result.body
+    notices = list(_unobserved_notices(result, titles))
     if not stated:
-        text = f"no instrument ({titles}) states a systematic uncertainty: U contains noise only"
-        notices.append(Notice("warning", text, result.body))
-    for test in (test for test in result.consistency if test.left_out):
-        text = f"{test.instrument} is left out of the {result.body}, a gross error or a wrong statement: it lies "
-        text += f"{_deviation(test)}; without it all others agree"
-        notices.append(Notice("warning", text, test.instrument))
-    for test in (test for test in result.consistency if not test.used and not test.left_out):
-        text = (
-            "states no systematic uncertainty and was compared, not fused: "
-            f"{test.normalised_deviation:.2g} times its standard uncertainty from the others, reading/prediction "
-            f"{abs(test.ratio):.5g} at {np.angle(test.ratio):.5f} rad"
-        )
-        notices.append(Notice("note", text, test.instrument))
+        notices.append(Notice(NOISE_ONLY, body, instruments=titles))
+    for test in result.consistency:
+        values = {"deviation": test.normalised_deviation, "ratio": _ratio_text(test)}
+        if test.left_out:
+            notices.append(Notice(GROSS_ERROR, test.instrument, instrument=test.instrument, **values))
+        elif not test.used:
+            notices.append(Notice(COMPARED_ONLY, test.instrument, **values))
     if contradicted is not None:
         notices.append(_disagreement(result, contradicted, swapped))
     for scatter in result.scatter:
         line = int(np.argmax(np.hypot(scatter.amplitude, scatter.phase)))
-        text = (
-            "its readings scatter beyond what is stated of them: by "
-            f"{scatter.amplitude[line]:.2g} of the motion in amplitude and {scatter.phase[line]:.2g} rad in phase at "
-            f"{result.phasors.frequency_hz[line]:.6g} Hz; this scatter is in U"
+        notices.append(
+            Notice(
+                READINGS_SCATTER,
+                scatter.instrument,
+                amplitude=scatter.amplitude[line],
+                phase_rad=scatter.phase[line],
+                frequency_hz=result.phasors.frequency_hz[line],
+            )
         )
-        notices.append(Notice("warning", text, scatter.instrument))
-    rows = untested(result) if result.source == "fused" and stated else ()
-    if rows:
-        listed = ", ".join(f"{row.name} ({row.share:.0%} of the variance of {row.component})" for row in rows)
-        text = f"not tested by these data, in U as stated: {listed}"
-        notices.append(Notice("note", text, result.body))
     if result.unnoticed:
-        text = (
-            f"an error of one channel alone, of up to {MISSED:g} of its stated standard uncertainties, that the other "
-            f"readings need not notice is not in U; beyond U it can move {_moved(result.unnoticed)}"
-        )
-        notices.append(Notice("note", text, result.body))
+        shifts = _describe_shifts(result.unnoticed)
+        notices.append(Notice(SINGLE_ERROR_NOT_ASSESSED, body, limit=MISSED, shifts=shifts))
     return tuple(notices)
 
 
-def _moved(found: Sequence[Unnoticed]) -> str:
-    """Which components errors move, how far, and of which channels."""
-    told = []
+def _unobserved_notices(result: Acceleration, titles: str) -> Iterator[Notice]:
+    """Yield which components the readings do not determine, and whether the driven motion has a limit."""
+    seen = result.observed if result.disputed is None else result.observed | result.disputed
+    for pattern in [] if np.all(seen) else np.unique(~seen, axis=0):
+        if np.any(pattern):
+            missing = ", ".join(name for name, hidden in zip(MOTION_COMPONENTS, pattern, strict=True) if hidden)
+            lines, count = int(np.sum(np.all(seen == ~pattern, axis=1))), len(result.observed)
+            values = {"components": missing, "lines": lines, "all_lines": count}
+            yield Notice(UNOBSERVED_COMPONENTS, result.body, instruments=titles, **values)
+    if np.any(np.isinf(result.unobserved_amplitude)):
+        driven = unmeasured_drive(result.body, result.unseen, np.any(result.observed, axis=0))
+        yield Notice(UNBOUNDED_MOTION, result.body, driven=driven, unused="")
+
+
+def _describe_shifts(found: Sequence[Unnoticed]) -> str:
+    """Return which components undetected errors shift, how far, and of which channels."""
+    listed = []
     for component in dict.fromkeys(one.component for one in sorted(found, key=lambda one: -one.shift)):
-        own = [one for one in found if one.component == component]
-        most = max(one.shift for one in own)
-        told.append(f"{component} (up to {most:.2g} U: {', '.join(one.channel for one in own)})")
-    return ", ".join(told)
+        rows = [one for one in found if one.component == component]
+        largest = max(one.shift for one in rows)
+        listed.append(f"{component} by up to {largest:.2g} U ({', '.join(one.channel for one in rows)})")
+    return ", ".join(listed)
 
 
-def _deviation(test: Consistency) -> str:
-    """How far the readings of an instrument are from the others, and what that looks like."""
-    text = f"{test.normalised_deviation:.3g} standard uncertainties from the others"
-    if np.isfinite(test.ratio):
-        text += f", reading/prediction {abs(test.ratio):.5g} at {np.angle(test.ratio):.5f} rad"
-        mistake = likely_mistake(test.ratio)
-        text += f", as if {mistake}" if mistake else ""
-    return text
+def _ratio_text(test: Consistency) -> str:
+    """Return reading over prediction of an instrument, and the mistake that would cause it."""
+    if not np.isfinite(test.ratio):
+        return ""
+    mistake = likely_mistake(test.ratio)
+    cause = f", as if {mistake}" if mistake else ""
+    return f" (reading/prediction {abs(test.ratio):.5g} at {np.angle(test.ratio):.5f} rad{cause})"
 
 
 def _disagreement(
     result: Acceleration, unknowns: Mapping[CommonEstimate, bool], swapped: Sequence[tuple[str, str]]
 ) -> Notice:
-    """Name who deviates from the others, and which stated unknown would explain it."""
-    chi2 = f"chi-square {result.chi2:.3g} for {result.dof} degrees of freedom"
-    text = f"the instruments of the {result.body} disagree ({chi2})"
+    """Return the notice of instruments that disagree: which deviate, and which stated unknown explains it."""
     used = [test for test in result.consistency if test.used and np.isfinite(test.normalised_deviation)]
     used = sorted(used, key=lambda test: -test.normalised_deviation)
-    suspects = [test for test in used if test.suspect]
-    for test in suspects or used[:1]:
-        text += f"; {test.instrument} lies {_deviation(test)}"
-    named = [one.suspect for one in result.explanations]
-    if len(named) == 1:
-        text += f"; without {named[0]} all others agree" if suspects[1:] else "; without it all others agree"
-    elif all(one in (test.instrument for test in suspects) for one in named):
-        text += "; without any one of these the others agree"
-    else:
-        text += f"; the others agree without {', or without '.join(named)}"
-    text += "".join(f"; all agree if {a} and {b} are exchanged" for a, b in swapped)
-    text += _causes(result, unknowns)
+    suspects = [test for test in used if test.suspect] or used[:1]
+    listed = [f"{one.instrument} by {one.normalised_deviation:.3g} u{_ratio_text(one)}" for one in suspects]
+    exchanges = [f"whether {a} and {b} are exchanged" for a, b in swapped]
+    values = {
+        "chi2": result.chi2,
+        "dof": result.dof,
+        "suspects": "; ".join(listed),
+        "agreeing": " or ".join(one.suspect for one in result.explanations) or "several instruments",
+        "causes": _causes(result, unknowns),
+        "checks": ", ".join([*exchanges, "scale, sign, position and direction"]),
+    }
     if result.disputed is None:
-        return Notice("warning", text + "; U was enlarged to cover the disagreement", result.body)
-    return Notice("warning", f"{text}; nothing decides, so no mean is given: {_values(result)}", result.body)
+        return Notice(INSTRUMENTS_DISAGREE, result.body, **values)
+    components = ", ".join(MOTION_COMPONENTS[c] for c in np.flatnonzero(np.any(result.disputed, axis=0)))
+    return Notice(INSTRUMENTS_DISPUTED, result.body, components=components, values=_values(result), **values)
 
 
 def _causes(result: Acceleration, deviating: Mapping[CommonEstimate, bool]) -> str:
-    """Which stated unknowns explain a contradiction; else those that would have to be wrong beyond reason."""
+    """Return the stated unknowns that explain a contradiction, else those that may contain a gross error."""
 
-    def wants(unknown: CommonEstimate) -> str:
+    def describe(unknown: CommonEstimate) -> str:
         unit = "" if unknown.unit == "1" else f" {unknown.unit}"
-        times = f"{abs(unknown.unconstrained_value) / unknown.u:.3g} times its standard uncertainty"
-        return f"{unknown.name} would have to be {unknown.unconstrained_value:.2g}{unit} ({times})"
+        factor = abs(unknown.unconstrained_value) / unknown.u
+        return f"{unknown.name} of {unknown.unconstrained_value:.2g}{unit} ({factor:.3g} times its u)"
 
     # Those that deviate most, those that the readings cannot tell apart included.
     ranked = sorted(deviating, key=lambda unknown: -abs(unknown.deviation))
@@ -573,26 +571,27 @@ def _causes(result: Acceleration, deviating: Mapping[CommonEstimate, bool]) -> s
     )
     explain = [u for u in possible if deviating[u]]
     if explain and result.disputed is None:
-        return "".join(f"; {wants(unknown)}" for unknown in explain)
-    return f"; gross error or wrong statement: {', or '.join(map(wants, gross[:MOST_NAMED]))}" if gross else ""
+        return ", or ".join(map(describe, explain))
+    if gross:
+        return f"a gross error or wrong statement, {', or '.join(map(describe, gross[:MOST_NAMED]))}"
+    return "none of the stated unknowns"
 
 
 def _values(result: Acceleration) -> str:
-    """What a disputed value is without each suspect: at the line and of the component where it is largest."""
+    """Return the largest disputed value as it is without each suspect."""
     assert result.disputed is not None
     values = np.stack([one.value for one in result.explanations])
     size = np.max(np.abs(np.nan_to_num(values / SCALE)), axis=0)
-    # Rather one that each of them determines.
+    # A component that each of them determines takes precedence.
     size = np.where(np.all(np.isfinite(values), axis=0), 1e6 * size, size)
     line, c = np.unravel_index(np.argmax(np.where(result.disputed, size, -1.0)), size.shape)
-    told = []
+    listed = []
     for one in result.explanations:
         text = "not determined"
         if np.isfinite(one.value[line, c]):
             found = polar(complex(one.value[line, c]), element_covariance(one.covariance[line], int(c)))
             number = round_to_uncertainty(found.magnitude, found.expanded_magnitude, 0)
             text = f"({number.value} ± {number.expanded}) {result.phasors.unit[c]}"
-        told.append(f"{text} without {one.suspect}")
-    names = [MOTION_COMPONENTS[c] for c in np.flatnonzero(np.any(result.disputed, axis=0))]
+        listed.append(f"{text} without {one.suspect}")
     at = f"{MOTION_COMPONENTS[c]} at {result.phasors.frequency_hz[line]:.6g} Hz"
-    return f"{', '.join(names)} have no value; {at} is {', '.join(told)} (U, k = 2)"
+    return f"{at} is {', '.join(listed)} (U, k = 2)"

@@ -11,6 +11,7 @@ from scipy.linalg import block_diag, solve_triangular
 from scipy.sparse import csr_array, diags_array
 
 from fusion.errors import ComputeError
+from fusion.estimation.estimation_notices import UNBOUNDED_READINGS
 from fusion.estimation.measurement_model import SCALE, UnobservedMotion, relative_change
 from fusion.estimation.uncertainty import as_complex, real_design, real_stack
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
@@ -314,7 +315,9 @@ def bounded_system(observations: Sequence[Observation], unobserved_motion: Unobs
     """Return the system of readings that no unbounded motion reaches; `Unbounded` where there are none."""
     left = without_unbounded(observations, unobserved_motion)
     if unobserved_motion is not None and not any(np.isfinite(o.phasors.value).any() for o in left):
-        raise Unbounded(unbounded_text(observations[0].body, unobserved_motion, np.zeros(6, np.bool_)))
+        body = observations[0].body
+        driven = unmeasured_drive(body, unobserved_motion, np.zeros(6, np.bool_))
+        raise Unbounded(UNBOUNDED_READINGS, body, driven=driven, unused="")
     return build_system(left, unobserved_motion)
 
 
@@ -322,15 +325,11 @@ class Unbounded(ComputeError):
     """No reading is left, since each could contain a driven motion that no instrument observes."""
 
 
-def unbounded_text(body: str, unobserved_motion: UnobservedMotion, observed: BoolArray) -> str:
-    """Say that the driven motion of a body has no limit, and which instrument would give one; `observed` (6,)."""
+def unmeasured_drive(body: str, unobserved_motion: UnobservedMotion, observed: BoolArray) -> str:
+    """Return the components of the driven motion of a body that are not `observed` (6,), as text."""
     drive = unobserved_motion.drive or (0.0,) * 6
     named = [name for name, part, seen in zip(MOTION_COMPONENTS, drive, observed, strict=True) if part and not seen]
-    driven = f"{' and '.join(named)} of the {body}"
-    return (
-        f"no instrument observes {driven}, which excitation.direction says is driven: nothing bounds that motion, and "
-        f"what it can reach has no value; add an instrument that observes {driven}, or correct excitation.direction"
-    )
+    return f"{' and '.join(named)} of the {body}"
 
 
 def _beyond(motion: FloatArray, line: IntArray, bases: Sequence[ComplexArray]) -> FloatArray:

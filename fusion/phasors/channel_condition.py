@@ -10,6 +10,7 @@ import numpy as np
 from fusion.errors import InputError
 from fusion.instruments.channel import NOISE_REACH, ChannelRelativeError
 from fusion.instruments.transducer import chain_name
+from fusion.phasors.phasor_notices import CLIPPED_CHANNEL, COARSE_CONVERTER, REJECTED_SAMPLES, UNUSABLE_CHANNEL
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, Stacked
 from shaker.io.condition import FEWEST_STEPS, Defect, converter_step
 from shaker.sine.quantisation import quantisation_error
@@ -20,8 +21,8 @@ if TYPE_CHECKING:
     from fusion.recording.daq_records import DaqRecord
     from fusion.recording.manifest import ChannelEntry
 
-LEAST_USABLE = 0.25
-"""Of a channel's samples: with fewer that are neither clipped nor lost there is no result."""
+MIN_USABLE_SHARE = 0.25
+"""Smallest share of samples that are neither clipped nor lost (chosen); with fewer there is no result."""
 DEPTH, NARROWER = 4.0, 0.1
 """Deviations of the residual by which a fit keeps off a limit; of the amplitude by which a second keeps farther."""
 MATTERS = 0.05
@@ -32,14 +33,15 @@ Fitter = Callable[[Stacked], SineFit]
 def require_usable(record: DaqRecord, channel: ChannelEntry) -> None:
     """Refuse a channel of whose samples too few are neither clipped nor lost."""
     raw, defects = record.raw[channel.name], record.defects(channel)
-    if sum(defect.count for defect in defects) > (1.0 - LEAST_USABLE) * len(raw.samples):
+    if sum(defect.count for defect in defects) > (1.0 - MIN_USABLE_SHARE) * len(raw.samples):
         raise _unusable(record, channel, defects)
 
 
 def _unusable(record: DaqRecord, channel: ChannelEntry, defects: Sequence[Defect]) -> InputError:
     found = " and ".join(_described(record, channel, defect) for defect in defects)
-    expected = f"at least {100 * LEAST_USABLE:g} % of the samples, at all phases, within the range of the recorder"
-    return InputError(record.entry.file, channel.stored_name, found=f"one that {found}", expected=expected)
+    expected = f"at least {100 * MIN_USABLE_SHARE:g} % of the samples, at all phases, within the range of the recorder"
+    values = {"expected": expected, "found": f"a channel that {found}"}
+    return InputError(UNUSABLE_CHANNEL, record.entry.file, channel.stored_name, **values)
 
 
 def _described(record: DaqRecord, channel: ChannelEntry, defect: Defect) -> str:
@@ -69,7 +71,7 @@ def fit_usable(
         curve, before = fit.model(time_s)[:, 0], fit
         depth = DEPTH * float(fit.residual_rms[0]) + more * float(np.ptp(curve)) / 2.0
         inside = (curve > low + depth) & (curve < high - depth)
-        if np.count_nonzero(inside & np.isfinite(column[:, 0])) < LEAST_USABLE * len(values):
+        if np.count_nonzero(inside & np.isfinite(column[:, 0])) < MIN_USABLE_SHARE * len(values):
             raise _unusable(record, channel, [clipped])
         used = Stacked.from_array(np.where(inside[:, None], column, np.nan))
         try:
@@ -92,27 +94,23 @@ def assess_condition(
     channel = next(entry for entry in record.entry.channel if entry.name == fit.phasors.channels[index])
     step = abs(channel.scale) * converter_step(record.raw[channel.name].samples)
     rounded = _rounded(fit, index, step, time_s)
-    errors, told = list[ChannelRelativeError](), list[str]()
+    where = f"{record.entry.name}, {channel.name}"
+    errors, notices = list[ChannelRelativeError](), list[Notice]()
     for kind, change in (("clipping", clipped), ("converter steps", rounded)):
         if change is not None:
             errors += _errors(channel, kind, change, seen)
     for defect in record.defects(channel):
-        text = f"{_described(record, channel, defect)}; left out"
+        text = _described(record, channel, defect)
         if defect.kind == "clipped" and clipped is not None:
-            text += f", which leaves its amplitude open to {100.0 * float(clipped.real[0]):.2g} % (in U)"
-            text += "; a larger range of the recorder avoids it"
-        told.append(text)
+            u_percent = 100.0 * float(clipped.real[0])
+            notices.append(Notice(CLIPPED_CHANNEL, where, defect=text, u_percent=u_percent))
+        else:
+            notices.append(Notice(REJECTED_SAMPLES, where, defect=text))
     size = float(np.max(np.abs(fit.phasors.value[:, index])))
     if rounded is not None and size < FEWEST_STEPS * step:
-        coarse = Defect("steps", np.zeros((0, 2), dtype=np.int64), (), step / abs(channel.scale), size / step)
-        text = f"{_described(record, channel, coarse)}, which leaves it open to {_percent(rounded)} (in U)"
-        told.append(f"{text}; a smaller range of the recorder avoids it")
-    block = record.entry.name
-    return errors, [Notice("warning", f"{block}, {channel.name}: {text}", block) for text in told]
-
-
-def _percent(u: ComplexArray) -> str:
-    return f"{100.0 * float(np.sqrt(3.0) * u.real[0]):.2g} %"
+        bound_percent = 100.0 * float(np.sqrt(3.0) * rounded.real[0])
+        notices.append(Notice(COARSE_CONVERTER, where, steps=size / step, bound_percent=bound_percent))
+    return errors, notices
 
 
 def _rounded(fit: SineFit, place: int, step: float, time_s: FloatArray) -> ComplexArray | None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fusion.errors import InputError, as_input_error
+from fusion.errors import ARGUMENT, InputError, as_input_error
 from fusion.instruments.channel import (
     NOISE_REACH,
     ChainUncertainty,
@@ -23,6 +23,14 @@ from fusion.instruments.channel import (
 )
 from fusion.instruments.transducer import HEAD, STATIONARY, TRANSDUCERS
 from fusion.phasors.channel_condition import assess_condition, fit_usable, require_usable
+from fusion.phasors.phasor_notices import (
+    ALIASED_HARMONICS,
+    FILTER_DELAY,
+    HIGH_HARMONICS_NOT_ASSESSED,
+    LINE_ABOVE_SAMPLING,
+    LINES_FROM_BAND,
+    LINES_NOT_FOUND,
+)
 from fusion.phasors.timing import TimeBase, TimingError, combine_timing_errors
 from fusion.recording.response import read_response
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, Stacked, brief
@@ -264,9 +272,9 @@ def lines_of_record(manifest: Manifest, chosen: LineRecord) -> LineFrequencies:
     # A line above is looked for where it folds to, within `CAPTURE` of its nominal frequency: the whole band, some day.
     beyond = [f for f in manifest.excitation.frequencies or () if CAPTURE * f >= half_rate]
     if beyond:
-        least = f"at most {half_rate / CAPTURE:g} Hz, for channels at {2.0 * half_rate:g} samples a second"
-        found, expected = f"{beyond[0]:g} Hz", f"frequencies in Hz that sampling can tell: {least} ({together[0].name})"
-        raise InputError(manifest.path, "excitation.frequencies", found=found, expected=expected)
+        limit = f"at most {half_rate / CAPTURE:g} Hz, for {together[0].name} at {2.0 * half_rate:g} samples per second"
+        values = {"expected": f"frequencies of {limit}", "found": f"{beyond[0]:g} Hz"}
+        raise InputError(LINE_ABOVE_SAMPLING, manifest.path, "excitation.frequencies", **values)
     try:
         if manifest.excitation.frequencies is not None:
             return find_lines(time_s, values, manifest.excitation.frequencies, harmonics)
@@ -277,9 +285,8 @@ def lines_of_record(manifest: Manifest, chosen: LineRecord) -> LineFrequencies:
     except ValueError as error:
         names = ", ".join(member.name for member in together)
         where = f"{'channel' if len(together) == 1 else 'channels'} {names} of {record.entry.file.name}"
-        raise InputError.from_exception(
-            ValueError(f"{error} ({where})"), manifest.path, "excitation.frequencies"
-        ) from error
+        reason, key = ARGUMENT.sub("", str(error), count=1), "excitation.frequencies"
+        raise InputError(LINES_NOT_FOUND, manifest.path, key, reason=reason, instruments=where) from error
 
 
 def _driven_lines(
@@ -306,7 +313,7 @@ def _driven_lines(
             f"band: expected lines between {low:g} and {high:g} Hz that stand out of the noise, found none"
         )
     listed = ", ".join(f"{f:.6g}" for f in nominal_hz)
-    return nominal_hz, Notice("note", f"no frequencies are stated; found in the band: {listed} Hz", "excitation.band")
+    return nominal_hz, Notice(LINES_FROM_BAND, "excitation.band", count=len(nominal_hz), frequencies=listed)
 
 
 # The sine approximation, channel by channel.
@@ -328,9 +335,9 @@ def channel_phasors(
     for (record, group), rate_hz in zip(groups, rates_hz, strict=True):
         seen = (lines.frequency_hz < rate_hz / 2.0) | (rate_hz >= max(rates_hz))
         if not seen.any():
-            above = f"a sampling rate above {2.0 * lines.frequency_hz.min():g} Hz"
-            expected = f"{above}, or no such channel in recording.toml"
-            raise InputError(record.entry.file, group[0].name, found=f"{rate_hz:g} Hz", expected=expected)
+            expected = f"a sampling rate above {2.0 * lines.frequency_hz.min():g} Hz"
+            values = {"expected": expected, "found": f"{rate_hz:g} Hz"}
+            raise InputError(LINE_ABOVE_SAMPLING, record.entry.file, group[0].name, **values)
         units = [manifest.rig.unit_of(channel) for channel in group]
         errors = combine_timing_errors([*base.tie_errors(record.entry.name), *open_lines])
         fitted += _fit_group(base, record, group, units, (lines, seen, errors), shown)
@@ -471,7 +478,7 @@ def _result(
         excerpt_fit=fit.model(time_s[first], slice(place, place + 1))[:, 0],
         spectrum_hz=spectrum.frequency_hz,
         spectrum=spectrum.amplitude[:, 0],
-        notices=tuple(Notice(n.severity, f"{block}, {n.where}: {n.text}", block) for n in fit.notices),
+        notices=tuple(notice.at(f"{block}, {notice.where}") for notice in fit.notices),
     )
     return result, ChannelReading(channel, phasors, chain)
 
@@ -509,39 +516,34 @@ def folding(
 
 
 def describe_folds(folds: Sequence[AliasedHarmonic]) -> str:
-    """Name folded harmonics."""
+    """Return aliased harmonics and the lines that they alias onto."""
     return ", ".join(
-        f"harmonic {fold.multiple} of {fold.fundamental_hz:.6g} Hz folds onto {fold.line_hz:.6g} Hz" for fold in folds
+        f"harmonic {fold.multiple} of {fold.fundamental_hz:.6g} Hz aliases onto {fold.line_hz:.6g} Hz" for fold in folds
     )
 
 
 def folding_notices(
     channels: Sequence[ChannelResult], readings: Sequence[ChannelReading], lines: LineFrequencies
-) -> tuple[list[Notice], list[str]]:
-    """Return notices of what folds onto the lines of a block and may matter, and what else folds, as not assessed.
+) -> list[Notice]:
+    """Return notices of harmonics that alias onto the lines of a block.
 
-    Harmonics up to the fifth may matter wherever no channel's response tells that a filter keeps them off, others where
-    those seen of a channel let expect more than a third of its u at the line.
+    Harmonics up to the fifth are reported unless a response of the channel states a filter. Higher ones are reported if
+    those measured by a channel predict more than a third of its u at the line, and are otherwise not assessed.
     """
     driven = lines.frequency_hz[lines.multiple == 1].tolist()
     blocks: dict[tuple[str, float], list[tuple[ChannelResult, ChannelReading]]] = {}
     for channel, reading in zip(channels, readings, strict=True):
         if reading.entry.response is None:
             blocks.setdefault((channel.daq, channel.sample_rate_hz), []).append((channel, reading))
-    notices, rest = [], []
+    notices = []
     for (daq, rate_hz), own in blocks.items():
-        where = f"{daq}, sampled at {rate_hz:g} Hz"
         found: dict[bool, list[AliasedHarmonic]] = {True: [], False: []}
         for fold in folding(driven, rate_hz, own[0][0].samples, FOLDED):
             found[fold.multiple <= HARMONICS[-1] or any(_expected(*one, fold) for one in own)].append(fold)
-        if found[True]:
-            text = (
-                f"{where}: {describe_folds(found[True])}, where nothing tells them apart; an anti-aliasing filter must"
-            )
-            notices.append(Notice("note", f"{text} keep them off", daq))
-        if found[False]:
-            rest.append(f"high harmonics without an anti-aliasing filter ({where}: {describe_folds(found[False])})")
-    return notices, rest
+        for important, declared in ((True, ALIASED_HARMONICS), (False, HIGH_HARMONICS_NOT_ASSESSED)):
+            if found[important]:
+                notices.append(Notice(declared, daq, rate_hz=rate_hz, aliases=describe_folds(found[important])))
+    return notices
 
 
 def _expected(channel: ChannelResult, reading: ChannelReading, fold: AliasedHarmonic) -> bool:
@@ -567,19 +569,15 @@ ATTENUATED = 1e-3
 
 
 def delay_notices(readings: Sequence[ChannelReading], path: Path) -> list[Notice]:
-    """Ask about delays that may be those of filters, which attenuate, in the manifest at `path`."""
-    told = []
+    """Return warnings of stated delays that filters may cause, which also attenuate; `path`: of the manifest."""
+    notices = []
     for entry, phasors in ((reading.entry, reading.phasors) for reading in readings if reading.entry.delay_of is None):
         loss = np.sqrt(3.0) * u_of_filter(phasors.frequency_hz, entry.filter_delay_s)[0]
         line = int(np.argmax(loss))
         if loss[line] > ATTENUATED:
-            text = (
-                f"channel.{entry.name}.delay: a low-pass with this delay of {1e6 * entry.delay:.4g} us changes "
-                f"{phasors.frequency_hz[line]:.6g} Hz by up to {loss[line]:.2%}, which U contains: state delay_of = "
-                '"pure" if it is none, or the filter as response'
-            )
-            told.append(Notice("warning", text, path.name))
-    return told
+            values = {"delay_us": 1e6 * entry.delay, "frequency_hz": phasors.frequency_hz[line], "loss": loss[line]}
+            notices.append(Notice(FILTER_DELAY, f"{path.name}: channel.{entry.name}.delay", **values))
+    return notices
 
 
 def line_strength(readings: Sequence[ChannelReading], lines: LineFrequencies) -> FloatArray | None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from fusion.instruments.transducer import STATIONARY
 from fusion.phasors.channel_phasors import MIN_BEAT_PERIODS, U_SHARED_FREQUENCY, line_rates, line_stretch, with_ties
+from fusion.phasors.phasor_notices import PERIODS_DISAGREE
 from fusion.phasors.stereo_motion import StereoMotion, resolved_lines
 from fusion.phasors.timing import TimeBase, frame_sight
 from fusion.recording.load import Manifest
@@ -112,14 +113,10 @@ def _with_period(fit: TriggerFit, known: Sequence[Known], limit: float, back: Kn
     Answers that contradict each other are told and change nothing.
     """
     mean = _mean(known)
-    apart, both = float(np.ptp([value for value, _ in known])), float(np.linalg.norm([u for _, u in known]))
-    if apart > MAX_DISAGREEMENT_SIGMAS * both:
-        text = (
-            f"what its frames show, and what other records do, differ by {apart / mean[0]:.2g} of its period (standard "
-            f"uncertainty {both / mean[0]:.2g}), so that its own edges stand: frames or edges are missing, or what "
-            f"moved was not what the lines were found in"
-        )
-        return replace(fit, notices=(*fit.notices, Notice("warning", text, "trigger")))
+    difference, both = float(np.ptp([value for value, _ in known])), float(np.linalg.norm([u for _, u in known]))
+    if difference > MAX_DISAGREEMENT_SIGMAS * both:
+        notice = Notice(PERIODS_DISAGREE, "trigger", difference=difference / mean[0], u=both / mean[0])
+        return replace(fit, notices=(*fit.notices, notice))
     return fit.with_period(*_times(mean, back)) if mean[1] < limit else fit
 
 

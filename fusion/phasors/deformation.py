@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from fusion.estimation.uncertainty import real_stack
+from fusion.phasors.phasor_notices import BODY_DEFORMS
 from fusion.phasors.shutter import PhaseRotated
 from photogram.direct.shapes import PLAIN, ShapeAmplitudes
 from photogram.motion import Deformation
@@ -104,22 +105,22 @@ class ShapePhasors:
         return np.asarray(self.chance < LEVEL / len(self.chance))
 
     def notices(self) -> list[Notice]:
-        """Say at which lines the body deforms, in which shape most, by how much; nothing of modes that are stated."""
-        told = list[Notice]()
+        """Return a warning for each line at which the body deforms; none if the shapes are stated modes."""
+        notices = list[Notice]()
         if self.phasors.channels != PLAIN:
-            return told
+            return notices
         size = self.u_size
         for k in np.flatnonzero(self.deforms):
             most = int(np.argmax(np.abs(self.phasors.value[k]) / size[k]))
-            hertz = f"{self.phasors.frequency_hz[k]:.6g} Hz"
-            amplitude, u = 1e9 * float(np.abs(self.phasors.value[k, most])), 1e9 * float(size[k, most])
-            text = (
-                f"its body deforms at {hertz}: {self.phasors.channels[most]} of {amplitude:.3g} nm (u {u:.2g} nm), "
-                f"which a rigid body shows once in {1.0 / max(float(self.chance[k]), 1e-12):.1e} recordings; it bends "
-                "or stretches (state [[load.elastic]] with measured_by), or a camera moves against the other"
-            )
-            told.append(Notice("warning", text, hertz))
-        return told
+            frequency_hz = float(self.phasors.frequency_hz[k])
+            values = {
+                "shape": self.phasors.channels[most],
+                "amplitude_nm": 1e9 * float(np.abs(self.phasors.value[k, most])),
+                "u_nm": 1e9 * float(size[k, most]),
+                "chance": max(float(self.chance[k]), 1e-12),
+            }
+            notices.append(Notice(BODY_DEFORMS, f"{frequency_hz:.6g} Hz", frequency_hz=frequency_hz, **values))
+        return notices
 
 
 def shape_phasors(

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fusion.errors import ComputeError, InputError
 from fusion.instruments.stereo import CALIBRATION, PERIODIC, SURFACE
+from fusion.phasors.phasor_notices import CALIBRATION_REFUSED, NO_RIGID_MOTION, UNEQUAL_FRAMES
 from fusion.phasors.shutter import check_in_step
 from fusion.phasors.stereo_motion import ImageView, StereoMotion, sensor_from_camera
 from photogram.arrays import RunningMean, spread_choice
@@ -61,7 +62,7 @@ def image_effects(
     frames = list[FloatArray]()
     # Without a covariance nothing but the comparison of the cameras needs the displacement of each subset.
     with suppress(ComputeError) if view.rig.covariance is None else nullcontext():
-        frames = _phasor_frames(sums, len(measured.points_time_s))
+        frames = _phasor_frames(sums, len(measured.points_time_s), measured.sight.name)
     if frames and isinstance(view.rig, StereoRig):
         notices += check_in_step(view.rig, frames, frequency_hz, measured.sight.time_s)
     of_calibration = _calibration_effects(measured, view, frames, len(frequency_hz))
@@ -138,10 +139,9 @@ def _calibration_effects(
             changes.append(phasor_motion(view.rig.perturbed(step), moved, frames, shapes) - nominal)
         except ValueError as error:
             file = measured.sight.pair.calibration or measured.sight.where[0]
-            found = "rays that meet nowhere in front of the cameras when it is off by its own standard uncertainty"
-            raise InputError(
-                file, "matrix", found, "focal lengths in px and a translation in m of this pair"
-            ) from error
+            found = "rays that do not meet in front of the cameras if it is wrong by its standard uncertainty"
+            expected = "focal lengths in px and a translation in m of this pair"
+            raise InputError(CALIBRATION_REFUSED, file, "matrix", found=found, expected=expected) from error
     return np.array(changes)
 
 
@@ -167,7 +167,7 @@ def surface_effects(
     return {SURFACE: np.array([*map(seen_on, stated)]), THROUGH: np.array([*map(seen_on, moved)])}
 
 
-def _phasor_frames(sums: SineSums, samples: int) -> list[FloatArray]:
+def _phasor_frames(sums: SineSums, samples: int, name: str) -> list[FloatArray]:
     """Return positions (1 + 2K, N, 2) in each camera: mean, mean + Re and mean + Im of each line's displacement.
 
     Of the subsets that are seen in most frames, each by its own: in a long recording all are lost now and then. Some
@@ -176,8 +176,8 @@ def _phasor_frames(sums: SineSums, samples: int) -> list[FloatArray]:
     mean, phasors, _ = sums.solve(1)
     good = np.isfinite(mean).all(axis=1) & (sums.count >= SEEN_SHARE * samples)
     if np.count_nonzero(good) < MIN_SUBSETS:
-        share = f"{np.count_nonzero(good)} subsets are followed through half of the frames"
-        raise ComputeError(f"only {share}; look at the images")
+        reason = f"only {np.count_nonzero(good)} subsets are tracked in half of the frames"
+        raise ComputeError(NO_RIGID_MOTION, pair=name, reason=reason)
     some = np.flatnonzero(good)
     some = some[spread_choice(np.arange(len(some)), EFFECT_SUBSETS / len(some))]
     parts = [part[some] for value in phasors for part in (value.real, value.imag)]
@@ -259,13 +259,12 @@ def fit_about_mean(measured: StereoMotion, frequency_hz: FloatArray) -> tuple[St
                 variance=variance,
             )
     except ValueError as error:
-        told = f"stereo pair {measured.sight.name}: the lines cannot be fitted to its motion ({error})"
-        raise ComputeError(told) from error
+        reason = f"the lines cannot be fitted ({error})"
+        raise ComputeError(NO_RIGID_MOTION, pair=measured.sight.name, reason=reason) from error
     assert fit is not None
     if variance is not None:
-        times = float(variance.max() / variance.min())
-        text = f"what its pixels tell of the motion differs from frame to frame, in variance by up to {times:.2g} times"
-        fit = replace(fit, notices=(*fit.notices, Notice("warning", f"{text}; each frame counts by its own", "frames")))
+        notice = Notice(UNEQUAL_FRAMES, "frames", factor=float(variance.max() / variance.min()))
+        fit = replace(fit, notices=(*fit.notices, notice))
     return measured, motion, fit
 
 

@@ -27,6 +27,7 @@ from fusion.phasors.channel_phasors import (
     line_strength,
     refine_ties,
 )
+from fusion.phasors.phasor_notices import HARMONIC_UNRESOLVED, NO_INSTRUMENT, TAKES_REFUSED, TIME_STAMP_GAP
 from fusion.phasors.steadiness import distortions, enlarge_doubted, line_stationarity
 from fusion.phasors.stereo_motion import (
     PreparedImages,
@@ -71,9 +72,9 @@ class PreparedSetUp:
     channels: tuple[ChannelResult, ...] = ()
     readings: tuple[ChannelReading, ...] = ()
 
-    def wrong(self, key: str, found: str, expected: str) -> InputError:
-        """Return the mistake at a key of the set-up."""
-        return InputError(self.manifest.path, self.where + key, found, expected)
+    def refusal(self, key: str, *, found: str, expected: str) -> InputError:
+        """Return the error at a key of the set-up."""
+        return InputError(TAKES_REFUSED, self.manifest.path, self.where + key, found=found, expected=expected)
 
 
 @dataclass(frozen=True)
@@ -89,34 +90,25 @@ class MeasuredSetUp:
     line_notices: tuple[Notice, ...]
 
     @property
-    def not_assessed(self) -> list[str]:
-        """Return what is in no U and not worth a notice of its own."""
-        return folding_notices(self.prepared.channels, self.prepared.readings, self.lines)[1]
-
-    @property
     def notices(self) -> tuple[Notice, ...]:
-        """Return what clocks, lines, channels and stereo pairs of the set-up want the user to know."""
+        """Return the notices of clocks, lines, channels and stereo pairs of the set-up."""
         base = self.prepared.base
         clocks = [(daq, notice) for (daq, _), fit in base.triggers.items() for notice in fit.notices]
         clocks += [(daq, notice) for daq, tie in base.ties.items() if tie is not None for notice in tie.notices]
-        told: list[Notice] = [Notice(n.severity, f"{daq}: {n.text}", daq) for daq, n in clocks]
-        told += base.inverted()
-        told += [
-            Notice("note", f"{r.entry.name}: {gap}; sines are fitted at the times that the file states", r.entry.name)
-            for r in base.records
-            for gap in r.gaps
-        ]
-        told += [doubt for r in base.records for doubt in unit_notices(self.prepared.manifest, r.entry, r.raw)]
-        told += [
+        notices: list[Notice] = [notice.at(f"{daq}, {notice.where}") for daq, notice in clocks]
+        notices += base.inverted()
+        notices += [Notice(TIME_STAMP_GAP, r.entry.name, gap=gap) for r in base.records for gap in r.gaps]
+        notices += [notice for r in base.records for notice in unit_notices(self.prepared.manifest, r.entry, r.raw)]
+        notices += [
             *delay_notices(self.prepared.readings, self.prepared.manifest.path),
             *self.lines.notices,
             *self.line_notices,
         ]
-        told += [notice for channel in self.prepared.channels for notice in channel.notices]
-        told += folding_notices(self.prepared.channels, self.prepared.readings, self.lines)[0]
-        told += [found.notice for found in distortions(self.prepared.channels, self.lines)]
-        told += [notice for item in self.stereo for notice in item.notices]
-        return tuple(told)
+        notices += [notice for channel in self.prepared.channels for notice in channel.notices]
+        notices += folding_notices(self.prepared.channels, self.prepared.readings, self.lines)
+        notices += [found.notice for found in distortions(self.prepared.channels, self.lines)]
+        notices += [notice for item in self.stereo for notice in item.notices]
+        return tuple(notices)
 
 
 def prepare_set_ups(manifest: Manifest, already: FileCache | None = None) -> tuple[PreparedSetUp, ...]:
@@ -222,7 +214,7 @@ def _check_left(opened: PreparedSetUp, stereo: Sequence[object], left_out: Seque
         error = left_out[0].error
         if isinstance(error, InputError):
             raise error
-        raise ComputeError(f"no instrument is left that measures a motion: {left_out[0].notice.text}")
+        raise ComputeError(NO_INSTRUMENT, quantity="a motion", reason=f": {error.sentence}")
 
 
 # The lines of all set-ups.
@@ -245,9 +237,7 @@ def _lines(set_ups: Sequence[PreparedSetUp]) -> list[LineFrequencies | None]:
         hidden |= dict.fromkeys(_indistinct(opened, lines, keys), opened.name)
     left_out = [
         Notice(
-            "warning",
-            f"harmonic {multiple} of {nominal_hz:g} Hz is left out: {name} cannot tell it from another line",
-            f"{nominal_hz * multiple:g} Hz",
+            HARMONIC_UNRESOLVED, f"{nominal_hz * multiple:g} Hz", take=name, order=multiple, fundamental_hz=nominal_hz
         )
         for (nominal_hz, multiple), name in hidden.items()
     ]
@@ -264,8 +254,8 @@ def _own_lines(opened: PreparedSetUp, nominal: tuple[float, ...]) -> LineFrequen
     missing = [frequency for frequency in nominal if lines is None or frequency not in lines.nominal_hz]
     if lines is None or missing:
         listed = " and ".join(f"{frequency:g} Hz" for frequency in missing)
-        found, expected = f"no such line in {opened.name}", f"channels that tell {listed} as those of the first take do"
-        raise opened.wrong("daq", found, expected)
+        expected = f"channels that resolve {listed} as in the first take"
+        raise opened.refusal("daq", found=f"no such line in {opened.name}", expected=expected)
     return lines
 
 

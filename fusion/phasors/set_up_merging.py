@@ -17,6 +17,12 @@ from fusion.estimation.variance_components import EstimatedNoise
 from fusion.instruments.channel import ChannelReading, ChannelRelativeError, nonzero_errors, observe_channels
 from fusion.instruments.stereo import PERIODIC, StereoReading
 from fusion.phasors.channel_phasors import ChannelResult
+from fusion.phasors.phasor_notices import (
+    LARGE_REFERENCE_DRIFT,
+    REFERENCE_DRIFT,
+    TAKE_FREQUENCY_DIFFERS,
+    TAKES_SCATTER,
+)
 from fusion.phasors.set_up import MeasuredSetUp, PreparedSetUp
 from fusion.phasors.steadiness import line_stationarity, stationarity_notices
 from fusion.phasors.stereo_phasors import StereoResult
@@ -125,7 +131,7 @@ def reference_ties(set_ups: Sequence[PreparedSetUp]) -> tuple[ReferenceTie, ...]
         if len(marked) != 1:
             expected = "one channel with reference = true, the same in every take"
             found = f"{len(marked) or 'none'}"
-            raise opened.wrong("daq", found, expected)
+            raise opened.refusal("daq", found=found, expected=expected)
         references += marked
     return tuple(_tie(set_ups, references, place) for place in range(len(set_ups)))
 
@@ -180,7 +186,7 @@ def _check_driven(opened: PreparedSetUp, reference: ChannelReading, stands_out: 
         frequency = f"{reference.phasors.frequency_hz[lost[0]]:.6g} Hz"
         found = f"an amplitude of {amplitude:.2g} with a standard uncertainty of {u:.2g} in {opened.name}"
         expected = f"a channel that shows the driven line at {frequency} in every take"
-        raise opened.wrong(key, found, expected)
+        raise opened.refusal(key, found=found, expected=expected)
 
 
 def _noise(
@@ -221,23 +227,19 @@ def _drift(name: str, frequency_hz: FloatArray, half_width: FloatArray) -> list[
 
 
 def drift_notices(ties: Sequence[ReferenceTie], driven: BoolArray) -> tuple[Notice, ...]:
-    """Say how far the reference's amplitude, and the frequency, at the `driven` lines (K,) changed between set-ups."""
+    """Return notices of changed amplitude of the reference, or frequency, at the `driven` lines (K,) of set-ups."""
     notices = []
     for tie in ties:
         result = tie.result
         changed = np.abs(result.frequency_hz / tie.frequency_hz - 1.0)
         for k in np.flatnonzero(driven & np.isfinite(result.drift)):
-            at = f"{tie.frequency_hz[k]:.6g} Hz"
             if abs(result.drift[k]) > NOTED_DRIFT:
-                text = (
-                    f"the reference {result.reference} reads {100.0 * result.drift[k]:+.2g} % at {at} against the "
-                    "first take; the level is made good, the drift is part of the uncertainty"
-                )
-                large = abs(result.drift[k]) > LARGE_DRIFT
-                notices.append(Notice("warning" if large else "note", f"{tie.name}: {text}", tie.name))
+                declared = LARGE_REFERENCE_DRIFT if abs(result.drift[k]) > LARGE_DRIFT else REFERENCE_DRIFT
+                values = {"drift_percent": 100.0 * result.drift[k], "frequency_hz": tie.frequency_hz[k]}
+                notices.append(Notice(declared, tie.name, reference=result.reference, **values))
             if changed[k] > SAME_FREQUENCY:
-                text = f"driven at {result.frequency_hz[k]:.7g} Hz, in the first take at {at}"
-                notices.append(Notice("warning", f"{tie.name}: {text}", tie.name))
+                values = {"frequency_hz": result.frequency_hz[k], "first_hz": tie.frequency_hz[k]}
+                notices.append(Notice(TAKE_FREQUENCY_DIFFERS, tie.name, **values))
     return tuple(notices)
 
 
@@ -296,11 +298,7 @@ def _merged(readings: Sequence[ChannelReading], entry: ChannelEntry) -> tuple[Ch
             weight[known, k], spread[k], lost[k] = found.weight, found.spread, found.lost
             if found.fails:
                 share = spread[k] / np.nanmax(np.abs(value[:, k]))
-                text = (
-                    f"{name} differs from take to take by {100.0 * share:.2g} % at {f:.6g} Hz "
-                    "(standard deviation beyond noise and drift); the scatter is part of its uncertainty"
-                )
-                notices.append(Notice("warning", text, name))
+                notices.append(Notice(TAKES_SCATTER, name, spread_percent=100.0 * share, frequency_hz=f))
     further = [
         replace(error, effect=w[:, None] * error.effect)
         for w, reading in zip(weight, readings, strict=True)
@@ -445,7 +443,7 @@ def join_set_ups(set_ups: Sequence[MeasuredSetUp]) -> Joined:
     channels: list[ChannelResult] = []
     by_name: dict[str, StereoResult] = {}
     referred: list[tuple[str, list[ChannelReading]]] = []
-    told: list[Notice] = []
+    notices: list[Notice] = []
     for item, tie in zip(set_ups, ties, strict=True):
         name = tie.name
         named_pairs += [tie.stereo(pair.reading) for pair in item.stereo]
@@ -461,7 +459,7 @@ def join_set_ups(set_ups: Sequence[MeasuredSetUp]) -> Joined:
             key = f"{result.name}-{name.replace(' ', '')}" if result.name in by_name else result.name
             steady = _at_lines(result.stationarity, item.lines, lines.frequency_hz)
             by_name[key] = replace(result, name=key, stationarity=steady)
-        told += [replace(notice, text=f"{name}: {notice.text}") for notice in item.notices]
+        notices += [notice.at(f"{name}, {notice.where}") for notice in item.notices]
     readings, scattered = merge_readings(referred)
     results = tuple(by_name.values())
     changes = stationarity_notices(line_stationarity(channels, results, lines, clocks_named))
@@ -475,7 +473,7 @@ def join_set_ups(set_ups: Sequence[MeasuredSetUp]) -> Joined:
         clock_uncertainty=clock,
         set_ups=tuple(tie.result for tie in ties),
         aliased=tuple(notice for item in set_ups for notice in item.line_notices),
-        notices=(*told, *drift_notices(ties, lines.multiple == 1), *scattered, *changes),
+        notices=(*notices, *drift_notices(ties, lines.multiple == 1), *scattered, *changes),
     )
 
 

@@ -1,4 +1,4 @@
-"""When pictures were exposed: rows one after the other (`photogram.measure.exposure_motion`), cameras of a pair out of step."""
+"""Exposure of images: rows read one after another, and cameras of a pair that are not synchronous."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fusion.errors import ComputeError
+from fusion.phasors.phasor_notices import CAMERA_DELAYED, CAMERAS_OUT_OF_STEP
 from photogram.camera import StereoRig, epipolar_residual
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.sine.phasor import Phasors
@@ -113,12 +114,13 @@ def check_in_step(
         away = abs(np.angle(np.exp(1j * (phase - omega * count * period_s))))
         if away < min(UNLIKE_FRAMES, abs(phase) / 2.0):
             late, early = ("right", "left") if count > 0 else ("left", "right")
-            many = f"{abs(count)} frame{'s' if abs(count) > 1 else ''} ({1e3 * abs(count) * period_s:.4g} ms)"
-            raise ComputeError(f"the {late} camera is {many} late compared with the {early} one: they are out of step")
+            values = {"frames": abs(count), "delay_ms": 1e3 * abs(count) * period_s}
+            raise ComputeError(CAMERAS_OUT_OF_STEP, late=late, early=early, **values)
     late = "right" if phase > 0.0 else "left"
-    text = (
-        f"the {late} camera is exposed {1e6 * abs(phase) / omega:.3g} us later than the other one, by their motion "
-        f"across the epipolar lines at {frequency_hz[k]:.6g} Hz ({1e3 * abs(phase):.3g} mrad, u {1e3 * u:.2g} mrad): "
-        "the cameras are out of step; what that does to depth and phase is not in U"
-    )
-    return (Notice("warning", text, "exposure"),)
+    values = {
+        "delay_us": 1e6 * abs(phase) / omega,
+        "phase_mrad": 1e3 * abs(phase),
+        "frequency_hz": frequency_hz[k],
+        "u_mrad": 1e3 * u,
+    }
+    return (Notice(CAMERA_DELAYED, "exposure", late=late, **values),)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from fusion.base import Threads
 from fusion.phasors.image_effects import displacement, fit_about_mean
+from fusion.phasors.phasor_notices import COARSE_ROWS, MOTION_BLUR, ROLLING_SHUTTER, SHUTTER_NOT_CONVERGED
 from fusion.phasors.shutter import PhaseRotated
 from fusion.phasors.stereo_motion import PreparedImages, StereoMotion, motion_from_tracks, resolved_lines
 from photogram.measure.body import TrackedSubsets, body_motion
@@ -29,7 +30,7 @@ from shakercal._common.notices import Notice
 FINEST_RAD_PX = 0.7  # of the waves of grey that tell the place of speckle, about
 BLUR_COUNTS = 1e-5  # of an amplitude: bias by the path of an exposure from which on it is taken off
 CLOSE, MOST_LOOKS = 3e-4, 6  # relative change of the motion within which it is known, and how often that is sought
-SETTLED = 3e-3  # the largest one at the end of which nothing is said
+NOTABLE_CHANGE = 3e-3  # the largest one at the end of which nothing is said
 
 
 def refine_rolling_shutter(
@@ -63,36 +64,25 @@ def refine_rolling_shutter(
             break
         phasors, last = _nearer(answer, change, last), (answer, change)
     bias = _blur_bias(first, frequency_hz, phasors, exposure_s)
-    return replace(found, notices=(*found.notices, *_told(found, swing, bias, left)))
+    return replace(found, notices=(*found.notices, *_shutter_notices(found, swing, bias, left)))
 
 
-def _told(measured: StereoMotion, swing: ExposureMotion, bias: float, left: float) -> list[Notice]:
-    """Say what moves while frames are exposed, and where the motion that is taken for known did not settle."""
-    told, turned = list[Notice](), None if measured.view is None else measured.view.phase_rotated
+def _shutter_notices(measured: StereoMotion, swing: ExposureMotion, bias: float, left: float) -> Iterator[Notice]:
+    """Yield the effects of motion during exposures, and a warning where the fit did not converge."""
+    rotated = None if measured.view is None else measured.view.phase_rotated
     fastest_hz = float(swing.frequency_hz.max())
-    if turned is not None:
-        across_s = float(np.nanmax(turned.delay_s) - np.nanmin(turned.delay_s))
-        angle = 360.0 * fastest_hz * across_s
-        text = (
-            f"its rows are exposed one after the other, those with subsets of the body over {1e3 * across_s:.3g} ms, "
-            f"in which {fastest_hz:.6g} Hz turns by {angle:.3g}°: every row counts when it was exposed"
-        )
-        told.append(Notice("note", text, "row_time"))
-        if turned.side_px > WIDEST_CELL / swing.per_row:
-            spanned = turned.side_px * swing.per_row
-            text = f"the rows of the smallest cells span {spanned:.2g} periods of {fastest_hz:.6g} Hz"
-            told.append(Notice("warning", f"{text}; what that does to its phasors is not in U", "row_time"))
+    if rotated is not None:
+        across_s = float(np.nanmax(rotated.delay_s) - np.nanmin(rotated.delay_s))
+        values = {"duration_ms": 1e3 * across_s, "frequency_hz": fastest_hz, "angle": 360.0 * fastest_hz * across_s}
+        yield Notice(ROLLING_SHUTTER, "row_time", **values)
+        if rotated.side_px > WIDEST_CELL / swing.per_row:
+            periods = rotated.side_px * swing.per_row
+            yield Notice(COARSE_ROWS, "row_time", periods=periods, frequency_hz=fastest_hz)
     if bias > BLUR_COUNTS:
-        text = (
-            f"what moves is blurred by its path in exposures of {1e3 * swing.exposure_s:.3g} ms, which "
-            f"would make sharp pictures of it find about {100.0 * bias:.2g} % too much: frames and first picture were "
-            "compared as blurred alike"
-        )
-        told.append(Notice("note", text, "exposure"))
-    if left > SETTLED:
-        text = f"the motion within frames did not settle: {100.0 * left:.2g} % of it are open, which is not in U"
-        told.append(Notice("warning", text, "exposure"))
-    return told
+        values = {"exposure_ms": 1e3 * swing.exposure_s, "bias_percent": 100.0 * bias}
+        yield Notice(MOTION_BLUR, "exposure", **values)
+    if left > NOTABLE_CHANGE:
+        yield Notice(SHUTTER_NOT_CONVERGED, "exposure", change_percent=100.0 * left)
 
 
 def _nearer(answer: ComplexArray, change: ComplexArray, last: tuple[ComplexArray, ComplexArray] | None) -> ComplexArray:

@@ -14,6 +14,7 @@ from fusion.estimation.uncertainty import Scope
 from fusion.instruments.channel import ChannelReading, ChannelRelativeError, nonzero_errors
 from fusion.instruments.transducer import TRANSDUCERS
 from fusion.phasors.channel_phasors import HARMONICS, ChannelResult
+from fusion.phasors.phasor_notices import CUBIC_DISTORTION, HARMONIC_DISTORTION, LINE_UNSTEADY, OUTPUT_UNSTEADY
 from fusion.phasors.timing import ClockResult
 from shaker.lines.frequencies import LineFrequencies
 from shaker.sine.sine_fit import Stationarity
@@ -131,22 +132,15 @@ def stationarity_notices(changes: Sequence[LineStationarity]) -> tuple[Notice, .
     notices: list[Notice] = []
     for frequency in _frequencies(changes):
         grown, turned, bent, doubts = _told(changes, frequency)
-        end = "results are means over each instrument's own record"
-        if doubts:
-            end += (
-                "; only outputs of the sensor do so, the motion does not: look for a line beside the driven one, such "
-                "as a harmonic beyond half the sampling rate that folds onto it for lack of an anti-aliasing filter, "
-                "or for a drift of the amplifier; U contains as much in any direction"
-            )
-        for what, by in (
-            ("amplitude at {} changes", [f"{100.0 * d.amplitude:+.2g} % in {d.name}" for d in grown]),
-            ("phase at {} drifts", [f"{1e3 * d.phase_rad:+.2g} mrad in {d.name}" for d in turned]),
-            ("phasor at {} wanders", [f"by {100.0 * d.wander:.2g} % in {d.name}" for d in bent]),
+        for quantity, changed in (
+            ("amplitude", [f"{100.0 * d.amplitude:+.2g} % in {d.name}" for d in grown]),
+            ("phase", [f"{1e3 * d.phase_rad:+.2g} mrad in {d.name}" for d in turned]),
+            ("phasor", [f"{100.0 * d.wander:.2g} % in {d.name}" for d in bent]),
         ):
-            if by:
-                where = f"{frequency:.6g} Hz"
-                text = f"the {what.format(where)} over the record: {', '.join(by)}"
-                notices.append(Notice("warning", f"{text}; {end}", where))
+            if changed:
+                declared, listed = OUTPUT_UNSTEADY if doubts else LINE_UNSTEADY, ", ".join(changed)
+                values = {"quantity": quantity, "frequency_hz": frequency, "changes": listed}
+                notices.append(Notice(declared, f"{frequency:.6g} Hz", **values))
     return tuple(notices)
 
 
@@ -318,15 +312,18 @@ def _distortion(
         return
     part = round_to_uncertainty(100.0 * size, 100.0 * coverage_factor(dof) * u, 0)
     output = channel.quantity == "output"
-    others = "the load's motion explains" if output else "the outputs answer to"
-    text = (
-        f"distortion of {channel.quantity} {channel.name}: harmonic {m} of {frequency_hz:.6g} Hz is "
-        f"({part.value} ± {part.expanded}) % of the fundamental beyond what {others}; "
-        f"the {'sensor' if output else 'transducer, its amplifier'} or its converter is not linear"
-    )
+    values = {
+        "frequency_hz": frequency_hz,
+        "share": part.value,
+        "expanded": part.expanded,
+        "reference": "the motion of the load" if output else "the outputs",
+        "device": "sensor or its converter" if output else "transducer, its amplifier or its converter",
+        "u_percent": 100.0 * cubic * size,
+    }
     if m == 3:
         flattened = (excess * np.exp(-2j * own.phase_rad)).real < 0.0
         sign = "small" if flattened == output else "large"
-        text += f"; if it is so by the cube, the ratio at the fundamental is too {sign} by about {300.0 * size:.2g} %"
-    text += f"; U contains {100.0 * cubic * size:.2g} % in any direction"
-    yield HarmonicDistortion(Doubt(channel.name, frequency_hz, cubic * size), Notice("warning", text, channel.name))
+        notice = Notice(CUBIC_DISTORTION, channel.name, sign=sign, ratio_percent=300.0 * size, **values)
+    else:
+        notice = Notice(HARMONIC_DISTORTION, channel.name, order=m, **values)
+    yield HarmonicDistortion(Doubt(channel.name, frequency_hz, cubic * size), notice)

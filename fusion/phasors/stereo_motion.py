@@ -16,8 +16,26 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from fusion.base import CheckpointStore, Executor, Pending, ProgressCallback, Settings, Threads
-from fusion.errors import ComputeError, InputError, as_input_error
+from fusion.errors import ARGUMENT, ComputeError, InputError, as_input_error
 from fusion.instruments.transducer import STATIONARY
+from fusion.phasors.phasor_notices import (
+    CALIBRATION_REFUSED,
+    COPIED_FRAMES,
+    EXPOSURE_DIFFERS,
+    EXPOSURE_REFUSED,
+    FILE_TIMES_GAP,
+    FRAME_RATE_DIFFERS,
+    FREQUENCIES_UNSTATED,
+    HARMONIC_WITHOUT_FUNDAMENTAL,
+    IMAGES_REFUSED,
+    LINES_NOT_FOUND,
+    LINES_UNRESOLVED,
+    NO_INSTRUMENT,
+    NO_RIGID_MOTION,
+    PAIR_DECALIBRATED,
+    PAIR_REJECTED,
+    SINGLE_CAMERA_NOT_ASSESSED,
+)
 from fusion.phasors.shutter import PhaseRotated
 from fusion.phasors.timing import Sight, TimeBase, frame_edges, frame_sight
 from fusion.phasors.tracked_blocks import TrackedBlocks, track_block
@@ -60,10 +78,6 @@ SAME_RATE = 0.01  # of frames on the camera's clock and of edges on that of a DA
 FEWEST_SOUGHT, SPARED, TIMES_UNKNOWNS = 24, 8, 2  # frames with subsets, at least: so many, a share, and by the lines
 MOST_NAMED = 5  # frames in a notice
 FEWEST_PLACES = 3  # on a body that tell where it is
-ALONE = (
-    "one camera before a stated surface: how the body deforms, whether it lies on that surface, and whether the camera "
-    "still is what was calibrated, is not told"
-)
 NO_MOTION = "no frame has enough points for a rigid motion"
 
 
@@ -145,10 +159,8 @@ class RejectedPair:
 
     @property
     def notice(self) -> Notice:
-        """Return what the user is told where the other instruments are evaluated without the pair."""
-        why = self.error.sentence
-        why = why.removeprefix(f"stereo pair {self.name}: ")
-        return Notice("warning", f"stereo pair {self.name} is left out: {why}", self.name)
+        """Return the warning that the other instruments are evaluated without the pair."""
+        return Notice(PAIR_REJECTED, f"stereo pair {self.name}", reason=self.error.sentence.rstrip("."))
 
 
 def sensor_from_camera(stereo: Stereo) -> RigidTransform:
@@ -172,10 +184,10 @@ def prepare_images(
     for other in sequences[1:]:
         if len(left) != len(other):
             found, expected = f"{len(other)} images", f"{len(left)} as on the left"
-            raise InputError(manifest.path, f"{key}.right", found=found, expected=expected)
+            raise InputError(IMAGES_REFUSED, manifest.path, f"{key}.right", found=found, expected=expected)
     if len(left) < MINIMUM_FRAMES:
-        found = f"{len(left)} in {entry.left[0].name}"
-        raise InputError(manifest.path, f"{key}.left", found=found, expected=f"at least {MINIMUM_FRAMES} frames")
+        found, expected = f"{len(left)} in {entry.left[0].name}", f"at least {MINIMUM_FRAMES} frames"
+        raise InputError(IMAGES_REFUSED, manifest.path, f"{key}.left", found=found, expected=expected)
     if entry.exposure == FILE:
         entry = entry.model_copy(update={"exposure": _stated_exposure(manifest, entry, sequences)})
     numbers = {side: images.numbers for (side, _), images in zip(entry.cameras, sequences, strict=True)}
@@ -191,32 +203,32 @@ def prepare_images(
             )
     copied, copies = _copies(entry, sequences)
     pair = _without_calibration_share(sight.pair, rig)
-    told: list[Notice] = [*remarks, *copies, *(told for images in sequences for told in images.notices)]
-    told += [told for images in sequences for told in _contradictions(sight, images)]
+    notices: list[Notice] = [*remarks, *copies, *(notice for images in sequences for notice in images.notices)]
+    notices += [notice for images in sequences for notice in _contradictions(sight, images)]
     x, y, *_ = entry.region or (0, 0)
     if x >= left.size_px[0] or y >= left.size_px[1]:
-        expected = f"a part of pictures of {left.size_px[0]} x {left.size_px[1]} px"
-        raise InputError(manifest.path, f"{key}.region", found=str(list(entry.region or ())), expected=expected)
-    known, load, modes = depth_range_m(manifest, pair), manifest.rig.load, None
+        expected, found = f"a part of images of {left.size_px[0]} x {left.size_px[1]} px", str(list(entry.region or ()))
+        raise InputError(IMAGES_REFUSED, manifest.path, f"{key}.region", found=found, expected=expected)
+    depth_m, load, modes = depth_range_m(manifest, pair), manifest.rig.load, None
     if pair.body == "load" and load is not None and any(part.measured_by for part in load.elastic):
         from fusion.sensitivity.mode_shapes import mode_shapes
 
         modes = mode_shapes(load, sight.name)
     placed = replace(sight, pair=pair)
-    return PreparedImages(placed, tuple(sequences), rig, first[0], tuple(told), known, modes, entry, copied)
+    return PreparedImages(placed, tuple(sequences), rig, first[0], tuple(notices), depth_m, modes, entry, copied)
 
 
 def _copies(entry: Images, sequences: Sequence[ImageSequence]) -> tuple[BoolArray, list[Notice]]:
-    """Return the frames (F,) in which a camera has an earlier one again, and what is said of them."""
+    """Return the frames (F,) in which a camera repeats an earlier one, and their notices."""
     found = [find_copied_frames(images) for images in sequences]
-    copied, told = np.any(found, axis=0), list[Notice]()
-    for (side, _), images, own in zip(entry.cameras, sequences, found, strict=True):
-        if own.any():
-            names = ", ".join(Path(images.names[k]).name for k in np.flatnonzero(own)[:MOST_NAMED])
-            more = f" and {int(own.sum()) - MOST_NAMED} more" if own.sum() > MOST_NAMED else ""
-            text = f"{side}: copies of earlier frames, grey value by grey value: {names}{more}"
-            told.append(Notice("warning", f"{text}; these frames of the pair are left out", entry.stereo))
-    return copied, told
+    copied, notices = np.any(found, axis=0), list[Notice]()
+    for (side, _), images, repeated in zip(entry.cameras, sequences, found, strict=True):
+        if repeated.any():
+            count = int(repeated.sum())
+            names = ", ".join(Path(images.names[k]).name for k in np.flatnonzero(repeated)[:MOST_NAMED])
+            more = f" and {count - MOST_NAMED} more" if count > MOST_NAMED else ""
+            notices.append(Notice(COPIED_FRAMES, entry.stereo, camera=side, count=count, names=names + more))
+    return copied, notices
 
 
 def _stated_exposure(manifest: Manifest, entry: Images, sequences: Sequence[ImageSequence]) -> float:
@@ -224,30 +236,30 @@ def _stated_exposure(manifest: Manifest, entry: Images, sequences: Sequence[Imag
     stated = [images.exposure_s for images in sequences]
     both = [exposure for exposure in stated if exposure is not None]
     if len(both) < len(stated) or max(both) - min(both) > SAME_EXPOSURE * max(both):
-        told = " and ".join("no exposure" if exposure is None else f"{1e6 * exposure:g} µs" for exposure in stated)
-        found = f'"{FILE}", but the files state {told}'
-        raise InputError(manifest.path, f"images.{entry.stereo}.exposure", found=found, expected="the exposure in s")
+        values = " and ".join("no exposure" if exposure is None else f"{1e6 * exposure:g} µs" for exposure in stated)
+        found = f'"{FILE}", but the files state {values}'
+        key, expected = f"images.{entry.stereo}.exposure", "the exposure in s"
+        raise InputError(EXPOSURE_REFUSED, manifest.path, key, found=found, expected=expected)
     return float(np.mean(both))
 
 
 def _contradictions(sight: Sight, images: ImageSequence) -> list[Notice]:
-    """Return what a camera's own statements of its exposure and of the times of its frames say against the sight's."""
-    told, stated, taken = [], images.exposure_s, sight.exposure.length_s
-    if stated is not None and abs(stated - taken) > SAME_EXPOSURE * max(stated, taken):
-        told.append(f"the file states an exposure of {1e6 * stated:.4g} µs, {1e6 * taken:.4g} µs are taken")
+    """Return warnings where exposure or frame times in the file of a camera contradict those of the sight."""
+    where, notices = images.names[0].rpartition("[")[0] or sight.name, list[Notice]()
+    stated, used = images.exposure_s, sight.exposure.length_s
+    if stated is not None and abs(stated - used) > SAME_EXPOSURE * max(stated, used):
+        notices.append(Notice(EXPOSURE_DIFFERS, where, file_us=1e6 * stated, used_us=1e6 * used))
     if images.time_s is not None and len(images) > 1:
-        own, edges = np.diff(images.time_s), np.diff(sight.time_s)
-        rate = float(np.median(own / edges))
+        steps, edges = np.diff(images.time_s), np.diff(sight.time_s)
+        rate = float(np.median(steps / edges))
         if abs(rate - 1.0) > SAME_RATE:
-            told.append(
-                f"the file has a frame every {float(np.median(own)):.6g} s, the trigger an edge every "
-                f"{float(np.median(edges)):.6g} s: frames may belong to other edges"
-            )
-        gaps = np.flatnonzero(np.abs(own / rate - edges) > 0.5 * edges)
+            values = {"frame_s": float(np.median(steps)), "edge_s": float(np.median(edges))}
+            notices.append(Notice(FRAME_RATE_DIFFERS, where, **values))
+        gaps = np.flatnonzero(np.abs(steps / rate - edges) > 0.5 * edges)
         if len(gaps):
-            where = ", ".join(f"{gap} and {gap + 1}" for gap in gaps)
-            told.append(f"by the file's own times frames are lost, or times wrong, between frames {where}")
-    return [Notice("warning", text, images.names[0].rpartition("[")[0] or sight.name) for text in told]
+            frames = ", ".join(f"{gap} and {gap + 1}" for gap in gaps)
+            notices.append(Notice(FILE_TIMES_GAP, where, frames=frames))
+    return notices
 
 
 def depth_range_m(manifest: Manifest, pair: Stereo) -> tuple[float, float] | None:
@@ -404,11 +416,11 @@ def motion_from_tracks(images: PreparedImages, body: BodyMotion) -> StereoMotion
 
     if not np.isfinite(body.motion.pose).all(axis=1).any():
         with as_input_error(*images.sight.where):
-            raise BodyNotFound(f"{NO_MOTION}; look at the images")
-    epipolar, told = None, tuple[Notice, ...]([Notice("note", ALONE, "camera")])
+            raise BodyNotFound(NO_MOTION)
+    epipolar, notices = None, tuple[Notice, ...]([Notice(SINGLE_CAMERA_NOT_ASSESSED, "camera")])
     if isinstance(images.rig, StereoRig):
         epipolar = check_epipolar(body.tracked, images.rig, body.subset_frames)
-        told = epipolar.notices
+        notices = epipolar.notices
     medians = body.sigma_px, body.zncc
     return StereoMotion(
         images.sight,
@@ -418,7 +430,7 @@ def motion_from_tracks(images: PreparedImages, body: BodyMotion) -> StereoMotion
         ImageView(
             body.tracked, images.rig, images.first, body.noise, body.quality, epipolar, body.shape_amplitudes, *medians
         ),
-        (*images.notices, *body.notices, *told),
+        (*images.notices, *body.notices, *notices),
         body.subset_frames,
     )
 
@@ -427,7 +439,7 @@ def reject_decalibrated(motion: StereoMotion) -> StereoMotion | RejectedPair:
     """Return the motion of a pair that can be what was calibrated; any other pair is left out."""
     epipolar = None if motion.view is None else motion.view.epipolar
     name, why = motion.sight.name, "" if epipolar is None else epipolar.rejection_reason
-    return RejectedPair(name, ComputeError(f"{why}; calibrate again")) if why else motion
+    return RejectedPair(name, ComputeError(PAIR_DECALIBRATED, reason=why)) if why else motion
 
 
 def measure_points(manifest: Manifest, base: TimeBase, entry: PointFiles) -> StereoMotion:
@@ -448,9 +460,9 @@ def measure_points(manifest: Manifest, base: TimeBase, entry: PointFiles) -> Ste
     try:
         motion = fit_motion(points, reference, np.zeros(3))
     except ValueError as error:
-        raise ComputeError(f"stereo pair {name}: no rigid motion can be fitted ({error})") from error
+        raise ComputeError(NO_RIGID_MOTION, pair=name, reason=str(error)) from error
     if not np.isfinite(motion.pose).all(axis=1).any():
-        raise ComputeError(f"stereo pair {name}: {NO_MOTION}; look at its points")
+        raise ComputeError(NO_RIGID_MOTION, pair=name, reason=NO_MOTION)
     return StereoMotion(sight, motion, (deformation(points, motion, reference),), float("nan"), None, remarks)
 
 
@@ -458,14 +470,14 @@ def read_rig(stereo: Stereo, sequences: Sequence[ImageSequence]) -> Rig:
     """Read a stereo pair's calibration; `InputError` where it is none, or one made for images of another size."""
     path = stereo.calibration
     if path is None:
-        raise ComputeError("a stereo pair with images has no calibration")
+        raise ComputeError(NO_INSTRUMENT, quantity="a motion", reason=": a stereo pair has no calibration")
     with as_input_error(path):
         rig = read_calibration(path) if stereo.surface is None else _before_surface(stereo, path, stereo.surface)
     for images, (camera, _) in zip(sequences, rig.camera_poses, strict=False):
         size = camera.size_px.tolist()
         if size != list(images.size_px):
             expected = f"{list(images.size_px)}, the size of {images.names[0]}"
-            raise InputError(path, "image_size", found=f"{size}", expected=expected)
+            raise InputError(CALIBRATION_REFUSED, path, "image_size", found=f"{size}", expected=expected)
     return rig
 
 
@@ -500,8 +512,8 @@ def resolved_lines(measured: StereoMotion, lines: LineFrequencies) -> tuple[Bool
     for k in np.flatnonzero(usable & (lines.multiple > 1)):
         driven = (lines.nominal_hz == lines.nominal_hz[k]) & (lines.multiple == 1)
         if driven.any() and not usable[driven].all():  # a fit without the strong line is none of the weak one
-            usable[k], where = False, f"{lines.frequency_hz[k]:.6g} Hz"
-            aliased += (Notice("warning", f"{where} is dropped with its fundamental", where),)
+            usable[k] = False
+            aliased += (Notice(HARMONIC_WITHOUT_FUNDAMENTAL, f"{lines.frequency_hz[k]:.6g} Hz"),)
     return usable, aliased
 
 
@@ -511,11 +523,11 @@ def motion_lines(manifest: Manifest, base: TimeBase, motions: Sequence[StereoMot
     The camera trigger of the pair whose sight is returned is their clock, and its uncertainty part of theirs.
     """
     if not motions:
-        raise ComputeError("no channel or camera of this recording shows the excitation; add one to recording.toml")
+        raise ComputeError(NO_INSTRUMENT, quantity="the excitation", reason="")
     excitation = manifest.excitation
     if excitation.frequencies is None:
-        expected = "the frequencies of the lines, since no channel shows them"
-        raise InputError(manifest.path, "excitation.frequencies", found="none", expected=expected)
+        expected = "the frequencies of the lines, because no channel measures them"
+        raise InputError(FREQUENCIES_UNSTATED, manifest.path, "excitation.frequencies", found="none", expected=expected)
     reasons: list[str] = []
     moving = [motion for motion in motions if motion.sight.pair.body != STATIONARY]
     for first in moving or motions:  # whose frames tell a fundamental from zero, the Nyquist rate and the others
@@ -525,10 +537,10 @@ def motion_lines(manifest: Manifest, base: TimeBase, motions: Sequence[StereoMot
         reasons += [f"stereo pair {first.sight.name}: {notice.text}" for notice in notices]
     else:
         listed = " and ".join(f"{frequency:g} Hz" for frequency in excitation.frequencies)
-        raise ComputeError(f"no instrument sees the motion of the driven line at {listed} ({'; '.join(reasons)})")
+        raise ComputeError(LINES_UNRESOLVED, frequencies=listed, reasons=f" ({'; '.join(reasons)})")
     try:
         lines = find_lines(first.sight.time_s, first.motion.pose, excitation.frequencies, excitation.harmonics)
     except ValueError as error:
-        told = ValueError(f"{error} (motion seen by stereo pair {first.sight.name})")
-        raise InputError.from_exception(told, manifest.path, "excitation.frequencies") from error
+        values = {"reason": ARGUMENT.sub("", str(error), count=1), "instruments": f"stereo pair {first.sight.name}"}
+        raise InputError(LINES_NOT_FOUND, manifest.path, "excitation.frequencies", **values) from error
     return base.on_clock(lines, base.sight_errors(first.sight)), first.sight

@@ -18,6 +18,17 @@ from fusion.instruments.transducer import STATIONARY
 from fusion.phasors.channel_phasors import expand_lines
 from fusion.phasors.deformation import DeflectionShape, ShapePhasors, deflection_shape, shape_phasors
 from fusion.phasors.image_effects import THROUGH, displacement, fit_about_mean, image_effects
+from fusion.phasors.phasor_notices import (
+    BODY_DISPLACED,
+    BODY_LOST,
+    LINE_UNOBSERVED,
+    LINES_UNRESOLVED,
+    NO_RIGID_MOTION,
+    PAIR_REJECTED,
+    PERIODIC_JITTER,
+    SHORT_BEAT,
+    TOO_FEW_FRAMES_FOR_STEP,
+)
 from fusion.phasors.stereo_motion import ImageView, RejectedPair, StereoMotion, resolved_lines
 from fusion.phasors.timing import Sight, TimeBase, TimingError, combine_timing_errors
 from photogram.camera import FaceCamera, StereoRig
@@ -44,7 +55,7 @@ if TYPE_CHECKING:
 
 STEP, FEWEST_BESIDE = 20.0, 4  # of the noise: a step that no chance makes; frames beyond the unknowns of the lines
 ONE_BEAT = 1.1  # periods of a line's alias: in less, a slope looks like the line
-NO_LINE = "its camera rate tells no line of the recording apart"
+NO_LINE = "its frame rate resolves no line of the recording"
 
 
 @dataclass(frozen=True)
@@ -127,18 +138,18 @@ def pairs_phasors(
     fitted: list[StereoPhasors] = []
     unfitted: list[RejectedPair] = []
     notices: list[Notice] = []
-    told_apart = []
+    resolving = []
     for measured in motions:
-        name = measured.sight.name
+        where = f"stereo pair {measured.sight.name}"
         usable, aliased = resolved_lines(measured, lines)
-        notices += [Notice(notice.severity, f"stereo pair {name}: {notice.text}", name) for notice in aliased]
+        notices += [notice.at(f"{where}, {notice.where}") for notice in aliased]
         if usable.any():
-            told_apart.append(measured)
+            resolving.append(measured)
         else:
-            notices.append(Notice("warning", f"stereo pair {name} is left out: {NO_LINE}", name))
+            notices.append(Notice(PAIR_REJECTED, where, reason=NO_LINE))
     with Threads() as crew:
-        pending = [crew.submit(0, stereo_phasors, base, one, lines, line_errors, strength) for one in told_apart]
-        for measured, answer in zip(told_apart, pending, strict=True):
+        pending = [crew.submit(0, stereo_phasors, base, one, lines, line_errors, strength) for one in resolving]
+        for measured, answer in zip(resolving, pending, strict=True):
             try:
                 fitted.append(answer.result().unwrap())
             except ComputeError as error:
@@ -163,7 +174,7 @@ def stereo_phasors(
     name, time_s, exposure = sight.name, sight.time_s, sight.exposure
     usable, _ = resolved_lines(measured, lines)
     if not usable.any():
-        raise ComputeError(f"stereo pair {name}: {NO_LINE}")
+        raise ComputeError(NO_RIGID_MOTION, pair=name, reason=NO_LINE)
     frequency_hz = lines.frequency_hz[usable]
     told = _step(name, time_s, measured.motion.pose[:, :3], frequency_hz)
     measured, from_mean, fit = fit_about_mean(measured, frequency_hz)
@@ -217,11 +228,11 @@ def stereo_phasors(
     return StereoPhasors(whole, reading, _named(measured, own))
 
 
-def _named(measured: StereoMotion, own: Sequence[Notice]) -> tuple[Notice, ...]:
-    """Return the notices of a motion and those that are its phasors' own, with the name of the pair."""
-    name = measured.sight.name
-    told = [*((f"{name}, {notice.where}", notice) for notice in measured.notices), *((name, notice) for notice in own)]
-    return tuple(Notice(notice.severity, f"stereo pair {where}: {notice.text}", name) for where, notice in told)
+def _named(measured: StereoMotion, of_phasors: Sequence[Notice]) -> tuple[Notice, ...]:
+    """Return the notices of a motion and of its phasors with the name of the pair."""
+    return tuple(
+        notice.at(f"stereo pair {measured.sight.name}, {notice.where}") for notice in (*measured.notices, *of_phasors)
+    )
 
 
 def _row_time_error(measured: StereoMotion, phasors: Phasors) -> list[FittedError]:
@@ -288,10 +299,10 @@ def _left_out(
 def _short_notices(
     lines: LineFrequencies, usable: NDArray[np.bool_], time_s: FloatArray, reading: StereoReading
 ) -> list[Notice]:
-    """Say where a driven line's beat is longer than the record, and what that mixes into it exceeds the noise."""
+    """Return warnings of driven lines whose beat is longer than the record, if the effect exceeds the noise."""
     fitted = [error for error in reading.errors if isinstance(error, FittedError)]
     interval_s = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
-    rate_hz, told = 1.0 / interval_s, []
+    rate_hz, notices = 1.0 / interval_s, []
     for k in np.flatnonzero(usable & (lines.multiple == 1)):
         frequency = float(lines.frequency_hz[k])
         alias = float(alias_frequency(frequency, rate_hz))
@@ -303,48 +314,40 @@ def _short_notices(
         )  # a change times this: relative, its real part of amplitude
         noise = float(reading.phasors.u_re[k, c] * np.abs(along))
         shares = {}
-        for cause, clock in (("errors of its clock", True), ("motion at lines that it cannot tell apart", False)):
+        for cause, clock in (("errors of its clock", True), ("motion at lines that it does not resolve", False)):
             of_amplitude = [float((e.additive[k, c] * along).real) for e in fitted if np.any(e.effect) == clock]
             shares[cause] = float(np.linalg.norm(of_amplitude))
         if beats >= ONE_BEAT or float(np.linalg.norm(list(shares.values()))) <= noise:
             continue
         causes = [f"{cause} {100.0 * u:.2g} %" for cause, u in shares.items() if u > noise / 2.0]
         clear = nearest_clear_rate(lines.frequency_hz, rate_hz, len(time_s))
-        rate = "choose another rate" if clear is None else f"choose another rate, such as {clear:.3f} Hz"
-        where = f"{frequency:.6g} Hz"
-        text = (
-            f"its record holds {beats:.2g} of a beat of {where} ({len(time_s)} frames at {rate_hz:.6g} Hz), so that "
-            f"what it cannot tell from that line dominates U of the amplitude: {', '.join(causes)} (standard "
-            f"uncertainty); record longer or {rate}"
-        )
-        told.append(Notice("warning", text, where))
-    return told
+        values = {"beats": beats, "frequency_hz": frequency, "frames": len(time_s), "rate_hz": rate_hz}
+        suggestion = "" if clear is None else f", such as {clear:.3f} Hz"
+        texts = {"causes": ", ".join(causes), "suggestion": suggestion}
+        notices.append(Notice(SHORT_BEAT, f"{frequency:.6g} Hz", **values, **texts))
+    return notices
 
 
 def _jitter_notices(
     base: TimeBase, sight: Sight, lines: LineFrequencies, usable: NDArray[np.bool_], reading: StereoReading
 ) -> list[Notice]:
-    """Say where the trigger's edges surely scatter, and what that may do to a driven line where it exceeds the noise.
+    """Return warnings of scattering edges of the trigger whose effect on a driven line may exceed the noise.
 
     Random scatter shows in the residuals of the lines. Instants late by a·cos(2ωt), or by anything that folds there,
     make of the motion at ω a part ωa/2 at -ω, which is the line itself and shows nowhere; a is √2 times the scatter.
     """
     _, trigger = base.first_with(sight.exposure.trigger)
-    told = []
+    notices = []
     for k in np.flatnonzero(usable & (lines.multiple == 1)) if trigger.scatters else ():
         value = reading.phasors.value[k]
         c = int(np.argmax(np.abs(value[:3])))
         noise = float(max(reading.phasors.u_re[k, c], reading.phasors.u_im[k, c]))
         share = np.sqrt(2.0) * np.pi * float(lines.frequency_hz[k]) * trigger.jitter_s
         if share * np.abs(value[c]) > noise:
-            where = f"{lines.frequency_hz[k]:.6g} Hz"
-            text = (
-                f"the edges of its trigger {sight.exposure.trigger} scatter by {1e6 * trigger.jitter_s:.2g} us about "
-                f"equal distances; were this no random jitter but periodic, with a frequency that folds onto twice "
-                f"{where}, it would change that line by {100.0 * share:.2g} %, which is not in U"
-            )
-            told.append(Notice("warning", text, where))
-    return told
+            hertz = float(lines.frequency_hz[k])
+            values = {"jitter_us": 1e6 * trigger.jitter_s, "frequency_hz": hertz, "change_percent": 100.0 * share}
+            notices.append(Notice(PERIODIC_JITTER, f"{hertz:.6g} Hz", trigger=sight.exposure.trigger, **values))
+    return notices
 
 
 def _with_view(result: StereoResult, view: ImageView) -> StereoResult:
@@ -366,7 +369,7 @@ def _with_view(result: StereoResult, view: ImageView) -> StereoResult:
 
 
 def _step(name: str, time_s: FloatArray, position_m: FloatArray, frequency_hz: FloatArray) -> list[Notice]:
-    """Say where the body stays elsewhere from some frame on: touched, or taken for a copy of itself.
+    """Return a notice if the body is displaced from some frame on: touched, or a wrong match of its pattern.
 
     Beside the lines and a drift, a parabola, a step at each frame in turn: the best fit counts if its step stands
     `STEP` standard deviations out of what remains. One larger than all motion is none of the body that was calibrated:
@@ -377,8 +380,7 @@ def _step(name: str, time_s: FloatArray, position_m: FloatArray, frequency_hz: F
     design = np.column_stack([sine_columns(time_s[seen], frequency_hz), turn, turn**2])
     fewest = design.shape[1] + FEWEST_BESIDE
     if len(seen) < fewest:
-        told = "are too few to tell whether its body stayed elsewhere from one of them on, touched or taken for a copy"
-        return [Notice("note", f"{len(seen)} frames {told} of itself; that takes {fewest}", "frames")]
+        return [Notice(TOO_FEW_FRAMES_FOR_STEP, "frames", frames=len(seen), needed=fewest)]
     base, _ = np.linalg.qr(design)
     split = np.arange(2, len(seen) - 1)  # first frame behind the step; two on either side
 
@@ -396,14 +398,10 @@ def _step(name: str, time_s: FloatArray, position_m: FloatArray, frequency_hz: F
     length = float(np.linalg.norm(shift[best]))
     if length * np.sqrt(size2[best]) <= STEP * noise:
         return []
-    frames = f"{seen[split[best] - 1]} and {seen[split[best]]}"
-    text = (
-        f"its body lies {1e3 * length:.3g} mm elsewhere from one frame to the next ({frames}, from 0) and stays there"
-    )
+    values = {"distance_mm": 1e3 * length, "before": seen[split[best] - 1], "after": seen[split[best]]}
     if length > float(np.linalg.norm(np.ptp(position_m[seen] - np.outer(later, shift[best]), axis=0))):
-        why = "it was touched, or a copy on a pattern that repeats was taken for it"
-        raise ComputeError(f"stereo pair {name}: {text}: {why}")
-    return [Notice("warning", f"{text}: was it touched? What that does to the lines is in U", f"frame {frames}")]
+        raise ComputeError(BODY_LOST, f"stereo pair {name}", **values)
+    return [Notice(BODY_DISPLACED, f"frame {values['after']}", **values)]
 
 
 def unresolved_fundamentals(
@@ -417,9 +415,8 @@ def unresolved_fundamentals(
     lost = [f for f in driven if not any(np.isfinite(o.phasors.value[o.phasors.frequency_hz == f]).any() for o in seen)]
     if len(driven) and len(lost) == len(driven) and (seen or folded):
         listed = " and ".join(f"{f:.6g} Hz" for f in lost)
-        reasons = dict.fromkeys(notice.text for notice in folded if any(f"{f:.6g} Hz" in notice.text for f in lost))
-        why = f" ({'; '.join(reasons)})" if reasons else ""
-        raise ComputeError(f"no instrument sees the motion of the driven line at {listed}{why}")
-    return tuple(
-        Notice("warning", f"no instrument sees the motion at {f:.6g} Hz, a driven line", f"{f:.6g} Hz") for f in lost
-    )
+        reasons = dict.fromkeys(
+            notice.text.rstrip(".") for notice in folded if any(f"{f:.6g} Hz" in notice.where for f in lost)
+        )
+        raise ComputeError(LINES_UNRESOLVED, frequencies=listed, reasons=f" ({'; '.join(reasons)})" if reasons else "")
+    return tuple(Notice(LINE_UNOBSERVED, f"{f:.6g} Hz", frequency_hz=f) for f in lost)

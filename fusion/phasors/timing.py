@@ -16,6 +16,16 @@ from fusion.estimation.uncertainty import Kind as ErrorType
 from fusion.estimation.uncertainty import Scope
 from fusion.instruments.channel import FittedError
 from fusion.instruments.stereo import Exposure
+from fusion.phasors.phasor_notices import (
+    EDGES_AMBIGUOUS,
+    EXPOSURE_REFUSED,
+    FRAME_NUMBER_GAP,
+    FRAME_NUMBERS_SHIFTED,
+    IMAGES_REFUSED,
+    INVERTED_TRIGGER,
+    NO_SHARED_TRIGGER,
+    TOO_FEW_EDGES,
+)
 from fusion.recording.manifest import Frames, Images, PointFiles
 from fusion.recording.rig import Stereo
 from fusion.recording.values import FILE, PULSE
@@ -284,17 +294,16 @@ class TimeBase:
         return widths
 
     def inverted(self) -> Iterator[Notice]:
-        """Warn of a trigger whose pulses are as long in one block as the pauses between them in another."""
+        """Yield a warning of a trigger whose pulses in one block are as long as its pauses in another."""
         widths = self.pulses()
         for (one, name), (other, same) in combinations(widths, 2):
             if name != same or one == other:
                 continue
             shares = [widths[daq, name].width_s / self.triggers[daq, name].period_s for daq in (one, other)]
             if abs(sum(shares) - 1.0) < INVERTED and abs(shares[0] - shares[1]) > 4.0 * INVERTED:
-                last = f"last {shares[0]:.1%} of the period in {one} and {shares[1]:.1%} in {other}"
-                text = f"{name}: its pulses {last}, so that one looks inverted and other flanks are paired"
-                text += '; state edge = "falling" of that one'
-                yield Notice("warning", text, other)
+                first = {"first_share": shares[0], "first_block": one}
+                second = {"second_share": shares[1], "second_block": other}
+                yield Notice(INVERTED_TRIGGER, other, trigger=name, **first, **second)
 
     def record(self, daq: str) -> DaqRecord:
         """Return a block by its name."""
@@ -346,8 +355,8 @@ def tie_daqs(manifest: Manifest, records: Sequence[DaqRecord]) -> TimeBase:
         key = f"daq.{name}.channel"
         shared = time_base.shared_triggers(first, name)
         if not shared:
-            wanted = f"a trigger channel of the same name as in block {first}, which ties the two clocks"
-            raise InputError(manifest.path, key, found="none", expected=wanted)
+            expected = f"a trigger channel of the same name as in block {first}, which ties the two clocks"
+            raise InputError(NO_SHARED_TRIGGER, manifest.path, key, found="none", expected=expected)
         later_s = other.start_s - base.start_s if base.start_s and other.start_s else None
         pair = triggers[first, shared[0]], triggers[name, shared[0]]
         with as_input_error(manifest.path, f"{key}.{shared[0]}"):
@@ -372,13 +381,13 @@ def frame_sight(
     place = np.arange(frames) if isinstance(frames, int) else frames
     span = int(place[-1]) + 1
     if entry.first_edge is None and trigger.edges > span:
-        wanted = f"the number of the edge that belongs to the first of {len(place)} frames"
+        expected = f"the number of the edge that belongs to the first of {len(place)} frames"
         found = f"none, and {trigger.edges} edges in {entry.trigger}"
-        raise InputError(manifest.path, f"{key}.first_edge", found=found, expected=wanted)
+        raise InputError(EDGES_AMBIGUOUS, manifest.path, f"{key}.first_edge", found=found, expected=expected)
     first = entry.first_edge or 0
     if first + span > trigger.edges:
-        wanted = f"at least {first + span} edges in {entry.trigger} for {len(place)} frames"
-        raise InputError(manifest.path, f"{key}.trigger", found=str(trigger.edges), expected=wanted)
+        expected, found = f"at least {first + span} edges in {entry.trigger} for {len(place)} frames", trigger.edges
+        raise InputError(TOO_FEW_EDGES, manifest.path, f"{key}.trigger", found=str(found), expected=expected)
     elsewhere = []
     if daq == base.records[0].entry.name:
         for other, tie in base.ties.items():
@@ -393,18 +402,19 @@ def frame_sight(
         dof = float(max(pulse.pulses - 2, 1))
         exposure = Exposure(entry.trigger, pulse.width_s, pulse.u_width_s, dof)
     elif entry.exposure == FILE:
-        found, expected = f'"{FILE}", but points stand in no video file', "the exposure in s"
-        raise InputError(manifest.path, f"{key}.exposure", found=found, expected=expected)
+        found, expected = f'"{FILE}", but points have no video file', "the exposure in s"
+        raise InputError(EXPOSURE_REFUSED, manifest.path, f"{key}.exposure", found=found, expected=expected)
     else:
         exposure = Exposure(entry.trigger, entry.exposure)
     if exposure.length_s > trigger.period_s:
-        file, own = _exposure_key(manifest, entry, exposure.length_s)
+        file, exposure_key = _exposure_key(manifest, entry, exposure.length_s)
         found, expected = f"{exposure.length_s:g} s", f"less than the {trigger.period_s:.4g} s from frame to frame"
-        raise InputError(file, own, found=found, expected=expected)
+        raise InputError(EXPOSURE_REFUSED, file, exposure_key, found=found, expected=expected)
     read_s = manifest.rig.stereo[entry.stereo].readout_s(rows)
     if read_s > trigger.period_s:
         found, expected = f"{read_s:g} s for {rows} rows", f"less than the {trigger.period_s:.4g} s from frame to frame"
-        raise InputError(manifest.rig_path, f"stereo.{entry.stereo}.row_time", found=found, expected=expected)
+        row_time = f"stereo.{entry.stereo}.row_time"
+        raise InputError(EXPOSURE_REFUSED, manifest.rig_path, row_time, found=found, expected=expected)
     middle_s = base.to_base_s(daq, edges.time_s) + entry.delay + exposure.length_s / 2.0
     pair = manifest.rig.stereo[entry.stereo].model_copy(update={"delay_uncertainty": entry.delay_uncertainty})
     share = float(np.mean(edges.model_share))
@@ -427,38 +437,40 @@ def frame_edges(
     key = f"{'images' if isinstance(entry, Images) else 'points'}.{entry.stereo}"
     known = {side: numbers for side, numbers in cameras.items() if numbers is not None}
     side, first = next(iter(known.items()), ("", None))
-    told = list[Notice]()
+    notices = list[Notice]()
     if first is None:
         return np.arange(frames) * (entry.edge_step or 1), ()
     for other, numbers in [(other, cameras[other]) for other in cameras if other != side]:
         place, step = (np.arange(frames), first.step) if numbers is None else (numbers.frame_index, numbers.step)
         if not np.array_equal(place, first.frame_index) or step != first.step:
             found = " and ".join(f"{name}: {_gap(one)}" for name, one in cameras.items())
-            raise InputError(manifest.path, f"{key}.{other}", found, "the same numbers of frames in both cameras")
+            expected = "the same numbers of frames in both cameras"
+            raise InputError(IMAGES_REFUSED, manifest.path, f"{key}.{other}", found=found, expected=expected)
         if numbers is not None and first.exact and numbers.exact and 0 < _later(first, numbers) < frames:
-            text = (
-                f"the numbers of the files begin with {first.first} ({side}) and {numbers.first} ({other}): "
-                "the frames are paired in their order. If equal numbers are frames of one edge, one camera is late"
-            )
-            told.append(Notice("warning", text, entry.stereo))
+            cameras_named = {"first_camera": side, "second_camera": other}
+            starts = {"first": first.first, "second": numbers.first}
+            notices.append(Notice(FRAME_NUMBERS_SHIFTED, entry.stereo, **starts, **cameras_named))
     trigger = base.first_with(entry.trigger)[1]
     edges, last = trigger.edges - (entry.first_edge or 0), int(first.frame_index[-1])
     if entry.edge_step is None and first.step > 1 and first.step * last < edges:
         found = f"none, numbers of files that count by {first.step} and {trigger.edges} edges in {entry.trigger}"
         expected = f"1, where each frame has the next edge, or {first.step}, where edges between have no frame"
-        raise InputError(manifest.path, f"{key}.edge_step", found, expected)
+        raise InputError(EDGES_AMBIGUOUS, manifest.path, f"{key}.edge_step", found=found, expected=expected)
     every = entry.edge_step or 1
     if not first.missing:
-        return first.frame_index * every, tuple(told)
-    gap = f"a gap in the numbering of {frames} files ({first.first} to {first.last}): missing {first.missing}"
+        return first.frame_index * every, tuple(notices)
+    values = {"count": frames, "first": first.first, "last": first.last, "missing": str(first.missing)}
     if every * last < edges:
-        text = f"{gap}; the frames after it are dated by their numbers"
-        return first.frame_index * every, (*told, Notice("warning", text, entry.stereo))
+        notice = Notice(FRAME_NUMBER_GAP, entry.stereo, assignment="their numbers", **values)
+        return first.frame_index * every, (*notices, notice)
     if first.exact:
+        gap = f"a gap in the numbers of {frames} files ({first.first} to {first.last}): {first.missing} missing"
         expected = f"an edge in {entry.trigger} for each number, {every * last + 1} from the first frame on"
-        raise InputError(manifest.path, f"{key}.trigger", f"{edges} edges and {gap}", expected)
-    text = f"{gap}; {entry.trigger} has no edges for these, so successive frames are dated by successive edges"
-    return np.arange(frames) * every, (*told, Notice("warning", text, entry.stereo))
+        found = f"{edges} edges and {gap}"
+        raise InputError(TOO_FEW_EDGES, manifest.path, f"{key}.trigger", found=found, expected=expected)
+    assignment = f"their order, because {entry.trigger} has no edges for the gaps"
+    notice = Notice(FRAME_NUMBER_GAP, entry.stereo, assignment=assignment, **values)
+    return np.arange(frames) * every, (*notices, notice)
 
 
 def _gap(numbers: FrameNumbers | None) -> str:
@@ -482,8 +494,8 @@ def _exposure_key(manifest: Manifest, entry: Frames, stated: float | str) -> tup
 
 
 def no_pulse_width(manifest: Manifest, daq: str, entry: Frames, error: ValueError) -> InputError:
-    """Say at the key that asked for it why the width of a trigger's pulses cannot be measured."""
+    """Return the error, at the key of the exposure, that the width of a trigger's pulses cannot be measured."""
     file, key = _exposure_key(manifest, entry, PULSE)
     reason = ARGUMENT.sub("", str(error), count=1)
-    found = f'"{PULSE}", but the width of the pulses of {entry.trigger} in {daq} cannot be told ({reason})'
-    return InputError(file, key, found=found, expected="the exposure in s")
+    found = f'"{PULSE}", but the width of the pulses of {entry.trigger} in {daq} cannot be measured ({reason})'
+    return InputError(EXPOSURE_REFUSED, file, key, found=found, expected="the exposure in s")

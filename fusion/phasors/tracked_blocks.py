@@ -19,6 +19,7 @@ import numpy as np
 
 from fusion.base import CheckpointStore
 from fusion.errors import ComputeError
+from fusion.phasors.phasor_notices import STORAGE_FULL
 from photogram.geometry import RigidTransform
 
 if TYPE_CHECKING:
@@ -95,9 +96,8 @@ class TrackedBlocks:
             self._held.flush()
         except OSError as error:
             reason = (error.strerror or str(error)).lower()
-            text = "its subsets found place neither beside the results nor in a temporary file"
-            where = f"stereo pair {self._sight}, frames {frames.start} to {frames.stop - 1}"
-            raise ComputeError(f"{where}: {text} ({reason})") from error
+            values = {"first": frames.start, "last": frames.stop - 1, "reason": reason}
+            raise ComputeError(STORAGE_FULL, pair=self._sight, **values) from error
         self._places[frames] = start, len(content)
 
     def __iter__(self) -> Iterator[FollowedBlock]:

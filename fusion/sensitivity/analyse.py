@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fusion.errors import ComputeError
+from fusion.estimation.estimation_notices import UNBOUNDED_MOTION, UNBOUNDED_READINGS
 from fusion.estimation.fuse import Acceleration, fuse_sources
 from fusion.estimation.instrument_consistency import OUTPUT_MISTAKES, UNTESTED, likely_mistake
 from fusion.estimation.least_squares import Unbounded, observed_components, row_space
@@ -18,6 +19,7 @@ from fusion.instruments.channel import ChannelGeometry, Outputs
 from fusion.instruments.stereo import StereoReading
 from fusion.instruments.transducer import measuring_point, placement_name
 from fusion.instruments.vibrometer import PointSpread
+from fusion.phasors.phasor_notices import NO_INSTRUMENT
 from fusion.sensitivity.distributions import MonteCarlo
 from fusion.sensitivity.elastic import ElasticPart, InstrumentPosition, NaturalModes
 from fusion.sensitivity.load_phasors import LoadResult, load_phasors
@@ -28,13 +30,23 @@ from fusion.sensitivity.ratio import (
     Sensitivity,
     StatedMatrix,
     contradicting_outputs,
+    describe_other_loads,
     driven_component,
     mass_notices,
-    parasitic_loads,
     prior_matrix,
     quotient,
     sensitivity_ratio,
     sensor_element,
+)
+from fusion.sensitivity.sensitivity_notices import (
+    CROSS_TALK_BOUND,
+    DIRECTION_DOUBTED,
+    ELEMENT_CHANGED,
+    NO_RESULT_AT_LINES,
+    OTHER_LOADS_NOT_ASSESSED,
+    OUTPUT_CONTRADICTS,
+    POSITION_UNSTATED,
+    REPEATABILITY_NOT_ASSESSED,
 )
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, brief
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
@@ -178,15 +190,15 @@ def _moved_places(
 
 def _places(observation: Observation) -> list[InstrumentPosition]:
     """Return where an instrument sees the load: each of its channels, or a stereo pair the middle of its points."""
-    seen, elastic = observation.geometry, "the load is elastic"
+    seen = observation.geometry
     if isinstance(seen, ChannelGeometry):
         missing = [entry.name for entry in seen.entries if entry.point is None]
         if missing:
-            raise ComputeError(f"{elastic}, but channel {missing[0]} has no point; state where it sits on the load")
+            raise ComputeError(POSITION_UNSTATED, instrument=f"channel {missing[0]}", key="point")
         return [InstrumentPosition(entry.name, measuring_point(entry)) for entry in seen.entries]
     if isinstance(seen, StereoReading) and seen.face_m is not None:
         return [InstrumentPosition(seen.name, seen.face_m)]
-    raise ComputeError(f"{elastic}, but where {observation.title} sees it is not known")
+    raise ComputeError(POSITION_UNSTATED, instrument=observation.title, key="subsets of its images")
 
 
 # From the phasors of all instruments to acceleration, load and sensitivity: what follows tracks and channels.
@@ -241,10 +253,6 @@ NOT_SHOWN = ("repeatability", "mounting anew")
 """What one recording does not show: lines of its budget without a number."""
 REPEATS = "repeats"
 """Where notices on repeatability belong; those of a campaign replace those of its recordings."""
-SINGLE = (
-    "one recording: repeatability and what mounting anew changes are not assessed and not in U; a campaign that holds "
-    "it again, mounted anew, has them"
-)
 
 
 def driven_motion(direction: Sequence[float], body: Body | None = None) -> tuple[float, ...]:
@@ -268,7 +276,7 @@ OTHER_AXIS = 2.0
 
 
 def _direction_doubts(fused: Acceleration) -> Iterator[Notice]:
-    """Ask about the direction of the excitation where the largest motion observed is another one."""
+    """Yield a warning where the largest observed motion is across the stated direction of the excitation."""
     drive = np.array(fused.unseen.drive or (0.0,) * 6)
     motion = np.where(fused.observed, fused.phasors.value, 0.0) / SCALE
     line = int(np.argmax(np.linalg.norm(motion, axis=1)))
@@ -276,13 +284,16 @@ def _direction_doubts(fused: Acceleration) -> Iterator[Notice]:
     across = np.abs(motion[line] - drive * (motion[line] @ drive))
     c = int(np.argmax(across))
     if np.all(fused.observed[line] | (drive == 0.0)) and across[c] > OTHER_AXIS * along:
-        unit = "m/s^2" if c < 3 else f"m/s^2 at {1.0 / SCALE[c]:g} m"
-        text = (
-            f"{MOTION_COMPONENTS[c]} of the {fused.body} moves by {across[c]:.3g} {unit} at "
-            f"{fused.phasors.frequency_hz[line]:.6g} Hz, and only by {along:.3g} m/s^2 along what excitation.direction "
-            "says is driven: is that the driven axis?"
+        yield Notice(
+            DIRECTION_DOUBTED,
+            "excitation.direction",
+            component=MOTION_COMPONENTS[c],
+            body=fused.body,
+            across=across[c],
+            unit="m/s²" if c < 3 else f"m/s² at {1.0 / SCALE[c]:g} m",
+            frequency_hz=fused.phasors.frequency_hz[line],
+            along=along,
         )
-        yield Notice("warning", text, "excitation.direction")
 
 
 def analyse(inputs: Inputs) -> Analysis:
@@ -302,12 +313,13 @@ def analyse(inputs: Inputs) -> Analysis:
         except Unbounded as error:
             own = [observation for observation in seen if observation.body == body]
             compared = ", ".join(o.title for o in own if any(other.stated for other in own) and not o.stated)
-            text = f"{error}" + (f"; {compared} states no systematic uncertainty and is not used" if compared else "")
+            unused = f"; {compared} states no systematic uncertainty and is not used" if compared else ""
+            values = {**error.values, "unused": unused}
             if body == "load":
-                raise Unbounded(text) from error
-            doubts.append(Notice("warning", text, body))
+                raise Unbounded(UNBOUNDED_READINGS, body, **values) from error
+            doubts.append(Notice(UNBOUNDED_MOTION, body, **values))
     if not accelerations and not doubts:
-        raise ComputeError("no channel or camera of this recording measures a motion; add one to recording.toml")
+        raise ComputeError(NO_INSTRUMENT, quantity="a motion", reason="")
     fused = next((a for a in accelerations if a.body == "load" and a.source == "fused"), None)
     doubts += [] if fused is None else _direction_doubts(fused)
     return replace(_sensor(inputs, tuple(accelerations), fused), doubts=tuple(doubts))
@@ -323,9 +335,9 @@ def _sensor(inputs: Inputs, accelerations: tuple[Acceleration, ...], fused: Acce
         return Analysis(accelerations, load, outputs, None)
     outputs = with_estimates(outputs, fused)
     component = driven_component(direction, sensor.capacity)
-    ratio = sensitivity_ratio(outputs, load, component, inputs.lines.multiple, sensor.capacity)
+    ratio = sensitivity_ratio(outputs, load, component, inputs.lines.multiple)
     if np.any(np.isfinite(ratio.value)):
-        ratio = replace(ratio, notices=(*ratio.notices, Notice("note", SINGLE, REPEATS)))
+        ratio = replace(ratio, notices=(Notice(REPEATABILITY_NOT_ASSESSED, REPEATS),))
     sizes = np.nanmax(np.nan_to_num(np.abs(ratio.value[:, :, component])), axis=0)
     known = prior_matrix(StatedMatrix.of(sensor), outputs.phasors.channels, component, sizes)
     notices = _element_notices(known, outputs, load, sensor, component)
@@ -386,44 +398,33 @@ def with_estimates(outputs: Outputs, fused: Acceleration) -> Outputs:
 def _element_notices(
     known: PriorMatrix | None, outputs: Outputs, load: LoadResult, sensor: Sensor, component: int
 ) -> tuple[Notice, ...]:
-    """Say what the sensor's element is corrected for, what its U holds instead, or why there is none."""
+    """Return what the sensor's element is not corrected for, and how it contradicts the static matrix."""
     named = LOAD_COMPONENTS[component]
     if known is None:
-        text = (
-            f"results are ratios of outputs and the load {named}, not the sensor's own sensitivity: a recording "
-            "alone does not span the 6 x 6 matrix, and neither sensor.static_sensitivity (with cross-talk) nor "
-            "sensor.cross_talk is stated; what other loads put into the outputs is neither corrected nor in U"
-        )
-        return (Notice("note", text, "sensitivity"), *_far_from_static(outputs, load, sensor, component))
+        others = describe_other_loads(load, component, sensor.capacity)
+        note = Notice(OTHER_LOADS_NOT_ASSESSED, "sensitivity", component=named, loads=others)
+        return (note, *_far_from_static(outputs, load, sensor, component))
     element = f"element {known.channels[known.main]} per {named}"
     if not known.static:
-        text = (
-            f"the {element} is not corrected for other loads: U holds a cross-talk within ± {sensor.cross_talk:.2%} of "
-            "the rated output at every rated load"
-        )
-        return (Notice("note", text, "sensitivity"), *_far_from_static(outputs, load, sensor, component))
+        note = Notice(CROSS_TALK_BOUND, "sensitivity", element=element, cross_talk=sensor.cross_talk or 0.0)
+        return (note, *_far_from_static(outputs, load, sensor, component))
     # Of the output that the driven load moves most, at the strongest line.
-    shares = parasitic_loads(outputs, load, known.value, component, known.unknowns)
     line = int(np.argmax(np.nan_to_num(np.abs(load.value[:, component]))))
     if not load.observed[line].any():
         return ()  # instruments that contradict each other leave no load
-    hertz = f"{outputs.phasors.frequency_hz[line]:.6g} Hz"
+    frequency_hz = float(outputs.phasors.frequency_hz[line])
     predicted = load.value[line] @ known.value[known.main]
-    course = complex(quotient(outputs.phasors.value[line, known.main], np.asarray(predicted)))
-    doubt = list(contradicting_outputs(outputs, load, known, StatedMatrix.of(sensor).rated, line))
-    doubt += mass_notices(element, course, float(outputs.phasors.frequency_hz[line]))
-    if abs(course - 1.0) > CHANGED:
-        text = (
-            f"the {element} is {abs(course):.3g} times its static value at {hertz}, turned by "
-            f"{np.angle(course):.3g} rad: other elements may have changed by as much, which U contains; check units "
-            "and signs of the static matrix"
-        )
-        doubt.append(Notice("warning", text, "sensitivity"))
-    return (*shares.notices(line, known.main, f"output {known.channels[known.main]} at {hertz}"), *doubt)
+    change = complex(quotient(outputs.phasors.value[line, known.main], np.asarray(predicted)))
+    notices = list(contradicting_outputs(outputs, load, known, StatedMatrix.of(sensor).rated, line))
+    notices += mass_notices(element, change, frequency_hz)
+    if abs(change - 1.0) > CHANGED:
+        values = {"factor": abs(change), "angle_rad": np.angle(change), "frequency_hz": frequency_hz}
+        notices.append(Notice(ELEMENT_CHANGED, "sensitivity", element=element, **values))
+    return tuple(notices)
 
 
 def _far_from_static(outputs: Outputs, load: LoadResult, sensor: Sensor, component: int) -> Iterator[Notice]:
-    """Warn of an output that is far from what its stated sensitivity to the driven load alone makes it.
+    """Yield a warning if an output is far from its stated sensitivity times the driven load.
 
     For sensors of whose matrix so little is known that `contradicting_outputs` has nothing to compare with.
     """
@@ -438,23 +439,21 @@ def _far_from_static(outputs: Outputs, load: LoadResult, sensor: Sensor, compone
     noise = float(np.hypot(outputs.phasors.u_re[line, place], outputs.phasors.u_im[line, place])) / abs(predicted)
     if not abs(ratio - 1.0) > CHANGED + 3.0 * noise:
         return
-    looks = likely_mistake(ratio, CHANGED, OUTPUT_MISTAKES)
-    text = (
-        f"output {main} contradicts the static sensitivity at {outputs.phasors.frequency_hz[line]:.6g} Hz: it is "
-        f"{abs(ratio):.3g} times as large as the load {LOAD_COMPONENTS[component]} would make it, turned by "
-        f"{np.angle(ratio):.3g} rad" + (f", as if {looks}" if looks else "")
-    )
-    keys = (
+    mistake = likely_mistake(ratio, CHANGED, OUTPUT_MISTAKES)
+    text = f"{main} is {abs(ratio):.3g} times as large, turned by {np.angle(ratio):.3g} rad"
+    text += f", as if {mistake}" if mistake else ""
+    checks = (
         "sensor.static_sensitivity, sensor.unit, sensor.sense and load.mass, scale, direction and response of channels"
     )
-    yield Notice("warning", f"{text}; check {keys}", "sensitivity")
+    frequency_hz = outputs.phasors.frequency_hz[line]
+    yield Notice(OUTPUT_CONTRADICTS, "sensitivity", frequency_hz=frequency_hz, outputs=text, checks=checks)
 
 
 # Whether the recording gives what it was made for.
 
 
 NO_RESULT = "result"
-"""Where a notice belongs that names driven lines without a result; `shakercal run` then ends with exit status 1."""
+"""Where the notice `NO_RESULT_AT_LINES` belongs; `shakercal run` then ends with exit status 1."""
 
 
 def missing_result(inputs: Inputs, analysis: Analysis) -> Iterator[Notice]:
@@ -467,16 +466,22 @@ def missing_result(inputs: Inputs, analysis: Analysis) -> Iterator[Notice]:
     capacity = None if inputs.sensor is None else inputs.sensor.capacity
     component = None if direction is None else driven_component(direction, capacity)
     if inputs.outputs is not None:
-        what = "sensitivity" if component is None else f"sensitivity to the driven load {LOAD_COMPONENTS[component]}"
+        name = "sensitivity" if component is None else f"sensitivity to the driven load {LOAD_COMPONENTS[component]}"
         found = _with_sensitivity(inputs, analysis, component)
     else:
-        what = "acceleration" if component is None else f"acceleration along the driven {MOTION_COMPONENTS[component]}"
+        name = "acceleration" if component is None else f"acceleration along the driven {MOTION_COMPONENTS[component]}"
         found = np.any([_observed(a, component) for a in analysis.accelerations if a.source == "fused"], axis=0)
     lacking = driven & ~found
     if lacking.any():
-        hertz = ", ".join(f"{nominal:g}" for nominal in inputs.lines.nominal_hz[lacking])
-        where = f"{hertz} Hz ({int(np.sum(lacking))} of {int(np.sum(driven))} driven lines)"
-        yield Notice("warning", f"no {what} at {where}: {_why(inputs, analysis, component, lacking)}", NO_RESULT)
+        yield Notice(
+            NO_RESULT_AT_LINES,
+            NO_RESULT,
+            quantity=name,
+            frequencies=", ".join(f"{nominal:g}" for nominal in inputs.lines.nominal_hz[lacking]),
+            lost=int(np.sum(lacking)),
+            driven=int(np.sum(driven)),
+            reason=_describe_reason(inputs, analysis, component, lacking),
+        )
 
 
 def _observed(acceleration: Acceleration, component: int | None) -> BoolArray:
@@ -508,33 +513,33 @@ def _with_sensitivity(inputs: Inputs, analysis: Analysis, component: int | None)
     return np.asarray(finite[:, found.channels.index(main)] if main in found.channels else np.zeros(1, dtype=np.bool_))
 
 
-def _why(inputs: Inputs, analysis: Analysis, component: int | None, lacking: BoolArray) -> str:
-    """Say why some lines (K,) have no result: what is not stated, not observed, or contradicted."""
+def _describe_reason(inputs: Inputs, analysis: Analysis, component: int | None, lacking: BoolArray) -> str:
+    """Return why some lines (K,) have no result: not stated, not observed, or contradicted."""
     if inputs.outputs is not None and component is None:
-        return "excitation.direction is not stated, so that no load counts as driven"
+        return "`excitation.direction` is not stated"
     if inputs.outputs is not None and inputs.body is None:
-        return "no [load] is stated, with whose mass the acceleration becomes a load"
-    load, told = analysis.load, list[str]()
+        return "[load] is not stated, so its mass is not known"
+    load, reasons = analysis.load, list[str]()
     for moved in (a for a in analysis.accelerations if a.source == "fused" and (load is None or a.body == "load")):
         observed, titles = moved.observed[lacking], ", ".join(moved.instruments)
         if moved.disputed is not None and moved.disputed[lacking].any():
-            told.append(f"the instruments of the {moved.body} ({titles}) contradict each other")
+            reasons.append(f"the instruments of the {moved.body} ({titles}) contradict each other")
         elif component is None or not observed[:, component].all():
             names = [name for name, own in zip(MOTION_COMPONENTS, observed.T, strict=True) if own.all()]
             along = f"only {', '.join(names)}" if names else "no component"
             text = f"the readings of {titles} determine {along} of the {moved.body}"
             if not names:
-                text += " (a reading off the axis of the motion moves with rotations, too: more points separate them)"
+                text += " (more points would separate translation and rotation)"
             stated = ", ".join(f"{number:g}" for number in inputs.direction or ())
-            told.append(f"{text}, and excitation.direction is [{stated}]" if component is not None else text)
+            reasons.append(f"{text}, and excitation.direction is [{stated}]" if component is not None else text)
         elif load is not None and not load.observed[lacking, component].all():
             hidden = ", ".join(n for n, own in zip(MOTION_COMPONENTS, observed.T, strict=True) if not own.all())
-            told.append(f"no instrument determines {hidden} of its motion, which may dominate the load")
+            reasons.append(f"no instrument determines {hidden} of its motion, which may dominate the load")
     if inputs.outputs is not None and load is None:
-        told = ["no instrument measures the motion of the load", *told]
-    if not told and inputs.sensor is not None and component is not None:
-        told = [f"its output {_main_output(inputs.sensor, component) or ''} is not recorded, or has no value"]
-    return "; ".join(told)
+        reasons = ["no instrument measures the motion of the load", *reasons]
+    if not reasons and inputs.sensor is not None and component is not None:
+        reasons = [f"its output {_main_output(inputs.sensor, component) or ''} is not recorded, or has no value"]
+    return "; ".join(reasons)
 
 
 # What one evaluated recording consists of: the tree handed to the result writers and the report.

@@ -5,7 +5,7 @@ Each is a named unknown where the rig states it; of what it does not state the u
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -14,6 +14,15 @@ import numpy as np
 from fusion.estimation.measurement_model import CommonError, Observation
 from fusion.estimation.uncertainty import Uncertainty, Unknown, added_up, polar_elements, real_stack
 from fusion.instruments.channel import Outputs
+from fusion.sensitivity.sensitivity_notices import (
+    BASE_STRAIN_NOT_ASSESSED,
+    CABLES_NOT_ASSESSED,
+    OUTPUT_LAGS,
+    OUTPUT_LEADS,
+    OUTPUT_OPPOSES_LOAD,
+    SUPPORT_MOTION_NOT_ASSESSED,
+    TEMPERATURE_NOT_ASSESSED,
+)
 from shaker.arrays import ComplexArray
 from shakercal._common.notices import Notice
 
@@ -29,9 +38,11 @@ USUAL_COEFFICIENT = 1e-4
 """Relative change per kelvin of the sensitivity of a strain gauge sensor that is compensated as usual."""
 USUAL_DEVIATION_K = 5.0
 CABLE_NPM = 1000.0
-"""Stiffness of a hose or of several cables, N/m, by which the user is told what such ones would do."""
+"""Stiffness of a hose or of several cables, N/m, for the possible size of their effect (chosen)."""
 MATTERS = 1e-4
-"""Relative change of the result from which on an influence that is not assessed is worth a word."""
+"""Relative change of the result above which an influence that is not assessed is reported (chosen)."""
+SURROUNDINGS = "surroundings"
+"""Where the notes on influences of the surroundings belong."""
 
 
 def at_reference_temperature(outputs: Outputs, sensor: Sensor, environment: Environment) -> Outputs:
@@ -116,68 +127,61 @@ def not_assessed(
     observations: Sequence[Observation],
     body: Body | None,
     frequency_hz: float,
-    further: Iterable[str] = (),
     measured: Collection[str] = (),
 ) -> Iterator[Notice]:
-    """Yield what is said of influences that the rig does not state, so that U has no part of them.
+    """Yield a note for each influence that the rig does not state and U does not include.
 
-    `frequency_hz`: the lowest line; `body`: what the sensor moves there; `further`: what else is not assessed;
-    `measured`: rows of instruments whose support's motion is known.
+    `frequency_hz`: the lowest line; `body`: the moving parts on the sensor; `measured`: rows of instruments for which
+    the motion of their support is measured.
     """
     kinds = {observation.kind for observation in observations if observation.body == "load" and observation.stated}
     sensor, environment = rig.sensor, rig.surroundings
-    told = []
     if sensor is not None and (sensor.temperature_coefficient is None or environment.sensor_temperature is None):
-        if environment.sensor_temperature is None:
-            what = "the temperature of the sensor (environment.sensor_temperature, sensor.temperature_coefficient)"
-            deviation = USUAL_DEVIATION_K
-        else:
-            deviation = environment.sensor_temperature - sensor.reference_temperature
-            what = f"the sensor's temperature of {environment.sensor_temperature:g} °C (sensor.temperature_coefficient)"
+        temperature = environment.sensor_temperature
+        deviation = USUAL_DEVIATION_K if temperature is None else temperature - sensor.reference_temperature
+        keys = ["environment.sensor_temperature"] * (temperature is None) + ["sensor.temperature_coefficient"]
         share = USUAL_COEFFICIENT * abs(deviation)
         if share >= MATTERS:
-            told.append(f"{what}: {deviation:g} K from the reference at {USUAL_COEFFICIENT:g}/K would be {share:.2%}")
+            values = {"share": share, "deviation_k": deviation, "coefficient_per_k": USUAL_COEFFICIENT}
+            yield Notice(TEMPERATURE_NOT_ASSESSED, SURROUNDINGS, missing=_unstated(keys), **values)
     if rig.load is not None and rig.load.cable_stiffness is None and body is not None:
         mass = sum(part.mass_kg for part in body.parts)
         share = CABLE_NPM / (mass * (2.0 * np.pi * frequency_hz) ** 2)
         if share >= MATTERS:
-            told.append(
-                f"cables and hoses on the load (load.cable_stiffness): {CABLE_NPM:g} N/m would change the force by "
-                f"{share:.2%} at {frequency_hz:.6g} Hz"
-            )
+            values = {"share": share, "frequency_hz": frequency_hz, "stiffness_npm": CABLE_NPM}
+            yield Notice(CABLES_NOT_ASSESSED, SURROUNDINGS, **values)
     if sensor is not None and (sensor.base_strain_sensitivity is None or environment.base_strain is None):
         keys = ["sensor.base_strain_sensitivity"] * (sensor.base_strain_sensitivity is None)
         keys += ["environment.base_strain"] * (environment.base_strain is None)
-        told.append(f"strain of the sensor's foot by bending of what it stands on ({', '.join(keys)})")
+        yield Notice(BASE_STRAIN_NOT_ASSESSED, SURROUNDINGS, missing=_unstated(keys))
     seeing = [o for o in observations if o.body == "load" and o.kind in OPTICAL and o.stated]
     optical = {member for observation in seeing for member in observation.members}
     if environment.support_motion is None and optical - set(measured):
-        text = (
-            "motion that all lasers and cameras share with what carries them (environment.support_motion): a "
-            "thousandth of the motion measured would change the sensitivity by as much"
-        )
-        others = "only accelerometers on the load can show it" if kinds - set(OPTICAL) else "nothing here can show it"
-        told.append(f"{text}, and {others}")
-    told += dict.fromkeys(further)
-    if told:
-        yield Notice("note", "not assessed, not in U: " + "; ".join(told), "surroundings")
+        others = "accelerometers" if kinds - set(OPTICAL) else "no instrument"
+        detectable = f"{others} on the load can show it"
+        yield Notice(SUPPORT_MOTION_NOT_ASSESSED, SURROUNDINGS, detectable=detectable)
 
 
-TURNED_RAD, TURNED_U = 5e-3, 3.0
-"""Phase from which on a measuring chain of which nothing is stated is asked for; the same in standard uncertainties."""
-MOST_LAG_RAD = 0.2
-"""Lag beyond which it is doubtful that a measuring chain causes it; no chain causes a lead."""
+def _unstated(keys: Sequence[str]) -> str:
+    """Return the keys with their verb."""
+    return f"{' and '.join(f'`{key}`' for key in keys)} {'is' if len(keys) == 1 else 'are'}"
+
+
+MIN_LAG_RAD, MIN_LAG_U = 5e-3, 3.0
+"""Phase above which an unstated measuring chain is reported, and the same in standard uncertainties (chosen)."""
+MAX_LAG_RAD = 0.2
+"""Largest lag that a measuring chain is assumed to cause (chosen); no chain causes a lead."""
 
 
 def unstated_chain(
     found: Sensitivity | None, entries: Sequence[ChannelEntry], component: int, *, signed: bool
 ) -> Iterator[Notice]:
-    """Yield a question where the main output turns against the load, and nothing is stated of its measuring chain.
+    """Yield a notice where the phase of the main output shows a measuring chain that is not stated.
 
-    `signed`: whether the sign of the sensitivity is stated; an output that opposes the load is asked about if not.
+    `signed`: whether the sign of the sensitivity is stated; if not, an output that opposes the load is reported.
 
-    Far below its resonance a sensor turns hardly; filters of amplifiers and delays of converters do, in proportion to
-    the frequency. `component`: of the load that was driven; its lowest line counts.
+    Far below its resonance a sensor hardly turns the phase. Filters of amplifiers and delays of converters turn it in
+    proportion to the frequency. `component`: of the driven load; its lowest line is used.
     """
     places = [e for e, (_, j) in enumerate(found.elements) if j == component] if found is not None else []
     if found is None or not places:
@@ -193,20 +197,15 @@ def unstated_chain(
     if entry is None or seen is None:
         return
     if not signed and abs(seen.phase_rad) > np.pi / 2.0:
-        text = (
-            f"output {entry.name} opposes the load (phase {seen.phase_rad:.3g} rad), and no sensor.static_sensitivity "
-            "states its sign: is a direction, sensor.sense or the wiring reversed?"
-        )
-        yield Notice("warning", text, "sensitivity")
+        yield Notice(OUTPUT_OPPOSES_LOAD, "sensitivity", output=entry.name, phase_rad=seen.phase_rad)
     if entry.response is not None or entry.delay or entry.delay_uncertainty:
         return
     turn = float(np.angle(np.exp(2j * seen.phase_rad))) / 2.0  # either sign of the sensor
-    if abs(turn) > max(TURNED_RAD, TURNED_U * seen.u_phase_rad):
+    if abs(turn) > max(MIN_LAG_RAD, MIN_LAG_U * seen.u_phase_rad):
         hertz = float(found.frequency_hz[line])
         lag_us = 1e6 * abs(turn) / (2 * np.pi * hertz)
-        text = (
-            f"output {entry.name} {'lags' if turn < 0 else 'leads'} the load by {1e3 * abs(turn):.3g} mrad at "
-            f"{hertz:.6g} Hz, as much as {lag_us:.3g} us, and neither delay nor response of its measuring chain is "
-            "stated: does its amplifier have one?"
-        )
-        yield Notice("note" if -MOST_LAG_RAD < turn < 0.0 else "warning", text, "sensitivity")
+        values = {"output": entry.name, "lag_mrad": 1e3 * abs(turn), "frequency_hz": hertz, "lag_us": lag_us}
+        if -MAX_LAG_RAD < turn < 0.0:
+            yield Notice(OUTPUT_LAGS, "sensitivity", **values)
+        else:
+            yield Notice(OUTPUT_LEADS, "sensitivity", direction="lags" if turn < 0 else "leads", **values)

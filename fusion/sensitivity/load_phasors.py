@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -25,6 +25,16 @@ from fusion.estimation.uncertainty import (
     total_variance,
 )
 from fusion.sensitivity.moving_body import Body
+from fusion.sensitivity.sensitivity_notices import (
+    DRAWING_TOO_HEAVY,
+    ELASTIC_CORRECTED,
+    ELASTIC_ONLY_NAMED,
+    LOAD_MAY_DEFORM,
+    LOAD_UNDETERMINED,
+    NEAR_RESONANCE,
+    UNOBSERVED_MOTION_ASSUMED,
+    UNOBSERVED_MOTION_LARGE,
+)
 from photogram.geometry import skew
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, brief, check_shape, check_shapes
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS
@@ -46,8 +56,10 @@ MATTERS = 0.1
 """Share of the variance from which on an assumption about motion that nobody observed deserves a warning."""
 RIGID_ENOUGH = 1e-3
 """Relative change of a load by what is elastic of it that needs no notice, unless U is as small."""
-HEAVIER = 1.02
-NEAR_RESONANCE = 0.2
+MAX_MASS_RATIO = 1.02
+"""Mass of an elastic part by its drawing over all moving mass: chosen as the tolerance of drawings."""
+RESONANCE_BAND = 0.2
+"""Relative distance from a natural frequency within which its damping determines the response."""
 
 
 @dataclass(frozen=True)
@@ -171,13 +183,8 @@ def _notices(
     observed: BoolArray,
     hidden: Mapping[str, Contribution],
 ) -> tuple[Notice, ...]:
-    """Say what was assumed of motion that nobody observed, what that does, and which load components are not given."""
-    told = []
-    disputed = acceleration.disputed
-    if disputed is not None:
-        lines = np.count_nonzero(np.any(disputed, axis=1))
-        text = f"no load, and no sensitivity, at {lines} of {len(disputed)} lines: instruments contradict each other"
-        told.append(Notice("warning", f"{text} about the acceleration and nothing decides between them", "load"))
+    """Return what is assumed of unobserved motion, its effect, and which load components have no value."""
+    notices = []
     given = np.where(observed, np.abs(value) / np.where(np.arange(6) < 3, 1.0, BODY_SIZE_M), 0.0)
     line, largest = np.unravel_index(int(np.argmax(given)), given.shape)
     if hidden and given[line, largest] > 0.0:
@@ -187,22 +194,25 @@ def _notices(
         part = float(sum(total_variance(way.covariance)[line, largest] for way in ways))
         if part > 0.0:
             share, size = part / whole, np.sqrt(part / 2.0) / np.abs(value[line, largest])
-            text = (
-                f"nothing measures {', '.join(hidden)} of the load at some lines: amplitudes up to "
-                f"{acceleration.unseen} are assumed ([shaker] states others){_driven(acceleration, int(line))}; they "
-                f"make u = {100.0 * size:.2g} % of {LOAD_COMPONENTS[largest]} at "
-                f"{acceleration.phasors.frequency_hz[line]:.6g} Hz, {share:.0%} of its variance"
-            )
-            told.append(Notice("warning" if share > MATTERS else "note", text, acceleration.body))
+            declared = UNOBSERVED_MOTION_LARGE if share > MATTERS else UNOBSERVED_MOTION_ASSUMED
+            values = {
+                "components": ", ".join(hidden),
+                "limits": str(acceleration.unseen),
+                "driven": _describe_driven(acceleration, int(line)),
+                "u_percent": 100.0 * size,
+                "load": LOAD_COMPONENTS[largest],
+                "frequency_hz": acceleration.phasors.frequency_hz[line],
+                "share": share,
+            }
+            notices.append(Notice(declared, acceleration.body, **values))
     missing = [name for place, name in enumerate(LOAD_COMPONENTS) if not np.any(observed[:, place])]
     if missing:
-        text = f"no value of {', '.join(missing)}: components of the motion that were not observed may dominate them"
-        told.append(Notice("note", text, "load"))
-    return tuple(told)
+        notices.append(Notice(LOAD_UNDETERMINED, "load", components=", ".join(missing)))
+    return tuple(notices)
 
 
-def _driven(acceleration: Acceleration, line: int) -> str:
-    """Say how far the drive itself moves what is not observed of it at a line; empty where that is nothing."""
+def _describe_driven(acceleration: Acceleration, line: int) -> str:
+    """Return the limits of the unobserved components that are driven at a line; empty if there are none."""
     drive, amplitude = acceleration.unseen.drive or (0.0,) * 6, acceleration.unobserved_amplitude[line]
     units = ("m/s^2",) * 3 + ("rad/s^2",) * 3
     own = zip(MOTION_COMPONENTS, drive, amplitude.tolist(), units, strict=True)
@@ -213,7 +223,7 @@ def _driven(acceleration: Acceleration, line: int) -> str:
 def _elastic_notices(
     body: Body, frequency_hz: FloatArray, value: ComplexArray, rigid: ComplexArray
 ) -> tuple[Notice, ...]:
-    """Say what joint and modes do to the largest force, at the line where that is most, and what they cannot."""
+    """Return the effect of joint and modes on the largest force, at the line where it is largest."""
     sizes = np.nan_to_num(np.abs(rigid))
     largest, lines = np.argmax(sizes[:, :3], axis=1), np.arange(len(value))
     before, after = sizes[lines, largest], np.abs(value)[lines, largest]
@@ -222,46 +232,45 @@ def _elastic_notices(
         return ()
     line = int(np.nanargmax(np.abs(change)))
     component = int(largest[line])
-    where, percent = f"{LOAD_COMPONENTS[component]} at {frequency_hz[line]:.6g} Hz", f"{100.0 * change[line]:+.2g} %"
-    told = []
+    corrected, named = list[str](), list[tuple[str, float]]()
     if body.joint is not None:
-        resonance, stated = body.joint.frequency_hz[component], body.joint.u_frequency_hz[component] > 0.0
-        joint = f"the load's joint ({resonance:.6g} Hz)"
-        if stated and not body.elastic:
-            told.append(f"{joint} changes {where} by {percent} from that of a rigid body")
-        elif not stated:
-            told.append(f"{joint} is only named: {where} is not corrected for it, U contains it")
-    bending = [part for part in body.elastic if part.variants]
-    if bending:
-        names = ", ".join(f"{part.name} ({part.modes.frequency_hz.min():.6g} Hz)" for part in bending)
-        told.append(
-            f"the load is elastic: {names}; accelerations of the load are those of its foot, and {where} differs by "
-            f"{percent} from that of a rigid body with that motion"
-        )
-    told += [
-        f"the elastic {part.name} of the load ({part.modes.frequency_hz.min():.6g} Hz) is stated without any "
-        "uncertainty, so it is only named: nothing is corrected for it, U contains it"
-        for part in body.elastic
-        if not part.variants
-    ]
-    notices = [Notice("note", text, "load") for text in told]
+        resonance, stated = float(body.joint.frequency_hz[component]), body.joint.u_frequency_hz[component] > 0.0
+        if not stated:
+            named.append(("joint of the load", resonance))
+        elif not body.elastic:
+            corrected.append(f"the joint of the load ({resonance:.6g} Hz)")
+    for part in body.elastic:
+        natural_hz = float(part.modes.frequency_hz.min())
+        if part.variants:
+            corrected.append(f"the elastic {part.name} ({natural_hz:.6g} Hz)")
+        else:
+            named.append((f"elastic {part.name} of the load", natural_hz))
+    notices = []
+    if corrected:
+        values = {
+            "load": LOAD_COMPONENTS[component],
+            "frequency_hz": frequency_hz[line],
+            "change_percent": 100.0 * change[line],
+        }
+        notices.append(Notice(ELASTIC_CORRECTED, "load", parts=", ".join(corrected), **values))
+    notices += [Notice(ELASTIC_ONLY_NAMED, "load", part=name, frequency_hz=hertz) for name, hertz in named]
+    return (*notices, *_part_notices(body, frequency_hz))
+
+
+def _part_notices(body: Body, frequency_hz: FloatArray) -> Iterator[Notice]:
+    """Yield warnings of elastic parts that are heavier than the load, or near resonance."""
     total = body.rigid.mass_matrix[0, 0]
     for part in body.elastic:
-        if part.mass_kg is not None and part.mass_kg > HEAVIER * total:
-            text = f"the elastic {part.name} weighs {part.mass_kg:.4g} kg by its drawing, all that moves {total:.4g} kg"
-            notices.append(Notice("warning", text, "load"))
-        near = np.abs(frequency_hz[:, None] / part.modes.frequency_hz - 1.0) < NEAR_RESONANCE
+        if part.mass_kg is not None and part.mass_kg > MAX_MASS_RATIO * total:
+            yield Notice(DRAWING_TOO_HEAVY, "load", part=part.name, mass_kg=part.mass_kg, total_kg=total)
+        near = np.abs(frequency_hz[:, None] / part.modes.frequency_hz - 1.0) < RESONANCE_BAND
         for k, mode in np.argwhere(near)[:1].tolist():
-            text = (
-                f"{frequency_hz[k]:.6g} Hz is near the natural frequency {part.modes.frequency_hz[mode]:.6g} Hz of the "
-                f"elastic {part.name}: there its damping decides, and U by first order may be too small"
-            )
-            notices.append(Notice("warning", text, "load"))
-    return tuple(notices)
+            values = {"frequency_hz": frequency_hz[k], "natural_hz": part.modes.frequency_hz[mode]}
+            yield Notice(NEAR_RESONANCE, "load", part=part.name, **values)
 
 
 def _rigidity_notices(body: Body, load: LoadResult) -> tuple[Notice, ...]:
-    """Say where a load of which nothing elastic is stated may not be rigid, by mass and size alone.
+    """Return a warning where a load without stated elasticity may not be rigid, by its mass and size.
 
     At the line where that matters most: where it changes the largest component by more than 0.1 %, or more than a third
     of its U, unless U is ten times as large.
@@ -283,14 +292,13 @@ def _rigidity_notices(body: Body, load: LoadResult) -> tuple[Notice, ...]:
     if not np.any(matters):
         return ()
     line = int(np.argmax(np.where(matters, change, -1.0)))
-    natural_hz = float(f"{first[line]:.2g}")
-    text = (
-        f"the load may not be rigid at {load.frequency_hz[line]:.6g} Hz: a solid of its mass, centre of mass and "
-        f"inertia first resonates near {natural_hz:g} Hz, which changes {LOAD_COMPONENTS[largest[line]]} there by "
-        f"about {min(change[line], 1.0):.1%}; this is neither corrected nor in U. State [[load.elastic]], or "
-        "load.first_frequency to bound it"
-    )
-    return (Notice("warning", text, "load"),)
+    values = {
+        "frequency_hz": load.frequency_hz[line],
+        "natural_hz": float(f"{first[line]:.2g}"),
+        "load": LOAD_COMPONENTS[largest[line]],
+        "change": min(change[line], 1.0),
+    }
+    return (Notice(LOAD_MAY_DEFORM, "load", **values),)
 
 
 # What mass and size alone say of a load of which nothing elastic is stated.

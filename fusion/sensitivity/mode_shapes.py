@@ -24,6 +24,7 @@ from fusion.sensitivity.elastic import (
     response,
 )
 from fusion.sensitivity.moving_body import Body, elastic_body, stated_modes
+from fusion.sensitivity.sensitivity_notices import MODES_CONTRADICT
 from photogram.camera import principal_components
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from shaker.io.text import read_table_columns
@@ -248,7 +249,7 @@ def _measured(
             sides = carrying(part.modes, change), carrying(part.modes, -change)
             variants.append(Variant(f"{label}, {hertz:.9g} Hz {number}", label, 1.0, "1", "recording", *sides))
     found = replace(part, modes=carrying(part.modes), variants=tuple(variants))
-    return found, _told(part, which, seen, columns, contradicted)
+    return found, _contradictions(part, pair, contradicted)
 
 
 def _gain(
@@ -274,19 +275,8 @@ def _gain(
     return gain, contradicted
 
 
-def _told(part: ElasticPart, which: IntArray, seen: _Seen, columns: IntArray, contradicted: BoolArray) -> list[Notice]:
-    """Say what was measured of a part where its modes move most, and where that is not what is stated of it."""
-    assert seen.pair.shapes is not None
-    found, name = seen.pair.shapes, seen.pair.name
-    line = int(np.argmax(np.abs(found.phasors.value[:, columns]).max(axis=1)))
-    hertz, size = f"{found.phasors.frequency_hz[line]:.6g} Hz", found.u_size[line, columns]
-    amplitudes = zip(np.array(found.phasors.channels)[columns], found.phasors.value[line, columns], size, strict=True)
-    seen_of = ", ".join(f"{mode} {1e9 * abs(a):.3g} nm (u {1e9 * u:.2g} nm)" for mode, a, u in amplitudes)
-    told = [Notice("note", f"stereo pair {name} measures at {hertz}: {seen_of}", name)]
-    for k in np.flatnonzero(contradicted):
-        text = (
-            f"the elastic {part.name} of the load moves at {found.phasors.frequency_hz[k]:.6g} Hz otherwise than its "
-            f"stated frequencies and damping say; what stereo pair {name} measures counts"
-        )
-        told.append(Notice("warning", text, f"{found.phasors.frequency_hz[k]:.6g} Hz"))
-    return told
+def _contradictions(part: ElasticPart, pair: StereoResult, contradicted: BoolArray) -> list[Notice]:
+    """Return a warning for each line at which the measured responses of a part contradict the stated ones."""
+    frequency_hz = pair.phasors.frequency_hz[contradicted].tolist()
+    values = {"part": part.name, "pair": pair.name}
+    return [Notice(MODES_CONTRADICT, f"{hertz:.6g} Hz", frequency_hz=hertz, **values) for hertz in frequency_hz]

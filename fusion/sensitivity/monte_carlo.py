@@ -19,6 +19,11 @@ from fusion.sensitivity.analyse import Analysis, Inputs
 from fusion.sensitivity.distributions import FirstOrder, MonteCarlo, Propagated, judged, summarise
 from fusion.sensitivity.load_phasors import LoadResult
 from fusion.sensitivity.ratio import PriorMatrix, quotient
+from fusion.sensitivity.sensitivity_notices import (
+    DRAWS_NOT_CONVERGED,
+    FIRST_ORDER_TOO_LARGE,
+    FIRST_ORDER_TOO_SMALL,
+)
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS
 from shakercal._common.notices import Notice
@@ -97,7 +102,7 @@ class Estimator:
             unknowns = unknowns + step
             if np.abs(step).max(initial=0.0) <= limit:
                 return as_complex((unknowns @ self.expand.T).reshape(count, lines, 12))
-        raise ComputeError("the Monte Carlo run: places or directions are so uncertain that draws have no solution")
+        raise ComputeError(DRAWS_NOT_CONVERGED)
 
 
 @dataclass(frozen=True)
@@ -211,16 +216,11 @@ def _first_order(analysis: Analysis) -> Iterator[FirstOrder]:
 
 
 def _notices(results: Sequence[Propagated], draws: int) -> tuple[Notice, ...]:
-    """Say where first-order propagation does not hold: a warning where its U is too small, else a remark."""
+    """Return a warning where first-order U is too small, and a note where it is too large."""
     small, large = judged(results, draws)
     notices = []
     if small:
-        text = (
-            f"{draws} Monte Carlo draws do not confirm first-order propagation, whose U is too small: "
-            f"{'; '.join(small)}; the intervals and regions of the Monte Carlo run hold there"
-        )
-        notices.append(Notice("warning", text, "monte carlo"))
+        notices.append(Notice(FIRST_ORDER_TOO_SMALL, "monte carlo", draws=draws, quantities="; ".join(small)))
     if large:
-        text = f"first-order U is larger than {draws} Monte Carlo draws need it to be: {'; '.join(large)}"
-        notices.append(Notice("note", text, "monte carlo"))
+        notices.append(Notice(FIRST_ORDER_TOO_LARGE, "monte carlo", draws=draws, quantities="; ".join(large)))
     return tuple(notices)

@@ -22,6 +22,7 @@ from fusion.sensitivity.elastic import (
     Variant,
     join_modes,
 )
+from fusion.sensitivity.sensitivity_notices import LOAD_UNSTATED, POSITION_UNSTATED
 from photogram.geometry import skew
 from shaker.arrays import ComplexArray, FloatArray, check_shapes
 from shaker.identification.measured_curves import InertiaError
@@ -456,8 +457,8 @@ def _tabled(table: Elastic) -> NaturalModes:
         # A channel of a later set-up is named by that, too.
         names = [name for name in (place.name, place.name.rpartition(": ")[2]) if name in table.mode[0].displacement]
         if not names:
-            told = f"the load is elastic ({table.name}), but load.elastic.mode.displacement does not tell how"
-            raise ComputeError(f"{told} {place.name} moves; add its place to every mode")
+            key = f"load.elastic.mode.displacement of {table.name}"
+            raise ComputeError(POSITION_UNSTATED, instrument=place.name, key=key)
         rows = [mode.displacement[names[0]] for mode in table.mode]
         return np.array([[*row, *[0.0] * (6 - len(row))] for row in rows]) / root[:, None]
 
@@ -520,7 +521,7 @@ def rigid_load(manifest: Manifest) -> Body:
     parts = moving_parts(manifest.rig.model_copy(update={"sensor": None}), manifest.part)
     if not parts:
         expected = "[load] with the mass, centre of mass and inertia of what is mounted on the sensor"
-        raise InputError(manifest.rig_path, "load", found="nothing", expected=expected)
+        raise InputError(LOAD_UNSTATED, manifest.rig_path, "load", found="none", expected=expected)
     return Body(parts)
 
 

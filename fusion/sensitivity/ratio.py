@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fusion.base import round_to_uncertainty
 from fusion.estimation.coverage import Polar, coverage_factor, polar
 from fusion.estimation.instrument_consistency import OUTPUT_MISTAKES, likely_mistake
 from fusion.estimation.measurement_model import BODY_SIZE_M
@@ -31,6 +30,7 @@ from fusion.instruments.channel import Outputs
 from fusion.instruments.vibrometer import PARALLEL, PointRatios, PointSpread
 from fusion.sensitivity.load_phasors import BudgetEntry, LoadResult, budget
 from fusion.sensitivity.moving_body import Body
+from fusion.sensitivity.sensitivity_notices import MASS_DOUBTED, OUTPUT_CONTRADICTS
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, brief, check_shape
 from shaker.labels import LOAD_COMPONENTS
 from shakercal._common.notices import Notice
@@ -120,7 +120,6 @@ def sensitivity_ratio(
     load: LoadResult,
     component: int,
     multiple: ArrayLike,
-    capacity: Sequence[float] | None = None,
 ) -> Sensitivity:
     """Return output / load of the driven `component` for every output channel of one recording.
 
@@ -134,22 +133,6 @@ def sensitivity_ratio(
     from_outputs = outputs.uncertainty.scaled(np.broadcast_to(quotient(1.0, driven), ratio.shape))
     value = np.full((*ratio.shape, 6), complex(np.nan, np.nan))
     value[:, :, component] = ratio
-    name, notices = LOAD_COMPONENTS[component], []
-    if np.any(np.isfinite(ratio)):
-        # What else acted on the sensor at the strongest line; forces and moments compare in shares of rated loads only.
-        rated = np.ones(6) if capacity is None else np.asarray(capacity)
-        given = np.abs(np.where(load.observed, load.value, np.nan)) / rated
-        line = int(np.nanargmax(given[:, component]))
-        share = given[line] / given[line, component]
-        others = [
-            f"{LOAD_COMPONENTS[i]} {share[i]:.2%}"
-            for i in range(6)
-            if i != component and (capacity is not None or i // 3 == component // 3) and np.isfinite(share[i])
-        ]
-        if others:
-            basis = "" if capacity is None else " (in shares of the rated loads)"
-            text = f"beside {name} = 100 % the sensor carried {', '.join(others)}{basis}; the ratio contains their part"
-            notices.append(Notice("note", text, "sensitivity"))
     return Sensitivity(
         frequency_hz=outputs.phasors.frequency_hz,
         value=value,
@@ -159,8 +142,28 @@ def sensitivity_ratio(
         components=LOAD_COMPONENTS,
         unit=outputs.phasors.unit[0],
         kind=tuple("ratio" if m == 1 else "harmonic" for m in np.asarray(multiple).tolist()),
-        notices=tuple(notices),
+        notices=(),
     )
+
+
+def describe_other_loads(load: LoadResult, component: int, capacity: Sequence[float] | None = None) -> str:
+    """Return the other loads on the sensor at the strongest line, relative to the driven `component`.
+
+    Forces and moments are compared in shares of the rated `capacity` (6,) only.
+    """
+    rated = np.ones(6) if capacity is None else np.asarray(capacity)
+    given = np.abs(np.where(load.observed, load.value, np.nan)) / rated
+    if not np.any(given[:, component] > 0.0):
+        return "loads that are not known"
+    line = int(np.nanargmax(given[:, component]))
+    share = given[line] / given[line, component]
+    others = [
+        f"{LOAD_COMPONENTS[i]} {share[i]:.2%}"
+        for i in range(6)
+        if i != component and (capacity is not None or i // 3 == component // 3) and np.isfinite(share[i])
+    ]
+    basis = "" if capacity is None else ", in shares of the rated loads"
+    return f"{', '.join(others)} of {LOAD_COMPONENTS[component]}{basis}" if others else "loads that are not known"
 
 
 def quotient(numerator: ComplexArray | float, denominator: ComplexArray) -> ComplexArray:
@@ -195,20 +198,6 @@ class ParasiticLoads:
         one = self.uncertainty.at([channel]).at_lines([line])
         real, imaginary = (float(one.dof_along(np.array([d]))[0, 0]) for d in (1.0 + 0.0j, 1.0j))
         return coverage_factor(real), coverage_factor(imaginary)
-
-    def notices(self, line: int, channel: int, where: str) -> tuple[Notice, ...]:
-        """Return what the output of one channel at one line owes to other loads; `where` names both."""
-        if not abs(self.value[line, channel]) > 0.0:
-            return ()
-        share = self.element(line, channel)
-        k_re, k_im = self.factors(line, channel)
-        more = round_to_uncertainty(100.0 * share.re, 100.0 * k_re * share.u_re, 0)
-        turn = round_to_uncertainty(1e3 * share.im, 1e3 * k_im * share.u_im, 0)
-        text = (
-            f"by the static sensitivity the other load components make ({more.value} ± {more.expanded}) % of {where} "
-            f"and turn it by ({turn.value} ± {turn.expanded}) mrad: the ratio contains that, the element does not"
-        )
-        return (Notice("note", text, "sensitivity"),)
 
 
 def parasitic_loads(
@@ -519,22 +508,24 @@ def contradicting_outputs(
     listed = []
     for c in doubted:
         ratio = complex(quotient(signal[c], predicted[c, None])[0])
-        looks = likely_mistake(ratio, CHANGED, OUTPUT_MISTAKES) if abs(predicted[c]) > cross[c] else ""
-        if not looks and abs(abs(ratio) - 1.0) < CHANGED:
-            looks = "the delay or response of its chain were missing or in another unit"
+        mistake = likely_mistake(ratio, CHANGED, OUTPUT_MISTAKES) if abs(predicted[c]) > cross[c] else ""
+        if not mistake and abs(abs(ratio) - 1.0) < CHANGED:
+            mistake = "the delay or response of its chain were missing or in another unit"
         factor = f"{abs(ratio):.3g} times as large, turned by {np.angle(ratio):.3g} rad"
-        listed.append(f"{names[c]} is {factor}" + (f", as if {looks}" if looks else ""))
+        listed.append(f"{names[c]} is {factor}" + (f", as if {mistake}" if mistake else ""))
     pairs = [(a, b) for a, b in combinations(doubted, 2) if agrees(a, b) and agrees(b, a)]
-    text = (
-        f"outputs contradict the static sensitivity at {outputs.phasors.frequency_hz[line]:.6g} Hz, by which the load "
-        f"would make them: {'; '.join(listed)}"
-    )
-    text += "".join(f"; outputs {names[a]} and {names[b]} look exchanged" for a, b in pairs)
-    text += (
-        "; check sensor.static_sensitivity, sensor.unit, sensor.sense, load.mass, load.inertia and load.centre_of_mass "
+    exchanges = [f"whether {names[a]} and {names[b]} are exchanged" for a, b in pairs]
+    checks = (
+        "sensor.static_sensitivity, sensor.unit, sensor.sense, load.mass, load.inertia and load.centre_of_mass "
         "in rig.toml, scale, delay, response and channel of the outputs in recording.toml"
     )
-    yield Notice("warning", text, "sensitivity")
+    yield Notice(
+        OUTPUT_CONTRADICTS,
+        "sensitivity",
+        frequency_hz=outputs.phasors.frequency_hz[line],
+        outputs="; ".join(listed),
+        checks=", ".join([*exchanges, checks]),
+    )
 
 
 UNLIKE_REST, SOFTEST_HZ = 0.03, 500.0
@@ -547,19 +538,16 @@ def mass_notices(element: str, ratio: complex, frequency_hz: float) -> Iterator[
     `course`: the element over its static value at one frequency. Below its resonance f₀ an oscillator's is
     1/(1 - (f/f₀)²), never below one, in phase.
     """
-    size, told = abs(ratio), "which no resonance above that does"
+    size, resonance = abs(ratio), "which no resonance above that explains"
     if not UNLIKE_REST < abs(size - 1.0) <= CHANGED or abs(np.angle(ratio)) > CHANGED:
         return
     if size > 1.0:
         natural_hz = frequency_hz / np.sqrt(1.0 - 1.0 / size)
         if natural_hz > SOFTEST_HZ:
             return
-        told = f"as a resonance at {natural_hz:.3g} Hz would make it"
-    masses = "load.mass, every part that moves with the load and sensor.internal_mass stated, each once"
-    text = (
-        f"the {element} is {size:.3g} times its static value at {frequency_hz:.6g} Hz, {told}: are {masses}, and scale"
-    )
-    yield Notice("warning", f"{text} and response of the output right?", "sensitivity")
+        resonance = f"as with a resonance at {natural_hz:.3g} Hz"
+    values = {"factor": size, "frequency_hz": frequency_hz, "resonance": resonance}
+    yield Notice(MASS_DOUBTED, "sensitivity", element=element, **values)
 
 
 # The ratio point by point, where several vibrometer points look along the force that was driven.

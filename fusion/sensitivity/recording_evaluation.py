@@ -82,9 +82,8 @@ def evaluate_set_ups(
     if body is not None and analysis.outputs is not None and analysis.sensitivity is not None:
         points = tuple(with_ratios(spread, analysis.outputs, analysis.sensitivity, body) for spread in points)
     parallel = beam_notices([reading.entry for reading in joined.readings])
-    folded = [text for set_up in set_ups for text in set_up.not_assessed]
     lowest_hz = float(np.min(joined.lines.frequency_hz))
-    missing = [*not_assessed(manifest.rig, observations, body, lowest_hz, folded, carried_by(supports))]
+    missing = [*not_assessed(manifest.rig, observations, body, lowest_hz, carried_by(supports))]
     if sensor is not None and direction is not None:
         entries = [reading.entry for reading in joined.readings]
         found = analysis.element or analysis.sensitivity

@@ -25,6 +25,7 @@ from fusion.instruments.channel import ChannelGeometry
 from fusion.instruments.stereo import StereoReading, carrier_of
 from fusion.instruments.transducer import HEAD, STATIONARY, carrier, measuring_point
 from fusion.sensitivity.disturbances import with_support_motion
+from fusion.sensitivity.sensitivity_notices import SUPPORT_CORRECTED, SUPPORT_EXCEEDS_LIMIT, SUPPORT_UNCERTAIN
 from photogram.camera import principal_components
 from photogram.geometry import skew
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, brief
@@ -139,7 +140,7 @@ def _settled(
     shape, observed = _shape([*references, *carried]), np.zeros((len(frequency), 6), dtype=np.bool_)
     value = np.full((len(frequency), 6), complex(np.nan, np.nan))
     covariance = np.full((len(frequency), 12, 12), np.nan)
-    gains, dof, told = list[FloatArray | None](), np.full(len(frequency), np.inf), list[Notice]()
+    gains, dof, notices = list[FloatArray | None](), np.full(len(frequency), np.inf), list[Notice]()
     sizes = np.array([_sizes(carried, line) for line in range(len(frequency))])
     measured, stated = sizes.max(axis=1), None if limit is None else limit / 2.0
     for line, size in enumerate(measured.tolist()):
@@ -150,19 +151,17 @@ def _settled(
             continue
         one = _estimate(read, shape * size, int(np.argmax(sizes[line])), stated)
         if one.contradicts:
-            where = f"{frequency[line]:.6g} Hz"
-            text = f"{name} moves by more than environment.support_motion states, {limit:g} of the motion measured"
-            told.append(Notice("warning", f"{text}, at {where}: what it moves is taken from its reference alone", name))
+            notices.append(Notice(SUPPORT_EXCEEDS_LIMIT, name, frequency_hz=frequency[line], limit=limit or 0.0))
         value[line], covariance[line], gains[-1] = as_complex(one.mean), one.covariance, one.gain
     titles = tuple(dict.fromkeys(member for seen in references for member in _members(seen)))
     members = tuple(dict.fromkeys(member for seen in carried for member in _members(seen)))
     phasors = Phasors(frequency, value, covariance, MOTION_COMPONENTS, component_units(2), dof)
     moved = SupportMotion(name, phasors, observed, measured, titles, members)
-    own = [*_of_references(moved, references, gains)]
-    effects = np.stack([np.zeros((len(frequency), 12)), *(real_stack(error.offset) for error in own)])
+    reference_errors = [*_reference_errors(moved, references, gains)]
+    effects = np.stack([np.zeros((len(frequency), 12)), *(real_stack(error.offset) for error in reference_errors)])
     whole = replace(phasors, covariance=covariance + np.einsum("eki,ekj->kij", effects, effects))
-    told += _notices(replace(moved, phasors=whole))
-    return replace(moved, phasors=whole), [*_open(moved), *own], told
+    notices += _notices(replace(moved, phasors=whole))
+    return replace(moved, phasors=whole), [*_remaining_errors(moved), *reference_errors], notices
 
 
 def _shape(seen: Sequence[_Seen]) -> FloatArray:
@@ -303,8 +302,8 @@ def _prior(shape: FloatArray, spreads: FloatArray) -> FloatArray:
 # What is uncertain of a support's motion, and what it does to the instruments that it carries.
 
 
-def _open(moved: SupportMotion) -> Iterator[CommonError]:
-    """Yield what readings and prior leave open of H at each line, as independent unknowns; `offset` (K, 6) of H."""
+def _remaining_errors(moved: SupportMotion) -> Iterator[CommonError]:
+    """Yield the remaining uncertainty of H at each line as independent unknowns; `offset` (K, 6) of H."""
     phasors, label = moved.phasors, f"motion of {moved.name}"
     for line in np.flatnonzero(np.isfinite(phasors.value).all(axis=1)):
         for part, step in enumerate(principal_components(phasors.covariance[line])[::-1], 1):
@@ -321,7 +320,7 @@ def _none(offset: ComplexArray) -> ComplexArray:
     return np.zeros((*offset.shape, 6), dtype=np.complex128)
 
 
-def _of_references(
+def _reference_errors(
     moved: SupportMotion, references: Sequence[_Seen], gains: Sequence[FloatArray | None]
 ) -> Iterator[CommonError]:
     """Yield what errors of the references' own chains and places, by their names, do to H."""
@@ -371,30 +370,23 @@ def _corrected(
 
 
 def _notices(moved: SupportMotion) -> Iterator[Notice]:
-    """Yield how a support moved at the strongest line, where that stands out, and that its reference tells little."""
+    """Yield the motion of a support at the strongest line if it is significant, and a note if it is uncertain."""
     line = int(np.argmax(moved.measured_mps2))
     value, size = moved.phasors.value[line], float(moved.measured_mps2[line])
     if not (np.isfinite(value).all() and size > 0.0):
         return
     u = np.maximum(moved.phasors.u_re, moved.phasors.u_im)[line]
     seen = np.flatnonzero(moved.observed[line, :3])
-    where, by = f"{moved.phasors.frequency_hz[line]:.6g} Hz", ", ".join(moved.references)
+    values = {"frequency_hz": moved.phasors.frequency_hz[line], "references": ", ".join(moved.references)}
     shaken = [c for c in seen.tolist() if abs(value[c]) > max(SURE * u[c], NOTED * size)]
     if shaken:
         c = max(shaken, key=lambda c: float(abs(value[c])))
         found = polar(complex(value[c]), element_covariance(moved.phasors.covariance[line], c))
         share = round_to_uncertainty(100.0 * found.magnitude / size, 200.0 * found.u_magnitude / size, 0)
-        text = (
-            f"what carries the instruments shakes with the excitation, along {'xyz'[c]} by ({share.value} ± "
-            f"{share.expanded}) % of the motion measured at {where} (U, k = 2, by {by}); it is taken off"
-        )
-        yield Notice("note", f"{moved.name}: {text}", moved.name)
+        shares = {"share": share.value, "expanded": share.expanded}
+        yield Notice(SUPPORT_CORRECTED, moved.name, axis="xyz"[c], **shares, **values)
     if len(seen) and float(u[seen].max()) > WEAK * size:
-        text = (
-            f"its motion remains uncertain by {float(u[seen].max()) / size:.2g} of the motion measured at {where} "
-            f"(standard uncertainty, by {by}): a larger or nearer reference, or more frames, tell it better"
-        )
-        yield Notice("note", f"{moved.name}: {text}", moved.name)
+        yield Notice(SUPPORT_UNCERTAIN, moved.name, u_relative=float(u[seen].max()) / size, **values)
 
 
 def carried_by(supports: Sequence[SupportMotion]) -> frozenset[str]:
