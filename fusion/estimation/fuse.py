@@ -76,7 +76,7 @@ from fusion.estimation.variance_components import (
 from shaker.arrays import BoolArray, FloatArray, IntArray, brief
 from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.sine.phasor import Phasors
-from shakercal._common.notices import Notice
+from shakercal._common.notices import Notice, Value
 
 Source = Literal["fused", "photogrammetry", "vibrometer", "accelerometer"]
 SINGLE_SOURCES: tuple[Source, ...] = ("photogrammetry", "vibrometer", "accelerometer")
@@ -475,7 +475,7 @@ def _notices(
     if not stated:
         notices.append(Notice(NOISE_ONLY, body, instruments=titles))
     for test in result.consistency:
-        values = {"deviation": test.normalised_deviation, "ratio": _ratio_text(test)}
+        values: dict[str, Value] = {"deviation": test.normalised_deviation, "ratio": _ratio_text(test)}
         if test.left_out:
             notices.append(Notice(GROSS_ERROR, test.instrument, instrument=test.instrument, **values))
         elif not test.used:
@@ -506,7 +506,7 @@ def _unobserved_notices(result: Acceleration, titles: str) -> Iterator[Notice]:
         if np.any(pattern):
             missing = ", ".join(name for name, hidden in zip(MOTION_COMPONENTS, pattern, strict=True) if hidden)
             lines, count = int(np.sum(np.all(seen == ~pattern, axis=1))), len(result.observed)
-            values = {"components": missing, "lines": lines, "all_lines": count}
+            values: dict[str, Value] = {"components": missing, "lines": lines, "all_lines": count}
             yield Notice(UNOBSERVED_COMPONENTS, result.body, instruments=titles, **values)
     if np.any(np.isinf(result.unobserved_amplitude)):
         driven = unmeasured_drive(result.body, result.unseen, np.any(result.observed, axis=0))
@@ -541,7 +541,7 @@ def _disagreement(
     suspects = [test for test in used if test.suspect] or used[:1]
     listed = [f"{one.instrument} by {one.normalised_deviation:.3g} u{_ratio_text(one)}" for one in suspects]
     exchanges = [f"whether {a} and {b} are exchanged" for a, b in swapped]
-    values = {
+    values: dict[str, Value] = {
         "chi2": result.chi2,
         "dof": result.dof,
         "suspects": "; ".join(listed),

@@ -38,10 +38,10 @@ def require_usable(record: DaqRecord, channel: ChannelEntry) -> None:
 
 
 def _unusable(record: DaqRecord, channel: ChannelEntry, defects: Sequence[Defect]) -> InputError:
-    found = " and ".join(_described(record, channel, defect) for defect in defects)
+    defects_found = " and ".join(_described(record, channel, defect) for defect in defects)
     expected = f"at least {100 * MIN_USABLE_SHARE:g} % of the samples, at all phases, within the range of the recorder"
-    values = {"expected": expected, "found": f"a channel that {found}"}
-    return InputError(UNUSABLE_CHANNEL, record.entry.file, channel.stored_name, **values)
+    found = f"a channel that {defects_found}"
+    return InputError(UNUSABLE_CHANNEL, record.entry.file, channel.stored_name, found=found, expected=expected)
 
 
 def _described(record: DaqRecord, channel: ChannelEntry, defect: Defect) -> str:

@@ -273,8 +273,8 @@ def lines_of_record(manifest: Manifest, chosen: LineRecord) -> LineFrequencies:
     beyond = [f for f in manifest.excitation.frequencies or () if CAPTURE * f >= half_rate]
     if beyond:
         limit = f"at most {half_rate / CAPTURE:g} Hz, for {together[0].name} at {2.0 * half_rate:g} samples per second"
-        values = {"expected": f"frequencies of {limit}", "found": f"{beyond[0]:g} Hz"}
-        raise InputError(LINE_ABOVE_SAMPLING, manifest.path, "excitation.frequencies", **values)
+        found, expected = f"{beyond[0]:g} Hz", f"frequencies of {limit}"
+        raise InputError(LINE_ABOVE_SAMPLING, manifest.path, "excitation.frequencies", found=found, expected=expected)
     try:
         if manifest.excitation.frequencies is not None:
             return find_lines(time_s, values, manifest.excitation.frequencies, harmonics)
@@ -336,8 +336,8 @@ def channel_phasors(
         seen = (lines.frequency_hz < rate_hz / 2.0) | (rate_hz >= max(rates_hz))
         if not seen.any():
             expected = f"a sampling rate above {2.0 * lines.frequency_hz.min():g} Hz"
-            values = {"expected": expected, "found": f"{rate_hz:g} Hz"}
-            raise InputError(LINE_ABOVE_SAMPLING, record.entry.file, group[0].name, **values)
+            file, name, found = record.entry.file, group[0].name, f"{rate_hz:g} Hz"
+            raise InputError(LINE_ABOVE_SAMPLING, file, name, found=found, expected=expected)
         units = [manifest.rig.unit_of(channel) for channel in group]
         errors = combine_timing_errors([*base.tie_errors(record.entry.name), *open_lines])
         fitted += _fit_group(base, record, group, units, (lines, seen, errors), shown)

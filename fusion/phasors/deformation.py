@@ -19,7 +19,7 @@ from shaker.sine.normal_equations import SineSums
 from shaker.sine.phasor import Phasors
 from shaker.sine.sine_fit import fit_sines
 from shaker.sine.solve import SineFit, SineModel
-from shakercal._common.notices import Notice
+from shakercal._common.notices import Notice, Value
 
 # Operating deflection shape: phasors of what a body does beside its rigid motion, point by point.
 
@@ -113,7 +113,7 @@ class ShapePhasors:
         for k in np.flatnonzero(self.deforms):
             most = int(np.argmax(np.abs(self.phasors.value[k]) / size[k]))
             frequency_hz = float(self.phasors.frequency_hz[k])
-            values = {
+            values: dict[str, Value] = {
                 "shape": self.phasors.channels[most],
                 "amplitude_nm": 1e9 * float(np.abs(self.phasors.value[k, most])),
                 "u_nm": 1e9 * float(size[k, most]),

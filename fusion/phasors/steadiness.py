@@ -18,7 +18,7 @@ from fusion.phasors.phasor_notices import CUBIC_DISTORTION, HARMONIC_DISTORTION,
 from fusion.phasors.timing import ClockResult
 from shaker.lines.frequencies import LineFrequencies
 from shaker.sine.sine_fit import Stationarity
-from shakercal._common.notices import Notice
+from shakercal._common.notices import Notice, Value
 
 if TYPE_CHECKING:
     from fusion.phasors.stereo_phasors import StereoResult
@@ -139,7 +139,7 @@ def stationarity_notices(changes: Sequence[LineStationarity]) -> tuple[Notice, .
         ):
             if changed:
                 declared, listed = OUTPUT_UNSTEADY if doubts else LINE_UNSTEADY, ", ".join(changed)
-                values = {"quantity": quantity, "frequency_hz": frequency, "changes": listed}
+                values: dict[str, Value] = {"quantity": quantity, "frequency_hz": frequency, "changes": listed}
                 notices.append(Notice(declared, f"{frequency:.6g} Hz", **values))
     return tuple(notices)
 
@@ -312,7 +312,7 @@ def _distortion(
         return
     part = round_to_uncertainty(100.0 * size, 100.0 * coverage_factor(dof) * u, 0)
     output = channel.quantity == "output"
-    values = {
+    values: dict[str, Value] = {
         "frequency_hz": frequency_hz,
         "share": part.value,
         "expanded": part.expanded,

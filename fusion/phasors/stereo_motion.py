@@ -541,6 +541,7 @@ def motion_lines(manifest: Manifest, base: TimeBase, motions: Sequence[StereoMot
     try:
         lines = find_lines(first.sight.time_s, first.motion.pose, excitation.frequencies, excitation.harmonics)
     except ValueError as error:
-        values = {"reason": ARGUMENT.sub("", str(error), count=1), "instruments": f"stereo pair {first.sight.name}"}
-        raise InputError(LINES_NOT_FOUND, manifest.path, "excitation.frequencies", **values) from error
+        reason, pair = ARGUMENT.sub("", str(error), count=1), f"stereo pair {first.sight.name}"
+        key = "excitation.frequencies"
+        raise InputError(LINES_NOT_FOUND, manifest.path, key, reason=reason, instruments=pair) from error
     return base.on_clock(lines, base.sight_errors(first.sight)), first.sight

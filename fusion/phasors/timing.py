@@ -33,7 +33,7 @@ from photogram.images.numbering import FrameNumbers
 from shaker.arrays import BoolArray, FloatArray, IntArray
 from shaker.timebase.tie import ClockTie, edge_instants, tie_clocks
 from shaker.timebase.trigger import PulseWidth, TriggerFit
-from shakercal._common.notices import Notice
+from shakercal._common.notices import Notice, Value
 
 if TYPE_CHECKING:
     from fusion.recording.daq_records import DaqRecord
@@ -301,9 +301,9 @@ class TimeBase:
                 continue
             shares = [widths[daq, name].width_s / self.triggers[daq, name].period_s for daq in (one, other)]
             if abs(sum(shares) - 1.0) < INVERTED and abs(shares[0] - shares[1]) > 4.0 * INVERTED:
-                first = {"first_share": shares[0], "first_block": one}
-                second = {"second_share": shares[1], "second_block": other}
-                yield Notice(INVERTED_TRIGGER, other, trigger=name, **first, **second)
+                blocks = {"first_block": one, "second_block": other}
+                values = {"first_share": shares[0], "second_share": shares[1]}
+                yield Notice(INVERTED_TRIGGER, other, trigger=name, **blocks, **values)
 
     def record(self, daq: str) -> DaqRecord:
         """Return a block by its name."""
@@ -386,8 +386,11 @@ def frame_sight(
         raise InputError(EDGES_AMBIGUOUS, manifest.path, f"{key}.first_edge", found=found, expected=expected)
     first = entry.first_edge or 0
     if first + span > trigger.edges:
-        expected, found = f"at least {first + span} edges in {entry.trigger} for {len(place)} frames", trigger.edges
-        raise InputError(TOO_FEW_EDGES, manifest.path, f"{key}.trigger", found=str(found), expected=expected)
+        expected, edges_found = (
+            f"at least {first + span} edges in {entry.trigger} for {len(place)} frames",
+            trigger.edges,
+        )
+        raise InputError(TOO_FEW_EDGES, manifest.path, f"{key}.trigger", found=str(edges_found), expected=expected)
     elsewhere = []
     if daq == base.records[0].entry.name:
         for other, tie in base.ties.items():
@@ -459,7 +462,12 @@ def frame_edges(
     every = entry.edge_step or 1
     if not first.missing:
         return first.frame_index * every, tuple(notices)
-    values = {"count": frames, "first": first.first, "last": first.last, "missing": str(first.missing)}
+    values: dict[str, Value] = {
+        "count": frames,
+        "first": first.first,
+        "last": first.last,
+        "missing": str(first.missing),
+    }
     if every * last < edges:
         notice = Notice(FRAME_NUMBER_GAP, entry.stereo, assignment="their numbers", **values)
         return first.frame_index * every, (*notices, notice)

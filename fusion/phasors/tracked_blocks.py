@@ -96,8 +96,8 @@ class TrackedBlocks:
             self._held.flush()
         except OSError as error:
             reason = (error.strerror or str(error)).lower()
-            values = {"first": frames.start, "last": frames.stop - 1, "reason": reason}
-            raise ComputeError(STORAGE_FULL, pair=self._sight, **values) from error
+            first, last = frames.start, frames.stop - 1
+            raise ComputeError(STORAGE_FULL, pair=self._sight, first=first, last=last, reason=reason) from error
         self._places[frames] = start, len(content)
 
     def __iter__(self) -> Iterator[FollowedBlock]:

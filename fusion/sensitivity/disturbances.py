@@ -24,7 +24,7 @@ from fusion.sensitivity.sensitivity_notices import (
     TEMPERATURE_NOT_ASSESSED,
 )
 from shaker.arrays import ComplexArray
-from shakercal._common.notices import Notice
+from shakercal._common.notices import Notice, Value
 
 if TYPE_CHECKING:
     from fusion.recording.environment import Environment
@@ -204,7 +204,12 @@ def unstated_chain(
     if abs(turn) > max(MIN_LAG_RAD, MIN_LAG_U * seen.u_phase_rad):
         hertz = float(found.frequency_hz[line])
         lag_us = 1e6 * abs(turn) / (2 * np.pi * hertz)
-        values = {"output": entry.name, "lag_mrad": 1e3 * abs(turn), "frequency_hz": hertz, "lag_us": lag_us}
+        values: dict[str, Value] = {
+            "output": entry.name,
+            "lag_mrad": 1e3 * abs(turn),
+            "frequency_hz": hertz,
+            "lag_us": lag_us,
+        }
         if -MAX_LAG_RAD < turn < 0.0:
             yield Notice(OUTPUT_LAGS, "sensitivity", **values)
         else:

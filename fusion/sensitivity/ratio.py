@@ -33,7 +33,7 @@ from fusion.sensitivity.moving_body import Body
 from fusion.sensitivity.sensitivity_notices import MASS_DOUBTED, OUTPUT_CONTRADICTS
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, brief, check_shape
 from shaker.labels import LOAD_COMPONENTS
-from shakercal._common.notices import Notice
+from shakercal._common.notices import Notice, Value
 
 if TYPE_CHECKING:
     from fusion.recording.rig import Sensor
@@ -546,7 +546,7 @@ def mass_notices(element: str, ratio: complex, frequency_hz: float) -> Iterator[
         if natural_hz > SOFTEST_HZ:
             return
         resonance = f"as with a resonance at {natural_hz:.3g} Hz"
-    values = {"factor": size, "frequency_hz": frequency_hz, "resonance": resonance}
+    values: dict[str, Value] = {"factor": size, "frequency_hz": frequency_hz, "resonance": resonance}
     yield Notice(MASS_DOUBTED, "sensitivity", element=element, **values)
 
 

@@ -29,6 +29,7 @@ from scipy.optimize import brentq
 from scipy.stats import binom, chi2, f, ncf, ncx2, t
 from support import region_distance
 
+from fusion.estimation.estimation_notices import INSTRUMENTS_DISAGREE, INSTRUMENTS_DISPUTED, SINGLE_ERROR_NOT_ASSESSED
 from fusion.estimation.fuse import INCONSISTENCY, Acceleration, fuse, fuse_sources, untested
 from fusion.estimation.instrument_consistency import as_stated, explanations, missing_covariance, suspicion
 from fusion.estimation.least_squares import build_system, solve
@@ -37,6 +38,7 @@ from fusion.estimation.uncertainty import as_complex
 from fusion.estimation.variance_components import Contrasts, EstimatedNoise, variance_components
 from fusion.sensitivity.load_phasors import load_phasors
 from fusion.sensitivity.moving_body import Body, make_moving_part
+from shakercal._common.notices import Notice
 
 TURN_RAD = 5e-3
 
@@ -51,8 +53,8 @@ def error(result: Acceleration, component: int, truth: np.ndarray = TRUTH) -> fl
     return float(abs(result.phasors.value[0, component] - truth[0, component]))
 
 
-def warning(result: Acceleration) -> str:
-    return next(notice.text for notice in result.notices if notice.severity == "warning")
+def warning(result: Acceleration) -> Notice:
+    return next(notice for notice in result.notices if notice.severity == "warning")
 
 
 def scattered(noise: float, count: int, seed: int) -> tuple[Contrasts, float]:
@@ -154,8 +156,6 @@ def test_axial_beams_alone_do_not_test_a_turn_and_the_result_says_so():
     assert (row.component, row.u, row.unit) == ("x", 5e-4, "rad")
     assert row.share > 0.9
     assert row.relative == pytest.approx(5e-4 * 189.0 / abs(result.phasors.value[0, 0]), rel=1e-3)
-    (text,) = (notice.text for notice in result.notices if "not tested" in notice.text)
-    assert "stereo top: pose rotation y (100% of the variance of x)" in text
 
 
 def test_where_instruments_agree_fused_is_no_worse_than_the_best_of_them():
@@ -330,14 +330,13 @@ def test_two_instruments_thirty_per_cent_apart_give_both_values_and_no_mean(wron
     assert fused.disputed[0, 2]
     assert {one.suspect for one in fused.explanations} == {"stereo top", "p0"}
     assert all(one.gross for one in fused.explanations)
-    text = warning(fused)
-    assert "nothing decides, so no mean is given" in text
-    assert "; gross error or wrong statement: " in text
-    assert "U was enlarged" not in text
+    notice = warning(fused)
+    assert notice.code == INSTRUMENTS_DISPUTED.code
+    assert notice.values["components"] == "z"
+    assert "gross" in notice.values["causes"]
     assert single[0].phasors.value[0, 2].real == pytest.approx(189.0 * (1.3 if wrong == 0 else 1.0), rel=2e-3)
     load = load_phasors(fused, Body((make_moving_part("cube", 1.0, (0.0, 0.0, 0.03), np.eye(3) * 1e-3),)))
     assert not load.observed.any()
-    assert any("no load, and no sensitivity" in notice.text for notice in load.notices)
 
 
 def test_both_values_of_a_dispute_are_told_with_their_u():
@@ -497,8 +496,9 @@ def test_what_five_u_of_one_point_of_a_circle_move_beyond_u_is_told(count, compo
         moved = 5.0 * np.sqrt((1.0 if one.component == "z" else 2.0) / count) / REGION
         assert one.shift == pytest.approx(moved, rel=1e-3)
     assert {one.channel for one in result.unnoticed if one.component == "ry"} == {"p0", f"p{count // 2}"}
-    (told,) = (notice for notice in result.notices if "one channel alone" in notice.text)
-    assert f"ry (up to {5.0 * np.sqrt(2.0 / count) / REGION:.2g} U: p0, p{count // 2})" in told.text
+    (notice,) = (notice for notice in result.notices if notice.code == SINGLE_ERROR_NOT_ASSESSED.code)
+    assert notice.values["limit"] == 5.0
+    assert f"{5.0 * np.sqrt(2.0 / count) / REGION:.2g} U (p0, p{count // 2})" in notice.possible_size
 
 
 def test_an_error_that_the_test_sees_is_not_unnoticed():
@@ -586,7 +586,8 @@ def test_the_cause_of_a_contradiction_is_named_where_noise_was_estimated():
     for trial in range(60):
         stereo, *others = estimated(trial, 8)
         result = fuse([rotated_frame(stereo, 1, 3.5e-3), *others])
-        named += ["pose rotation y would have to be" in n.text for n in result.notices if "disagree" in n.text]
+        causes = [n.values["causes"] for n in result.notices if n.code == INSTRUMENTS_DISAGREE.code]
+        named += ["pose rotation y" in text for text in causes]
     assert len(named) > 10
     assert np.mean(named) > 0.9
 
