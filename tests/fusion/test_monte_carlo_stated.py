@@ -17,6 +17,7 @@ from fusion.sensitivity.analyse import Analysis, Inputs
 from fusion.sensitivity.distributions import MonteCarlo, Propagated
 from fusion.sensitivity.monte_carlo import propagate
 from fusion.sensitivity.recording_evaluation import evaluate_recording
+from fusion.sensitivity.sensitivity_notices import FIRST_ORDER_TOO_SMALL
 from fusion.simulate.sines import driven, rendered_run, write_run
 from fusion.simulate.violations import violations
 from fusion.simulate.world import Draws, make_world
@@ -138,7 +139,7 @@ def test_draws_of_all_that_is_stated_agree_with_first_order_or_it_is_said_where_
     _, _, drawn = propagated
     results = {result.name: result for result in drawn.results}
     assert set(DRIVEN) <= set(results)
-    told = " ".join(notice.text for notice in drawn.notices if notice.severity == "warning")
+    told = " ".join(n.values["quantities"] for n in drawn.notices if n.code == FIRST_ORDER_TOO_SMALL.code)
     for name, result in results.items():
         for place, element in enumerate(result.elements):
             both = (result.magnitude, result.phase)

@@ -30,6 +30,13 @@ from take_factory import (
 from fusion.cli import main
 from fusion.commands.options import EXIT_DONE
 from fusion.instruments.transducer import unit_direction
+from fusion.phasors.phasor_notices import (
+    HARMONIC_UNRESOLVED,
+    LARGE_REFERENCE_DRIFT,
+    REFERENCE_DRIFT,
+    TAKE_FREQUENCY_DIFFERS,
+    TAKES_SCATTER,
+)
 from fusion.planning.check import check
 from fusion.recording.daq_records import read_set_ups
 from fusion.recording.load import load_manifest
@@ -91,8 +98,10 @@ def test_the_drift_between_takes_is_part_of_the_uncertainty(eight):
     drift = [take.drift[0] for take in eight.set_ups]
     assert drift[0] == 0.0
     assert np.std(drift) == pytest.approx(0.005, rel=0.6)
-    told = [notice for notice in eight.notices if "level is made good" in notice.text]
-    assert {notice.where for notice in told} == {t.name for t in eight.set_ups if abs(t.drift[0]) > 1e-3}
+    codes = REFERENCE_DRIFT.code, LARGE_REFERENCE_DRIFT.code
+    assert {notice.where for notice in eight.notices if notice.code in codes} == {
+        t.name for t in eight.set_ups if abs(t.drift[0]) > 1e-3
+    }
 
 
 def test_output_of_all_takes_is_one_and_gives_the_sensitivity(eight):
@@ -163,16 +172,19 @@ def test_a_channel_in_every_take_is_one_reading_and_its_scatter_counts(tmp_path)
     u = np.sqrt(found.outputs.uncertainty.random[0].covariance[0, 0, 0]) / abs(found.outputs.phasors.value[0, 0])
     assert u * np.sqrt(2.0) == pytest.approx(np.std(gains, ddof=1) / np.sqrt(5.0), rel=0.05)
     assert found.outputs.uncertainty.random[0].dof[0] == pytest.approx(4.0, rel=0.01)
-    assert any(notice.where == "Fz" and "differs from take to take by" in notice.text for notice in found.notices)
+    assert ("Fz", TAKES_SCATTER.code) in {(notice.where, notice.code) for notice in found.notices}
 
 
 def test_a_large_drift_and_another_frequency_are_warnings(tmp_path):
     rng = np.random.default_rng(3)
     shots = [Shot(POINTS[:1]), Shot(POINTS[1:2], 1.05), Shot(POINTS[2:3], frequency_hz=FREQUENCY_HZ * 1.0005)]
     found = evaluated(write_takes(tmp_path, shots, rng, harmonics=[1]))
-    told = {notice.where: notice.text for notice in found.notices if notice.severity == "warning"}
-    assert "take 2: the reference drive reads +5 %" in told["take 2"]
-    assert "take 3: driven at 106.3038 Hz, in the first take at 106.251 Hz" in told["take 3"]
+    notices = {(notice.where, notice.code): notice for notice in found.notices}
+    drift = notices["take 2", LARGE_REFERENCE_DRIFT.code]
+    assert drift.values["reference"] == "drive"
+    assert drift.values["drift_percent"] == pytest.approx(5.0, rel=1e-2)
+    frequency = notices["take 3", TAKE_FREQUENCY_DIFFERS.code]
+    assert frequency.values["frequency_hz"] / frequency.values["first_hz"] == pytest.approx(1.0005, abs=2e-6)
 
 
 def _without_reference(folder: Path) -> None:
@@ -241,7 +253,8 @@ def test_a_harmonic_that_folds_in_one_take_is_left_out_of_all(tmp_path):
     slow = Shot(POINTS[1:2], rate_hz=4.0 * FREQUENCY_HZ, samples=1200)
     found = evaluated(write_takes(tmp_path, [Shot(POINTS[:1], harmonics=HARMONICS), slow], np.random.default_rng(2)))
     assert found.lines.multiple.tolist() == [1]
-    assert any("harmonic 3 of 106.25 Hz is left out: take 2 cannot tell it" in notice.text for notice in found.notices)
+    (notice,) = (notice for notice in found.notices if notice.code == HARMONIC_UNRESOLVED.code)
+    assert (notice.values["take"], notice.values["order"], notice.values["fundamental_hz"]) == ("take 2", 3, 106.25)
 
 
 def test_an_output_can_be_the_reference_and_its_noise_then_cancels_in_the_ratio(tmp_path):

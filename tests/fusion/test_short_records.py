@@ -6,7 +6,6 @@ of its rate is that of the fit.
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,6 +17,7 @@ from scipy.stats import binom
 from fusion.estimation.coverage import polar
 from fusion.estimation.measurement_model import Deviates
 from fusion.estimation.uncertainty import Contribution, Uncertainty, real_stack
+from fusion.phasors.phasor_notices import HARMONIC_WITHOUT_FUNDAMENTAL, PERIODIC_JITTER, SHORT_BEAT
 from fusion.phasors.stereo_motion import StereoMotion
 from fusion.phasors.stereo_phasors import StereoPhasors, pairs_phasors, stereo_phasors
 from fusion.phasors.timing import TimeBase, combine_timing_errors, frame_sight
@@ -153,7 +153,7 @@ def test_errors_of_a_clock_act_through_the_fit():
 def test_short_records_err_as_they_state(beats):
     share, seen = held_over(beats, 40, 0.3, 1)
     assert share.min() >= binom.ppf(1e-3 / 12, 40, 0.95) / 40
-    told = [any("of a beat" in notice.text for notice in pair.notices) for pair in seen]
+    told = [any(notice.code == SHORT_BEAT.code for notice in pair.notices) for pair in seen]
     assert np.mean(told) > 0.5 if beats < 1.0 else not any(told)
 
 
@@ -164,8 +164,10 @@ def test_less_than_a_third_of_a_beat_is_left_out_with_its_harmonics():
     found, notices, unfitted = pairs_phasors(base, [measured], known_lines(LINE_HZ, 0.0), (), None)
     assert not found
     assert not unfitted
-    assert any("folds to 0.5022 Hz" in notice.text for notice in notices)
-    assert any("212.5 Hz is dropped with its fundamental" in notice.text for notice in notices)
+    pair = f"stereo pair {measured.sight.name}"
+    assert any("0.5022 Hz" in notice.text for notice in notices if notice.where.startswith(pair))
+    harmonics = [notice.where for notice in notices if notice.code == HARMONIC_WITHOUT_FUNDAMENTAL.code]
+    assert harmonics == [f"{pair}, 212.5 Hz"]
 
 
 @pytest.mark.slow
@@ -253,10 +255,10 @@ def test_periodic_jitter_is_told_with_what_it_does() -> None:
     ):
         base = time_base({("daq", "camera"): latched(even + jitter, DAQ_HZ)})
         seen = stereo_phasors(base, seen_pair(base, recorded(truth, even + jitter, rng)), known_lines(LINE_HZ, 1e-6))
-        told[name] = [notice.text for notice in seen.notices if "equal distances" in notice.text]
+        told[name] = [notice for notice in seen.notices if notice.code == PERIODIC_JITTER.code]
         off = abs(seen.reading.phasors.value[0, 2] / truth[0, 2] - 1.0)
         if name == "periodic":
-            said = float(re.findall(r"change that line by ([\d.]+) %", told[name][0])[0]) / 100.0
+            said = told[name][0].values["change_percent"] / 100.0
             assert off == pytest.approx(np.pi * LINE_HZ * late_s, rel=0.6)  # some of it is seen of the edges
             assert said == pytest.approx(np.pi * LINE_HZ * late_s, rel=0.3)
     assert not told["quartz"]
