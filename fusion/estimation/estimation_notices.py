@@ -57,7 +57,7 @@ INSTRUMENTS_DISPUTED = DeclaredNotice(
     "warning",
     "The instruments disagree (χ² {chi2:.3g}, {dof} degrees of freedom): {suspects}.",
     effect="The data cannot show which instrument is wrong, so {components} and the load have no value. "
-    "The others agree without {agreeing}. Possible causes: {causes}. Without each suspect, {values}.",
+    "The others agree without {agreeing}. Possible causes: {causes}. Alternatives: {values}.",
     remedy="Check {checks} of these instruments.",
     acknowledgeable=False,
 )

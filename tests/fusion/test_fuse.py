@@ -149,7 +149,7 @@ def test_placement_errors_are_those_of_a_channel_really_misplaced():
 
 def test_clock_tie_alone_does_not_count_as_a_stated_uncertainty():
     item = reading()
-    tied = replace(item, further=delay_errors("clock bridge: time", item.phasors.frequency_hz, 1e-6))
+    tied = replace(item, further_errors=delay_errors("clock bridge: time", item.phasors.frequency_hz, 1e-6))
     (observation,) = observe_channels([tied], clock_uncertainty=1e-6)
     assert [error.name for error in observation.common] == ["clock bridge: time", "clock rate"]
     assert not observation.stated

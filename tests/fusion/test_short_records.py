@@ -143,10 +143,12 @@ def test_errors_of_a_clock_act_through_the_fit():
         late_s, stretch = unknown.offset_s + unknown.rate * time_s, np.ravel(unknown.stretch)[0]
         again = fit_sines(time_s + late_s, pose, LINE_HZ * np.ones(1) * (1.0 + stretch), list("abcdef"), ["m"] * 6)
         change = again.phasors.value[0] / np.sinc(LINE_HZ * EXPOSURE_S) - value
-        first = (error.effect[0] - 2.0 * stretch) * value + error.rest[0]  # as an acceleration it errs by 2 u(f)/f more
+        first = (error.effect[0] - 2.0 * stretch) * value + error.additive[
+            0
+        ]  # as an acceleration it errs by 2 u(f)/f more
         np.testing.assert_allclose(first, change, rtol=0.01, atol=0.01 * np.abs(change).max())
     # Less than a beat makes amplitude of a rate: many times what the noise does.
-    assert abs(found.reading.errors[1].rest[0, 2]) > 2e-4 * SIZE[2]
+    assert abs(found.reading.errors[1].additive[0, 2]) > 2e-4 * SIZE[2]
 
 
 @pytest.mark.parametrize("beats", [0.46, 2.0])
@@ -191,7 +193,7 @@ def test_a_line_found_in_the_motion_is_on_the_clock_of_its_trigger():
     assert rate.rate + float(rate.stretch) == 0.0
     seen = stereo_phasors(base, measured, found, base.line_errors(found, clock))
     (error,) = (e for e in seen.reading.errors if e.name == "camera: rate")
-    assert np.all(error.rest == 0.0)
+    assert np.all(error.additive == 0.0)
     (own,) = (e for e in seen.reading.errors if e.name.startswith("frequency"))
     assert own.u < found.u_frequency_hz[0]
 

@@ -119,7 +119,7 @@ def test_pairs_of_another_support_are_left_as_they_are():
     load = pair("top", "load", np.full(6, 1.0 + 0j), spread, CAMERAS, SCALES["pair"])
     alone = pair("side", "load", np.full(6, 1.0 + 0j), spread, CAMERAS, SCALES["pair"])
     other = alone.geometry.pair.model_copy(update={"support": None})
-    alone = type(alone.geometry)("side", other, alone.phasors).observed()
+    alone = type(alone.geometry)("side", other, alone.phasors).observation()
     (corrected, same), _, _ = without_supports([room, load, alone], None)
     assert same is alone
     assert corrected is not load
