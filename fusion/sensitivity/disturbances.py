@@ -57,15 +57,15 @@ def at_reference_temperature(outputs: Outputs, sensor: Sensor, environment: Envi
     warmer = temperature - sensor.reference_temperature
     factor = 1.0 / (1.0 + alpha * warmer)
     value = outputs.phasors.value * factor
-    known = outputs.uncertainty.scaled(np.full(value.shape, factor, dtype=np.complex128))
+    scaled = outputs.uncertainty.scaled(np.full(value.shape, factor, dtype=np.complex128))
     label = "temperature of the sensor"
     u_alpha, u_temperature = sensor.temperature_coefficient_uncertainty, environment.sensor_temperature_uncertainty
     unknowns = (
         Unknown(f"{label}: coefficient", label, u_alpha, "1/K", -factor * warmer * u_alpha * value, "rig"),
         Unknown(label, label, u_temperature, "K", -factor * alpha * u_temperature * value, "recording"),
     )
-    own = [unknown.acting(real_stack(unknown.effect)) for unknown in unknowns if np.any(unknown.effect)]
-    uncertainty = Uncertainty(known.random, added_up([*known.influences, *own]))
+    influences = [unknown.acting(real_stack(unknown.effect)) for unknown in unknowns if np.any(unknown.effect)]
+    uncertainty = Uncertainty(scaled.random, added_up([*scaled.influences, *influences]))
     phasors = replace(outputs.phasors, value=value, covariance=uncertainty.covariance)
     return replace(outputs, phasors=phasors, uncertainty=uncertainty)
 
@@ -81,17 +81,17 @@ def with_base_strain(outputs: Outputs, sensor: Sensor, environment: Environment)
     if not sensitivity or not strain:
         return outputs
     label, shape = "strain of the sensor's foot", outputs.phasors.value.shape
-    own = []
-    for place, channel in enumerate(outputs.phasors.channels):
+    influences = []
+    for index, channel in enumerate(outputs.phasors.channels):
         for part, turn in (("in phase", 1.0), ("in quadrature", 1.0j)):
             effect: ComplexArray = np.zeros(shape, dtype=np.complex128)
-            effect[:, place] = turn * sensitivity * strain / 2.0
+            effect[:, index] = turn * sensitivity * strain / 2.0
             unknown = Unknown(f"{label}: {channel}, {part}", label, strain / 2.0, "m/m", effect, "mounting")
-            own.append(unknown.acting(real_stack(effect)))
-    known = outputs.uncertainty
-    uncertainty = Uncertainty(known.random, added_up([*known.influences, *own]))
+            influences.append(unknown.acting(real_stack(effect)))
+    earlier = outputs.uncertainty
+    uncertainty = Uncertainty(earlier.random, added_up([*earlier.influences, *influences]))
     phasors = replace(outputs.phasors, covariance=uncertainty.covariance)
-    return Outputs(phasors, uncertainty, tuple(one.name for one in own))
+    return Outputs(phasors, uncertainty, tuple(one.name for one in influences))
 
 
 def with_support_motion(
@@ -110,14 +110,14 @@ def with_support_motion(
 
     def shaken(observation: Observation) -> Observation:
         none: ComplexArray = np.zeros_like(observation.phasors.value)
-        open_ = np.array([member not in measured for member in observation.members])
-        rows: ComplexArray = observation.design * open_[:, None]
+        affected = np.array([member not in measured for member in observation.members])
+        rows: ComplexArray = observation.design * affected[:, None]
         parts = ("in phase", 1.0), ("in quadrature", 1.0j)
-        own = [
+        errors = [
             CommonError(f"{label}, {observation.body}, {part}", label, u, "1", "mounting", turn * u * rows, none)
             for part, turn in parts
         ]
-        return replace(observation, common=(*observation.common, *own)) if open_.any() else observation
+        return replace(observation, common=(*observation.common, *errors)) if affected.any() else observation
 
     return tuple(shaken(o) if o.kind in OPTICAL else o for o in observations)
 
@@ -183,17 +183,17 @@ def unstated_chain(
     Far below its resonance a sensor hardly turns the phase. Filters of amplifiers and delays of converters turn it in
     proportion to the frequency. `component`: of the driven load; its lowest line is used.
     """
-    places = [e for e, (_, j) in enumerate(found.elements) if j == component] if found is not None else []
-    if found is None or not places:
+    indices = [e for e, (_, j) in enumerate(found.elements) if j == component] if found is not None else []
+    if found is None or not indices:
         return
-    value = found.value[:, [found.elements[e][0] for e in places], component]
+    value = found.value[:, [found.elements[e][0] for e in indices], component]
     driven = [k for k, kind in enumerate(found.kind) if kind != "harmonic" and np.isfinite(value[k]).any()]
     if not driven:
         return
     line = min(driven, key=lambda k: float(found.frequency_hz[k]))
     main = int(np.nanargmax(np.abs(value[line])))
-    entry = next((e for e in entries if e.channel == found.channels[found.elements[places[main]][0]]), None)
-    seen = polar_elements(value[[line]], found.uncertainty.at([*places]).at_lines([line]))[0][main]
+    entry = next((e for e in entries if e.channel == found.channels[found.elements[indices[main]][0]]), None)
+    seen = polar_elements(value[[line]], found.uncertainty.at([*indices]).at_lines([line]))[0][main]
     if entry is None or seen is None:
         return
     if not signed and abs(seen.phase_rad) > np.pi / 2.0:

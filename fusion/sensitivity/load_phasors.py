@@ -119,14 +119,14 @@ def load_phasors(acceleration: Acceleration, body: Body) -> LoadResult:
     frequency = acceleration.phasors.frequency_hz
     # At a line without any reading nothing is known, neither what is zero nor how uncertain it is; nor is it where
     # instruments dispute a component, which is neither zero nor small.
-    known_lines = np.any(acceleration.observed, axis=1)
+    determined = np.any(acceleration.observed, axis=1)
     if acceleration.disputed is not None:
-        known_lines = known_lines & ~np.any(acceleration.disputed, axis=1)
-    seen = np.where(known_lines, 1.0, np.nan)[:, None, None]
+        determined = determined & ~np.any(acceleration.disputed, axis=1)
+    seen = np.where(determined, 1.0, np.nan)[:, None, None]
     matrix = seen * body.load_matrix(frequency)
     changes = [replace(change, effect=seen * change.effect) for change in body.matrix_changes(frequency)]
-    known = np.nan_to_num(acceleration.phasors.value)
-    value = np.einsum("kij,kj->ki", matrix, known)
+    motion = np.nan_to_num(acceleration.phasors.value)
+    value = np.einsum("kij,kj->ki", matrix, motion)
     value = np.where(_reached(acceleration, matrix, changes), complex(np.nan, np.nan), value)
     hidden = _hidden_contributions(acceleration, matrix, changes)
     spread = np.sum([np.zeros(value.shape), *(total_variance(part.covariance) for part in hidden.values())], axis=0)
@@ -134,12 +134,12 @@ def load_phasors(acceleration: Acceleration, body: Body) -> LoadResult:
     # What is not observed has contributions of its own, with what it does to the rest in them.
     others = tuple(part for part in acceleration.uncertainty.random if part.label not in UNOBSERVED_ITSELF)
     carried = replace(acceleration.uncertainty, random=others).nan_as_zero().transformed(real_design(matrix))
-    own = tuple(c.acting(real_stack(np.einsum("kij,kj->ki", c.effect, known))) for c in changes)
+    of_parameters = tuple(c.acting(real_stack(np.einsum("kij,kj->ki", c.effect, motion))) for c in changes)
     # What is elastic acts on instruments and load by one name.
-    total = Uncertainty((*carried.random, *hidden.values()), added_up((*carried.influences, *own)))
-    rigid = np.einsum("kij,kj->ki", seen * body.rigid.load_matrix(frequency), known)
+    total = Uncertainty((*carried.random, *hidden.values()), added_up((*carried.influences, *of_parameters)))
+    rigid = np.einsum("kij,kj->ki", seen * body.rigid.load_matrix(frequency), motion)
     moved = {influence.name for influence in carried.influences}
-    both = tuple(c.name for c in own if c.name in moved) or None
+    both = tuple(c.name for c in of_parameters if c.name in moved) or None
     result = LoadResult(frequency, value, total, observed, (), both)
     notices = (
         *_notices(acceleration, total, value, observed, hidden),
@@ -151,8 +151,8 @@ def load_phasors(acceleration: Acceleration, body: Body) -> LoadResult:
 def _reached(acceleration: Acceleration, matrix: ComplexArray, changes: Sequence[Unknown[ComplexArray]]) -> BoolArray:
     """Return which components of the load (K, 6) a motion changes that nobody observes and nothing bounds."""
     unbounded = np.isinf(acceleration.unobserved_amplitude)[:, None, :]
-    ways = (matrix, *(change.effect for change in changes))
-    return np.asarray(np.any([np.any((way != 0.0) & unbounded, axis=2) for way in ways], axis=0))
+    matrices = (matrix, *(change.effect for change in changes))
+    return np.asarray(np.any([np.any((one != 0.0) & unbounded, axis=2) for one in matrices], axis=0))
 
 
 def _hidden_contributions(
@@ -165,13 +165,13 @@ def _hidden_contributions(
     amplitude = acceleration.unobserved_amplitude
     u = np.where(np.isinf(amplitude), 0.0, amplitude) / np.sqrt(2.0)
     # Through the uncertain parameters an unobserved component acts even where its coefficient is zero.
-    ways = np.stack([matrix, *(c.effect for c in changes)])
+    matrices = np.stack([matrix, *(c.effect for c in changes)])
     leaked = np.zeros((len(u), 12, 12)) if acceleration.leaked is None else real_design(matrix) @ acceleration.leaked
     hidden = {}
-    for place, (name, label) in enumerate(zip(MOTION_COMPONENTS, UNOBSERVED_ITSELF, strict=True)):
-        if np.any(u[:, place] > 0.0):
-            columns = real_design(ways[..., place, None]) * u[:, place, None, None]
-            columns[0] -= leaked[:, :, [place, place + 6]]
+    for index, (name, label) in enumerate(zip(MOTION_COMPONENTS, UNOBSERVED_ITSELF, strict=True)):
+        if np.any(u[:, index] > 0.0):
+            columns = real_design(matrices[..., index, None]) * u[:, index, None, None]
+            columns[0] -= leaked[:, :, [index, index + 6]]
             hidden[name] = Contribution(label, "B", np.einsum("wkia,wkja->kij", columns, columns))
     return hidden
 
@@ -190,8 +190,8 @@ def _notices(
     if hidden and given[line, largest] > 0.0:
         whole = float(total_variance(total.covariance)[line, largest])
         # What reaches the load directly, and what uncertain directions let into the observed components.
-        ways = [*hidden.values(), *(part for part in total.random if part.label == UNOBSERVED)]
-        part = float(sum(total_variance(way.covariance)[line, largest] for way in ways))
+        contributions = [*hidden.values(), *(part for part in total.random if part.label == UNOBSERVED)]
+        part = float(sum(total_variance(one.covariance)[line, largest] for one in contributions))
         if part > 0.0:
             share, size = part / whole, np.sqrt(part / 2.0) / np.abs(value[line, largest])
             declared = UNOBSERVED_MOTION_LARGE if share > MATTERS else UNOBSERVED_MOTION_ASSUMED
@@ -205,7 +205,7 @@ def _notices(
                 "share": share,
             }
             notices.append(Notice(declared, acceleration.body, **values))
-    missing = [name for place, name in enumerate(LOAD_COMPONENTS) if not np.any(observed[:, place])]
+    missing = [name for index, name in enumerate(LOAD_COMPONENTS) if not np.any(observed[:, index])]
     if missing:
         notices.append(Notice(LOAD_UNDETERMINED, "load", components=", ".join(missing)))
     return tuple(notices)
@@ -215,8 +215,8 @@ def _describe_driven(acceleration: Acceleration, line: int) -> str:
     """Return the limits of the unobserved components that are driven at a line; empty if there are none."""
     drive, amplitude = acceleration.unseen.drive or (0.0,) * 6, acceleration.unobserved_amplitude[line]
     units = ("m/s^2",) * 3 + ("rad/s^2",) * 3
-    own = zip(MOTION_COMPONENTS, drive, amplitude.tolist(), units, strict=True)
-    parts = [f"{name} up to {size:.3g} {unit}" for name, part, size, unit in own if part and 0.0 < size < np.inf]
+    rows = zip(MOTION_COMPONENTS, drive, amplitude.tolist(), units, strict=True)
+    parts = [f"{name} up to {size:.3g} {unit}" for name, part, size, unit in rows if part and 0.0 < size < np.inf]
     return f", and by excitation.direction {', '.join(parts)}" if parts else ""
 
 
@@ -384,12 +384,12 @@ def budget(uncertainty: Uncertainty, value: ComplexArray) -> tuple[BudgetEntry, 
     for part in relative.grouped():
         variance = np.maximum(part.covariance.diagonal(axis1=1, axis2=2), 0.0)
         both = np.sqrt(variance).reshape(len(value), 2, -1).swapaxes(0, 1)
-        own = unknowns.get(part.label, [])
+        members = unknowns.get(part.label, [])
         # What the unknowns of one label have in common; one alone has a sign.
-        stated = {(influence.u, influence.unit) for influence in own}
+        stated = {(influence.u, influence.unit) for influence in members}
         u, unit = stated.pop() if len(stated) == 1 else (np.nan, "")
-        signed = own[0].effect.reshape(len(value), 2, -1).swapaxes(0, 1) if len(own) == 1 else both
+        signed = members[0].effect.reshape(len(value), 2, -1).swapaxes(0, 1) if len(members) == 1 else both
         coefficient = np.asarray(signed / u) if u > 0.0 else np.full(both.shape, np.nan)
         dof = np.full(len(value), np.inf) if part.dof is None else part.dof
-        entries.append(BudgetEntry(part.label, part.type, len(own), u, unit, coefficient, both[0], both[1], dof))
+        entries.append(BudgetEntry(part.label, part.type, len(members), u, unit, coefficient, both[0], both[1], dof))
     return tuple(entries)

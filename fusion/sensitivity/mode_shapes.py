@@ -54,8 +54,8 @@ class _Chosen:
     def of(cls, table: Elastic) -> _Chosen:
         """Choose of a table the modes whose surface is known, of a drawing the first along and across its axis."""
         if table.shape == "modes":
-            known = [number for number, mode in enumerate(table.mode) if mode.surface is not None]
-            return cls(table, tuple(known), tuple(f"mode {number + 1}" for number in known))
+            numbers = [number for number, mode in enumerate(table.mode) if mode.surface is not None]
+            return cls(table, tuple(numbers), tuple(f"mode {number + 1}" for number in numbers))
         which, labels, start = list[int](), list[str](), 0
         for kind, modes in elastic_body(table).families().items():
             sides = {"axial": 1, "bending": 2}.get(kind, 0)
@@ -101,12 +101,12 @@ class _Chosen:
             return np.array([np.linalg.norm(rows[:, 3:], axis=1).max() for _, rows in self.surfaces])
         shape = elastic_body(self.table)
         if isinstance(shape, Rod):
-            places = shape.foot_m + np.linspace(0.0, shape.length_m, 9)[:, None] * shape.axis
+            positions = shape.foot_m + np.linspace(0.0, shape.length_m, 9)[:, None] * shape.axis
         else:
             angle, sides = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False), np.array(perpendicular_axes(shape.axis))
             around = np.column_stack([np.cos(angle), np.sin(angle)]) @ sides
-            places = shape.foot_m + shape.diameter_m / 2.0 * around
-        return np.asarray(np.linalg.norm(self.displacement(places), axis=2).max(axis=1))
+            positions = shape.foot_m + shape.diameter_m / 2.0 * around
+        return np.asarray(np.linalg.norm(self.displacement(positions), axis=2).max(axis=1))
 
 
 def _between(surface: FloatArray, points_m: FloatArray) -> FloatArray:
@@ -118,10 +118,10 @@ def _between(surface: FloatArray, points_m: FloatArray) -> FloatArray:
 
     middle = surface[:, :3].mean(axis=0)
     plane = np.linalg.svd(surface[:, :3] - middle, full_matrices=False)[2][:2].T
-    moved, known = np.full(points_m.shape, np.nan), np.isfinite(points_m).all(axis=1)
+    moved, finite = np.full(points_m.shape, np.nan), np.isfinite(points_m).all(axis=1)
     neighbours = min(NEIGHBOURS, len(surface))
     spline = RBFInterpolator((surface[:, :3] - middle) @ plane, surface[:, 3:], neighbors=neighbours)
-    moved[known] = spline((points_m[known] - middle) @ plane)
+    moved[finite] = spline((points_m[finite] - middle) @ plane)
     return moved
 
 
@@ -200,22 +200,22 @@ def with_measured_modes(
     """
     if body is None:
         return None, ()
-    parts, told = {part.name: part for part in body.elastic}, list[Notice]()
+    parts, contradictions = {part.name: part for part in body.elastic}, list[Notice]()
     for pair in stereo:
         shapes = mode_shapes(load, pair.name) if pair.body == "load" else None
         if shapes is None or pair.shapes is None or pair.shapes.phasors.channels != shapes.names:
             continue
         chosen = {part.table.name: np.array(part.which, dtype=np.int64) for part in shapes.parts}
-        nothing, start = np.zeros(0, np.int64), 0
-        seen = _Seen.of(pair, [(part, chosen.get(name, nothing)) for name, part in parts.items()])
+        none, start = np.zeros(0, np.int64), 0
+        seen = _Seen.of(pair, [(part, chosen.get(name, none)) for name, part in parts.items()])
         for one in shapes.parts:
             columns = np.arange(start, start + len(one.which))
             start += len(one.which)
             name = one.table.name
             size = one.size / np.sqrt([one.table.mode[n].modal_mass if one.table.mode else 1.0 for n in one.which])
             parts[name], notices = _measured(parts[name], chosen[name], seen, columns, size)
-            told += notices
-    return replace(body, elastic=tuple(parts.values())), tuple(told)
+            contradictions += notices
+    return replace(body, elastic=tuple(parts.values())), tuple(contradictions)
 
 
 def _measured(
@@ -242,8 +242,8 @@ def _measured(
 
     variants = [replace(v, above=carrying(v.above), below=carrying(v.below)) for v in part.variants]
     label = f"elastic {part.name}: as stereo {pair.name} sees it"
-    for line, hertz, own in zip(np.flatnonzero(pair.usable), frequency, covariance, strict=True):
-        for number, step in enumerate(principal_components(own)):
+    for line, hertz, of_line in zip(np.flatnonzero(pair.usable), frequency, covariance, strict=True):
+        for number, step in enumerate(principal_components(of_line)):
             change = np.zeros_like(whole)
             change[line] = as_complex(step)
             sides = carrying(part.modes, change), carrying(part.modes, -change)

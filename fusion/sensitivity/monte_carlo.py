@@ -52,14 +52,14 @@ def propagate(
     firsts, drawn = [], {}
     for first in _first_order(analysis):
         # Of the driven lines those elements that any of them determines.
-        kept = np.flatnonzero(np.isfinite(first.value[driven]).any(axis=0))
-        firsts.append(first.at(driven, kept))
-        drawn[first.name] = np.empty((draws, len(driven), len(kept)), np.complex128), kept
+        determined = np.flatnonzero(np.isfinite(first.value[driven]).any(axis=0))
+        firsts.append(first.at(driven, determined))
+        drawn[first.name] = np.empty((draws, len(driven), len(determined)), np.complex128), determined
     for number, start in enumerate(range(0, draws, BLOCK)):
         deviates = Deviates(seed, number, min(BLOCK, draws - start))
         values = _draw(inputs, analysis, motions, deviates)
-        for name, (block, kept) in drawn.items():
-            block[start : start + deviates.count] = values[name][:, driven][:, :, kept]
+        for name, (block, determined) in drawn.items():
+            block[start : start + deviates.count] = values[name][:, driven][:, :, determined]
         progress("Monte Carlo", start + deviates.count, draws)
     unknown = complex(np.nan, np.nan)
     results = [summarise(f, np.where(np.isfinite(f.value), drawn.pop(f.name)[0], unknown)) for f in firsts]
@@ -90,14 +90,14 @@ class Estimator:
         `start` (K, 6): where to start; `hidden` (N, K, 6): motion that no reading tells, which the rows may see.
         """
         count, lines = hidden.shape[:2]
-        places = [RowIndex.of(observation) for observation in self.observations]
+        indices = [RowIndex.of(observation) for observation in self.observations]
         unknowns = np.repeat((np.linalg.pinv(self.expand) @ real_stack(start).ravel())[None], count, axis=0)
         # What a step may leave: in each unknown's own unit, the largest of its kind in the estimate.
         limit = CONVERGED * np.max(np.abs(unknowns), initial=1e-300)
         for _ in range(MOST_STEPS):
             estimate = as_complex((unknowns @ self.expand.T).reshape(count, lines, 12))
             rest = [d.readings - np.einsum("nkmj,nkj->nkm", d.design, estimate + hidden) for d in drawn]
-            rows = [place.rows(value) for place, value in zip(places, rest, strict=True)]
+            rows = [index.rows(value) for index, value in zip(indices, rest, strict=True)]
             step = np.concatenate(rows, axis=1) @ self.gain.T
             unknowns = unknowns + step
             if np.abs(step).max(initial=0.0) <= limit:
@@ -132,15 +132,15 @@ class _Motion:
         hidden = np.where(np.isinf(amplitude), 0.0, amplitude) * np.exp(1j * phase)
         readings = [o.draw(estimate, deviates, noise) for o, noise in zip(self.observations, self.noise, strict=True)]
         value = self.estimator.acceleration(readings, estimate, hidden)
-        own = {f"{name}: noise" for name in fused.instruments} | {UNOBSERVED, *UNOBSERVED_ITSELF}
-        known = {error.name for observation in self.observations for error in observation.common}
+        drawn_labels = {f"{name}: noise" for name in fused.instruments} | {UNOBSERVED, *UNOBSERVED_ITSELF}
+        drawn_names = {error.name for observation in self.observations for error in observation.common}
         further = np.zeros_like(value)
         for part in fused.uncertainty.random:
-            if part.label not in own:
+            if part.label not in drawn_labels:
                 dof = np.full(len(part.covariance), np.inf) if part.dof is None else np.maximum(part.dof, MIN_DOF)
                 further += as_complex(deviates.noise(f"{part.label} of the {fused.body}", part.covariance, dof))
         for influence in fused.uncertainty.influences:
-            if influence.name not in known:
+            if influence.name not in drawn_names:
                 effect = np.nan_to_num(influence.effect)
                 further += as_complex(deviates.unknown(influence.name, influence.dof)[:, None, None] * effect)
         return np.where(fused.observed, value + further, hidden)
@@ -148,11 +148,11 @@ class _Motion:
 
 def _motion(inputs: Inputs, fused: Acceleration) -> _Motion:
     """Return a fused acceleration with the instruments that took part in it."""
-    own = [(place, seen) for place, seen in enumerate(inputs.observations) if seen.body == fused.body]
-    used = [(place, seen) for place, seen in own if seen.stated] or own
+    of_body = [(index, seen) for index, seen in enumerate(inputs.observations) if seen.body == fused.body]
+    used = [(index, seen) for index, seen in of_body if seen.stated] or of_body
     system, first, _ = reject_gross_errors([seen for _, seen in used], fused.unseen)
     observations, solution = system.observations, solve_consistently(system, first, fused.scatter).final
-    noise = tuple(f"noise of instrument {place}" for place, _ in used)
+    noise = tuple(f"noise of instrument {index}" for index, _ in used)
     return _Motion(fused, observations, noise, Estimator.of(observations, system.expand, solution))
 
 
@@ -176,16 +176,16 @@ def _draw(
 
 
 def _draw_elements(
-    known: PriorMatrix, outputs: Outputs, load: LoadResult, loads: ComplexArray, deviates: Deviates
+    prior: PriorMatrix, outputs: Outputs, load: LoadResult, loads: ComplexArray, deviates: Deviates
 ) -> ComplexArray:
     """Return the sensor's elements (N, K, E) from drawn loads and outputs, and a matrix drawn unknown by unknown."""
-    matrix = np.zeros((deviates.count, loads.shape[1], *known.value.shape), np.complex128) + known.value
-    unknowns = (*known.unknowns, *known.courses(outputs.phasors.value, load.value))
+    matrix = np.zeros((deviates.count, loads.shape[1], *prior.value.shape), np.complex128) + prior.value
+    unknowns = (*prior.unknowns, *prior.frequency_unknowns(outputs.phasors.value, load.value))
     for unknown in unknowns:
         bound = np.sqrt(3.0) * (deviates.angle(unknown.name) / np.pi - 1.0)
         off = deviates.normal(unknown.name) if unknown.distribution == "normal" else bound
         matrix += off[:, None, None, None] * unknown.effect
-    return known.elements(outputs.draw(deviates), loads, matrix)
+    return prior.elements(outputs.draw(deviates), loads, matrix)
 
 
 def _first_order(analysis: Analysis) -> Iterator[FirstOrder]:
@@ -196,9 +196,9 @@ def _first_order(analysis: Analysis) -> Iterator[FirstOrder]:
         name: str, elements: Sequence[str], units: Sequence[str], value: ComplexArray, uncertainty: Uncertainty
     ) -> FirstOrder:
         covariance, dof = uncertainty.covariance, uncertainty.dof_polar(value)
-        known = uncertainty.regions(value, covariance, dof), uncertainty.k_polar(value, dof)
-        own = element_covariances(covariance)
-        return FirstOrder(name, frequency, tuple(elements), tuple(units), value, own, *known)
+        first_order = uncertainty.regions(value, covariance, dof), uncertainty.k_polar(value, dof)
+        covariances = element_covariances(covariance)
+        return FirstOrder(name, frequency, tuple(elements), tuple(units), value, covariances, *first_order)
 
     for fused in analysis.accelerations:
         if fused.source == "fused":

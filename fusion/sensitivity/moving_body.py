@@ -271,12 +271,12 @@ class Body:
             # The joint holds until it is screwed together anew: one unknown per component.
             lower = replace(self, parts=below, joint=None, cable_npm=np.zeros(3)).load_matrix(frequency_hz)
             by_joint = self.joint.change(frequency_hz)
-            for place, axis in enumerate(MOTION_COMPONENTS):
-                stated, u = float(self.joint.frequency_hz[place]), float(self.joint.u_frequency_hz[place])
-                own = np.zeros_like(lower)
-                own[:, :, place] = lower[:, :, place] * by_joint[:, None, place]
+            for index, axis in enumerate(MOTION_COMPONENTS):
+                stated, u = float(self.joint.frequency_hz[index]), float(self.joint.u_frequency_hz[index])
+                effect = np.zeros_like(lower)
+                effect[:, :, index] = lower[:, :, index] * by_joint[:, None, index]
                 unknown = joint_unknown(stated, axis), JOINT, u or 1.0, "Hz" if u else "1"
-                changes.append(Unknown(*unknown, own, "mounting"))
+                changes.append(Unknown(*unknown, effect, "mounting"))
         for bending in self.elastic:
             changes += bending.changes(partial(self._wrench, frequency_hz))
         if self.first_frequency_hz is not None:
@@ -284,20 +284,20 @@ class Body:
             # r²/(1 - r²) of a mass on a spring, which moves and pulls more than what is spread out; 2r² from r² = ½ on.
             square = (frequency_hz[:, None] / self.first_frequency_hz) ** 2
             bound = square / np.maximum(1.0 - square, 0.5) * ONLY_NAMED
-            for place, axis in enumerate(MOTION_COMPONENTS):
-                own = np.zeros((len(frequency_hz), 6, 6), np.complex128)
-                own[:, :, place] = above.load_matrix(frequency_hz)[:, :, place] * bound[:, None, place]
-                name, label = f"{self.first_frequency_hz[place]:.9g} Hz: {axis}", "first natural frequency of the load"
-                changes.append(Unknown(f"{label} {name}", label, 1.0, "1", own, "mounting"))
+            for index, axis in enumerate(MOTION_COMPONENTS):
+                effect = np.zeros((len(frequency_hz), 6, 6), np.complex128)
+                effect[:, :, index] = above.load_matrix(frequency_hz)[:, :, index] * bound[:, None, index]
+                name, label = f"{self.first_frequency_hz[index]:.9g} Hz: {axis}", "first natural frequency of the load"
+                changes.append(Unknown(f"{label} {name}", label, 1.0, "1", effect, "mounting"))
         for axis, tied in zip("xyz", np.diag(np.asarray(self.u_cable_npm, dtype=np.float64)), strict=True):
             if np.any(tied):
-                own, label = self._tied(frequency_hz, tied), "stiffness of cables"
-                changes.append(Unknown(f"{label} {axis}", label, float(tied.sum()), "N/m", own, "mounting"))
+                effect, label = self._tied(frequency_hz, tied), "stiffness of cables"
+                changes.append(Unknown(f"{label} {axis}", label, float(tied.sum()), "N/m", effect, "mounting"))
         # Of the vector of gravity only the tilt of the weight knows.
-        still = self.weightless.load_matrix(frequency_hz)
+        weightless = self.weightless.load_matrix(frequency_hz)
         for axis, along, u in zip("xyz", np.eye(3), np.asarray(self.u_gravity_mps2).tolist(), strict=True):
             if u > 0.0:
-                change = replace(self, gravity_mps2=along * u).load_matrix(frequency_hz) - still
+                change = replace(self, gravity_mps2=along * u).load_matrix(frequency_hz) - weightless
                 changes.append(Unknown(f"gravity {axis}", "gravity", u, "m/s^2", change, "rig"))
         return tuple(changes)
 
@@ -310,15 +310,15 @@ class Body:
         for part in self.parts:
             heavier = part.u_mass_kg * deviates.normal(f"{part.name}: mass")
             moved = part.u_centre_of_mass_m * deviates.normal(f"{part.name}: centre of mass", 3)
-            turned = part.u_inertia_kgm2 * _symmetric(deviates.normal(f"{part.name}: inertia", 6))
-            centre, inertia = part.centre_of_mass_m + moved, part.inertia_kgm2 + turned
+            inertia_change = part.u_inertia_kgm2 * _symmetric(deviates.normal(f"{part.name}: inertia", 6))
+            centre, inertia = part.centre_of_mass_m + moved, part.inertia_kgm2 + inertia_change
             terms = InertialTerms.of(part.mass_kg + heavier, centre, inertia, part.air_share)
             drawn.append(self._carried(frequency_hz, part, terms))
         drawn += [part.act(partial(self._wrench, frequency_hz)) for part in self.elastic]
         total = np.asarray(sum(drawn))
-        own = {f"{part.name}: {what}" for part in self.parts for what in ("mass", "centre of mass", "inertia")}
+        part_labels = {f"{part.name}: {what}" for part in self.parts for what in ("mass", "centre of mass", "inertia")}
         for change in self.matrix_changes(frequency_hz):
-            if change.label not in own:
+            if change.label not in part_labels:
                 # What instruments read errs by the same draws: the truth is the estimate less its error.
                 total = total - deviates.normal(change.name)[:, None, None, None] * change.effect
         return total
@@ -344,7 +344,7 @@ def _parameters(part: MovingPart, matrix: Callable[[InertialTerms], ComplexArray
     if part.u_mass_kg > 0.0:
         heavier = InertialTerms.of(part.u_mass_kg, centre, rigid, part.air_share)
         yield unknown("mass", "", part.u_mass_kg, "kg", heavier)
-    place = ", ".join(f"{x:.9g}" for x in centre.tolist())
+    position = ", ".join(f"{x:.9g}" for x in centre.tolist())
     for letter, step in zip("xyz", np.diag(part.u_centre_of_mass_m), strict=True):
         if np.any(step > 0.0):
             # The terms are of second order in the place: half their difference is the derivative.
@@ -352,7 +352,7 @@ def _parameters(part: MovingPart, matrix: Callable[[InertialTerms], ComplexArray
             matrix_change = (ahead.mass_matrix - behind.mass_matrix) / 2.0
             moment_change = (ahead.weight_moment_kgm - behind.weight_moment_kgm) / 2.0
             moved = InertialTerms(matrix_change, np.zeros(()), moment_change)
-            yield unknown("centre of mass", f" [{place}] {letter}", float(step.sum()), "m", moved)
+            yield unknown("centre of mass", f" [{position}] {letter}", float(step.sum()), "m", moved)
     for entry, (row, column) in zip(np.eye(6), INERTIA_ENTRIES, strict=True):
         u = float(part.u_inertia_kgm2[row, column])
         if u > 0.0:
@@ -408,11 +408,11 @@ def elastic_part(table: Elastic) -> ElasticPart:
 
         if stated is not None:
             add(key.replace("_", " "), stated, u, unit, scope, other)
-    for place, mode in enumerate(table.mode):
+    for index, mode in enumerate(table.mode):
 
-        def shifted(frequency: float, place: int = place, mode: ElasticMode = mode) -> NaturalModes:
+        def shifted(frequency: float, index: int = index, mode: ElasticMode = mode) -> NaturalModes:
             moved = mode.model_copy(update={"frequency": frequency})
-            return stated_modes(table, {"mode": (*table.mode[:place], moved, *table.mode[place + 1 :])})
+            return stated_modes(table, {"mode": (*table.mode[:index], moved, *table.mode[index + 1 :])})
 
         add("frequency", mode.frequency, mode.frequency_uncertainty, "Hz", "rig", shifted)
     mass = None if table.shape == "modes" else elastic_body(table).mass_kg
@@ -453,12 +453,14 @@ def _tabled(table: Elastic) -> NaturalModes:
     """Return the modes that a finite element program told, brought to a modal mass of 1."""
     root = np.sqrt([mode.modal_mass for mode in table.mode])
 
-    def motion(place: InstrumentPosition) -> FloatArray:
+    def motion(position: InstrumentPosition) -> FloatArray:
         # A channel of a later set-up is named by that, too.
-        names = [name for name in (place.name, place.name.rpartition(": ")[2]) if name in table.mode[0].displacement]
+        names = [
+            name for name in (position.name, position.name.rpartition(": ")[2]) if name in table.mode[0].displacement
+        ]
         if not names:
             key = f"load.elastic.mode.displacement of {table.name}"
-            raise ComputeError(POSITION_UNSTATED, instrument=place.name, key=key)
+            raise ComputeError(POSITION_UNSTATED, instrument=position.name, key=key)
         rows = [mode.displacement[names[0]] for mode in table.mode]
         return np.array([[*row, *[0.0] * (6 - len(row))] for row in rows]) / root[:, None]
 

@@ -72,7 +72,7 @@ class Sensitivity:
         if len(self.kind) != lines:
             raise ValueError(f"kind: expected {lines} words, one per line, found {len(self.kind)}")
         check_shape("uncertainty", self.uncertainty.random[0].covariance, (lines, 2 * count, 2 * count))
-        object.__setattr__(self, "budget", budget(self.uncertainty, self.value[:, *self._places()]))
+        object.__setattr__(self, "budget", budget(self.uncertainty, self.value[:, *self._element_index()]))
 
     @property
     def observed(self) -> BoolArray:
@@ -83,22 +83,22 @@ class Sensitivity:
     def covariance(self) -> FloatArray:
         """Return the covariance (K, C, 6, 2, 2) of (Re, Im) of every element, NaN where there is none."""
         every = np.full((*self.value.shape, 2, 2), np.nan)
-        every[:, *self._places()] = element_covariances(self.uncertainty.covariance)
+        every[:, *self._element_index()] = element_covariances(self.uncertainty.covariance)
         return every
 
     @cached_property
     def dof(self) -> FloatArray:
         """Return the effective degrees of freedom (K, C, 6) of every element, NaN where there is none."""
         every = np.full(self.value.shape, np.nan)
-        every[:, *self._places()] = self.uncertainty.dof()
+        every[:, *self._element_index()] = self.uncertainty.dof()
         return every
 
     @cached_property
     def polar(self) -> list[list[Polar | None]]:
         """Return the elements (K lines of E) as magnitude and phase, None where one is not known."""
-        return polar_elements(self.value[:, *self._places()], self.uncertainty)
+        return polar_elements(self.value[:, *self._element_index()], self.uncertainty)
 
-    def _places(self) -> tuple[list[int], list[int]]:
+    def _element_index(self) -> tuple[list[int], list[int]]:
         return [channel for channel, _ in self.elements], [component for _, component in self.elements]
 
 
@@ -221,13 +221,13 @@ def parasitic_loads(
     value = np.sum(parts, axis=2)
     from_load = load.uncertainty.transformed(real_design(slope))
     total = from_load.plus(outputs.uncertainty.scaled(quotient(-value, signal)))
-    own = []
+    static_influences = []
     for unknown in unknowns:
         changed = unknown.effect.copy()
         changed[:, component] = 0.0
         change = quotient(load.value @ changed.T, signal)
-        own += [unknown.acting(real_stack(change))] if np.any(changed) else []
-    return ParasiticLoads(value, Uncertainty(total.random, (*total.influences, *own)))
+        static_influences += [unknown.acting(real_stack(change))] if np.any(changed) else []
+    return ParasiticLoads(value, Uncertainty(total.random, (*total.influences, *static_influences)))
 
 
 # What is stated of the sensor's matrix, and the sensor's element that one recording gives with it.
@@ -275,8 +275,8 @@ class StatedMatrix:
         share = U_STATIC if self.u_cross_talk is None else self.u_cross_talk
         signal = np.abs(static) * self.rated
         u = np.hypot(self.u_relative * np.abs(static), share * signal.max(axis=1)[:, None] / self.rated)
-        own = np.arange(len(static)), np.argmax(signal, axis=1)
-        u[own] = self.u_relative * np.abs(static[own])
+        main = np.arange(len(static)), np.argmax(signal, axis=1)
+        u[main] = self.u_relative * np.abs(static[main])
         return np.asarray(u)
 
     @property
@@ -313,11 +313,11 @@ class PriorMatrix:
         value = self.value if matrix is None else matrix
         rows, d = list(self.rows), self.component
         parts = value * load[..., None, :]
-        course = quotient(outputs[..., self.main], np.sum(parts[..., self.main, :], axis=-1))
+        change = quotient(outputs[..., self.main], np.sum(parts[..., self.main, :], axis=-1))
         others = np.sum(np.delete(parts[..., rows, :], d, axis=-1), axis=-1)
-        return quotient(outputs[..., rows] - course[..., None] * others, np.asarray(load[..., d, None] + 0.0j))
+        return quotient(outputs[..., rows] - change[..., None] * others, np.asarray(load[..., d, None] + 0.0j))
 
-    def courses(self, outputs: ComplexArray, load: ComplexArray) -> tuple[Unknown[ComplexArray], ...]:
+    def frequency_unknowns(self, outputs: ComplexArray, load: ComplexArray) -> tuple[Unknown[ComplexArray], ...]:
         """Return how far other elements may follow another course over frequency than the driven one: (K, C, 6).
 
         The evidence is what the driven element itself has changed by since rest, |h - 1|: every other element may
@@ -327,8 +327,8 @@ class PriorMatrix:
         """
         if not self.static:
             return ()
-        course = quotient(outputs[:, self.main], load @ self.value[self.main])
-        away = np.nan_to_num(np.abs(course - 1.0)) / np.sqrt(2.0)
+        change = quotient(outputs[:, self.main], load @ self.value[self.main])
+        deviation = np.nan_to_num(np.abs(change - 1.0)) / np.sqrt(2.0)
         driven = f"{self.channels[self.main]}/{LOAD_COMPONENTS[self.component]}"
         found = list[Unknown[ComplexArray]]()
         for c, j in np.argwhere(self.value != 0.0).tolist():
@@ -336,10 +336,10 @@ class PriorMatrix:
                 continue
             name = f"course of {self.channels[c]}/{LOAD_COMPONENTS[j]} over frequency beside {driven}"
             for part, turn in (("real part", 1.0), ("imaginary part", 1j)):
-                effect = np.zeros((len(away), *self.value.shape), np.complex128)
-                effect[:, c, j] = turn * away * self.value[c, j]
+                effect = np.zeros((len(deviation), *self.value.shape), np.complex128)
+                effect[:, c, j] = turn * deviation * self.value[c, j]
                 label = "static matrix at this frequency"
-                found.append(Unknown(f"{name}, {part}", label, float(away.max(initial=0.0)), "1", effect, "rig"))
+                found.append(Unknown(f"{name}, {part}", label, float(deviation.max(initial=0.0)), "1", effect, "rig"))
         return tuple(found)
 
     def uncertainty(
@@ -356,12 +356,12 @@ class PriorMatrix:
         driven, whole = np.asarray(load[:, d, None] + 0.0j), load @ self.value[m]
         others = self.value[rows]
         others[:, d] = 0.0
-        course, parasitic = quotient(outputs[:, m], whole)[:, None], load @ others.T
-        back = quotient(course * parasitic, whole[:, None])
+        ratio, parasitic = quotient(outputs[:, m], whole)[:, None], load @ others.T
+        back = quotient(ratio * parasitic, whole[:, None])
         by_outputs = np.zeros((len(load), len(rows), len(self.channels)), np.complex128)
         by_outputs[:, range(len(rows)), rows] = 1.0
         by_outputs[:, :, m] -= quotient(parasitic, whole[:, None])
-        by_load = back[:, :, None] * self.value[m] - course[:, :, None] * others
+        by_load = back[:, :, None] * self.value[m] - ratio[:, :, None] * others
         by_load[:, :, d] -= self.elements(outputs, load)
         total = of_outputs.nan_as_zero().transformed(
             real_design(np.nan_to_num(quotient(by_outputs, driven[:, :, None])))
@@ -369,27 +369,27 @@ class PriorMatrix:
         total = total.plus(
             of_load.nan_as_zero().transformed(real_design(np.nan_to_num(quotient(by_load, driven[:, :, None]))))
         )
-        own, products = list[Influence](), list[Contribution]()
+        influences, products = list[Influence](), list[Contribution]()
         hidden = ~np.tile(given, (1, 2))
         unsure = np.where(hidden[:, :, None] & hidden[:, None, :], np.nan_to_num(of_load.covariance), 0.0)
-        unknowns = (*self.unknowns, *self.courses(outputs, load))
+        unknowns = (*self.unknowns, *self.frequency_unknowns(outputs, load))
         if unknowns:
             shape = len(load), *self.value.shape
             effect = np.stack([np.broadcast_to(unknown.effect, shape) for unknown in unknowns])
-            beside = effect[:, :, rows]
-            beside[..., d] = 0.0
-            by_each = back[:, :, None] * effect[:, :, None, m] - course[:, :, None] * beside
+            others_effect = effect[:, :, rows]
+            others_effect[..., d] = 0.0
+            by_each = back[:, :, None] * effect[:, :, None, m] - ratio[:, :, None] * others_effect
             slope = np.nan_to_num(quotient(by_each, driven[:, :, None]))
             acting = real_stack(np.einsum("ukcj,kj->ukc", slope, np.nan_to_num(load)))
             both = real_design(slope)
             spread = both @ unsure @ both.swapaxes(2, 3)
-            own = [unknown.acting(change) for unknown, change in zip(unknowns, acting, strict=True)]
+            influences = [unknown.acting(change) for unknown, change in zip(unknowns, acting, strict=True)]
             products = [Contribution(u.label, "B", square) for u, square in zip(unknowns, spread, strict=True)]
         lost = np.tile(~np.isfinite(self.elements(outputs, load)), (1, 2))
         first = total.random[0]
         blank = np.where(lost[:, :, None] | lost[:, None, :], np.nan, first.covariance)
         random = (replace(first, covariance=blank), *total.random[1:], *products)
-        return Uncertainty(merge_contributions(random), (*total.influences, *own))
+        return Uncertainty(merge_contributions(random), (*total.influences, *influences))
 
 
 def prior_matrix(stated: StatedMatrix, channels: Sequence[str], component: int, sizes: ArrayLike) -> PriorMatrix | None:
@@ -409,13 +409,13 @@ def prior_matrix(stated: StatedMatrix, channels: Sequence[str], component: int, 
     name nor a static matrix does.
     """
     names, rated = tuple(channels), stated.rated
-    places = [stated.channels.index(name) for name in names]
+    indices = [stated.channels.index(name) for name in names]
     if stated.static is not None:
-        static, own = stated.static[places], stated.channels[int(np.argmax(np.abs(stated.static[:, component])))]
-        main = names.index(own) if own in names else None
-        told = np.count_nonzero(static, axis=1) > (stated.u_cross_talk is None)
-        if main is not None and told[main] and static[main, component] != 0.0:
-            rows = tuple(np.flatnonzero(told).tolist())
+        static, main_name = stated.static[indices], stated.channels[int(np.argmax(np.abs(stated.static[:, component])))]
+        main = names.index(main_name) if main_name in names else None
+        informative = np.count_nonzero(static, axis=1) > (stated.u_cross_talk is None)
+        if main is not None and informative[main] and static[main, component] != 0.0:
+            rows = tuple(np.flatnonzero(informative).tolist())
             return PriorMatrix(
                 names, component, main, rows, static, static_unknowns(stated, names, static), static=True
             )
@@ -498,8 +498,8 @@ def contradicting_outputs(
     noise = 3.0 * np.hypot(np.sqrt(pair), np.hypot(outputs.phasors.u_re[line], outputs.phasors.u_im[line]))
 
     def agrees(found: int, named: int) -> bool:
-        away = abs(signal[found] - predicted[named])
-        return bool(away <= CHANGED * abs(predicted[named]) + cross[named] + noise[named])
+        distance = abs(signal[found] - predicted[named])
+        return bool(distance <= CHANGED * abs(predicted[named]) + cross[named] + noise[named])
 
     stated = [c for c in range(len(names)) if np.isfinite(signal[c]) and full[c] > 0.0]
     doubted = [c for c in stated if not agrees(c, c)]
@@ -571,7 +571,7 @@ def with_ratios(spread: PointSpread, outputs: Outputs, sensitivity: Sensitivity,
     driven = mass[:, None] * spread.value
     value = outputs.phasors.value[:, channel, None] / driven
     from_output = outputs.uncertainty.at([channel]).transformed(real_design((1.0 / driven)[:, :, None]))
-    known = from_output.plus(spread.uncertainty.scaled(-value / spread.value))
+    first_order = from_output.plus(spread.uncertainty.scaled(-value / spread.value))
     # What one kilogram more changes, times what the uncertain masses may be off by.
     masses = [
         change.acting(real_stack(-value / mass[:, None] * change.effect[:, axis, axis, None]))
@@ -583,7 +583,7 @@ def with_ratios(spread: PointSpread, outputs: Outputs, sensitivity: Sensitivity,
         component=sensitivity.components[axis],
         unit=sensitivity.unit,
         value=value,
-        uncertainty=Uncertainty(known.random, (*known.influences, *masses)),
+        uncertainty=Uncertainty(first_order.random, (*first_order.influences, *masses)),
         fused=sensitivity.value[:, channel, axis],
     )
     return replace(spread, ratios=ratios)

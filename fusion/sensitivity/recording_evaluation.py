@@ -68,7 +68,7 @@ def evaluate_set_ups(
     sensor, surroundings, body = manifest.rig.sensor, manifest.rig.surroundings, load_body(manifest.rig, manifest.part)
     observations = joined.observed(surroundings.free_fall_mps2[0])
     observations, supports, shaken = without_supports(observations, surroundings.support_motion)
-    unseen = unresolved_fundamentals(observations, joined.lines, joined.aliased)
+    unobserved_lines = unresolved_fundamentals(observations, joined.lines, joined.aliased)
     body, measured = with_measured_modes(body, manifest.rig.load, joined.stereo)
     rows = observations if body is None else elastic_rows(observations, body.elastic)
     outputs = None if sensor is None else sensor_outputs(joined.readings, sensor.channels)
@@ -93,14 +93,14 @@ def evaluate_set_ups(
             driven_component(direction, sensor.capacity),
             signed=sensor.static_sensitivity is not None,
         )
-    told = [
+    notices = [
         *missing_result(inputs, analysis),
         *manifest.certificate_notices,
         *plausibility_notices(manifest),
         *joined.notices,
         *shaken,
     ]
-    told += [*parallel, *unseen, *measured, *analysis.notices, *missing, *(drawn.notices if drawn else ())]
+    notices += [*parallel, *unobserved_lines, *measured, *analysis.notices, *missing, *(drawn.notices if drawn else ())]
     return Evaluation(
         manifest=manifest,
         lines=joined.lines,
@@ -111,7 +111,7 @@ def evaluate_set_ups(
         load=analysis.load,
         outputs=analysis.outputs,
         sensitivity=analysis.sensitivity,
-        notices=tuple(dict.fromkeys(told)),
+        notices=tuple(dict.fromkeys(notices)),
         settings=settings.as_dict(),
         versions=versions(),
         input_hashes={},

@@ -92,17 +92,17 @@ def without_supports(
     not stated, for supports without a reference too. What is left open of H are unknowns of all instruments on it.
     """
     bodies = [o for o in observations if o.body not in (STATIONARY, HEAD)]
-    found, told = list[SupportMotion](), list[Notice]()
+    found, notices = list[SupportMotion](), list[Notice]()
     for name, references in _by_support(o for o in observations if o.body in (STATIONARY, HEAD)).items():
         carried = _by_support(bodies).get(name, [])
         if not carried:
             continue
-        moved, errors, notices = _settled(name, references, carried, limit)
+        moved, errors, of_support = _settled(name, references, carried, limit)
         found.append(moved)
-        told += notices
+        notices += of_support
         names = {member for one in carried for member in _members(one)}
         bodies = [_corrected(o, [m in names for m in o.members], moved, errors) for o in bodies]
-    return with_support_motion(bodies, limit, carried_by(found)), tuple(found), tuple(told)
+    return with_support_motion(bodies, limit, carried_by(found)), tuple(found), tuple(notices)
 
 
 def _members(seen: _Seen) -> list[str]:
@@ -113,16 +113,16 @@ def _by_support(observations: Sequence[Observation] | Iterator[Observation]) -> 
     """Return the rows of observations by the name of what they are on; channels without a head are on nothing."""
     groups: dict[str, list[_Seen]] = {}
     for observation in observations:
-        own: dict[str, list[int]] = {}
+        columns_of: dict[str, list[int]] = {}
         geometry = observation.geometry
         if isinstance(geometry, StereoReading):
-            own[carrier_of(geometry.name, geometry.pair)] = list(range(len(observation.members)))
+            columns_of[carrier_of(geometry.name, geometry.pair)] = list(range(len(observation.members)))
         elif isinstance(geometry, ChannelGeometry):
             for column, entry in enumerate(geometry.entries):
                 name = carrier(entry)
                 if name is not None:
-                    own.setdefault(name, []).append(column)
-        for name, columns in own.items():
+                    columns_of.setdefault(name, []).append(column)
+        for name, columns in columns_of.items():
             groups.setdefault(name, []).append(
                 _Seen(observation, columns, -1.0 if observation.body == STATIONARY else 1.0)
             )
@@ -178,7 +178,7 @@ def _shape(seen: Sequence[_Seen]) -> FloatArray:
             points.append(np.zeros(3) if geometry.face_m is None else geometry.face_m)
         elif isinstance(geometry, ChannelGeometry):
             entries = [geometry.entries[column] for column in columns]
-            pivots += [place for entry in entries if (place := _stands(entry)) is not None]
+            pivots += [position for entry in entries if (position := _head_position(entry)) is not None]
             points += [measuring_point(entry) for entry in entries if entry.body != HEAD]
     middle = np.mean(points, axis=0) if points else np.zeros(3)
     pivot = np.mean(pivots, axis=0) if pivots else middle
@@ -188,7 +188,7 @@ def _shape(seen: Sequence[_Seen]) -> FloatArray:
     return moved @ np.diag(np.repeat([1.0, 1.0 / length], 3))
 
 
-def _stands(entry: ChannelEntry) -> FloatArray | None:
+def _head_position(entry: ChannelEntry) -> FloatArray | None:
     """Return where a head is, as far as a channel tells: its mirror, else what sits on it."""
     if entry.head is not None and entry.head.stated.mirror is not None:
         return np.array(entry.head.stated.mirror)
@@ -213,7 +213,7 @@ class _Readings(NamedTuple):
     rows: FloatArray
     values: FloatArray
     noise: FloatArray
-    known: EstimatedNoise
+    estimated_noise: EstimatedNoise
     dof: float
 
     @property
@@ -229,17 +229,19 @@ class _Readings(NamedTuple):
         parts = list[tuple[IntArray, FloatArray, float]]()
         for seen in references:
             phasors, value = seen.observation.phasors, seen.values(line)
-            there = np.flatnonzero(np.isfinite(value))
-            columns = np.array(seen.columns)[there]
+            finite = np.flatnonzero(np.isfinite(value))
+            columns = np.array(seen.columns)[finite]
             both = np.concatenate([columns, columns + phasors.value.shape[1]])
-            rows.append(real_design(seen.rows(line)[there]))
-            values.append(real_stack(value[there]))
-            own = count + np.arange(len(both))
-            parts.append((own, phasors.covariance[line][np.ix_(both, both)], float(phasors.dof[line])))
+            rows.append(real_design(seen.rows(line)[finite]))
+            values.append(real_stack(value[finite]))
+            indices = count + np.arange(len(both))
+            parts.append((indices, phasors.covariance[line][np.ix_(both, both)], float(phasors.dof[line])))
             count += len(both)
         noise = np.asarray(block_diag(*(covariance for _, covariance, _ in parts)))
-        known, dof = EstimatedNoise.of_parts(parts, count), [dof for own, _, dof in parts if len(own)]
-        return cls(np.concatenate(rows), np.concatenate(values), noise[:count, :count], known, min(dof, default=np.inf))
+        noise_model, dof = EstimatedNoise.of_parts(parts, count), [dof for indices, _, dof in parts if len(indices)]
+        return cls(
+            np.concatenate(rows), np.concatenate(values), noise[:count, :count], noise_model, min(dof, default=np.inf)
+        )
 
 
 class _Estimate(NamedTuple):
@@ -267,7 +269,7 @@ def _estimate(read: _Readings, shape: FloatArray, main: int, stated: float | Non
     if stated is not None and count:
         whole = rows @ _prior(shape, spreads)[0] @ rows.T + read.noise
         weights = np.linalg.inv(whole)
-        contradicts = read.known.probability(float(values @ weights @ values), count, weights) < CONTRADICTED
+        contradicts = read.estimated_noise.probability(float(values @ weights @ values), count, weights) < CONTRADICTED
     if stated is None or contradicts:
         ratios = np.insert(np.array(list(product(RATIOS, repeat=2))), main, 1.0, axis=1)
         spreads = (SHARES[:, None, None] * ratios).reshape(-1, 3)
@@ -284,18 +286,18 @@ def _estimate(read: _Readings, shape: FloatArray, main: int, stated: float | Non
     share = np.exp(density - density.max())
     share /= share.sum()
     mean, gain = share @ means, np.einsum("g,gij->ij", share, gains)
-    kept = np.eye(12) - gains @ rows  # in squares, so that rounding leaves no negative variance
-    left = kept @ prior @ kept.swapaxes(1, 2) + gains @ read.noise @ gains.swapaxes(1, 2)
+    remainder = np.eye(12) - gains @ rows  # in squares, so that rounding leaves no negative variance
+    left = remainder @ prior @ remainder.swapaxes(1, 2) + gains @ read.noise @ gains.swapaxes(1, 2)
     off = means - mean
     covariance = np.einsum("g,gij->ij", share, left) + np.einsum("g,gi,gj->ij", share, off, off)
-    lost = read.known.lost(np.einsum("g,gij->ij", share, weights), gain[None], np.arange(count))[0]
+    lost = read.estimated_noise.lost(np.einsum("g,gij->ij", share, weights), gain[None], np.arange(count))[0]
     return _Estimate(mean, covariance + lost, gain, contradicts)
 
 
 def _prior(shape: FloatArray, spreads: FloatArray) -> FloatArray:
     """Return covariances (G, 12, 12) of [Re H, Im H] for standard deviations (G, 3) of the translations."""
-    turned = np.sqrt(np.mean(spreads**2, axis=1, keepdims=True))
-    scaled = shape * np.concatenate([spreads, np.repeat(turned, 3, axis=1)], axis=1)[:, None, :]
+    rotation = np.sqrt(np.mean(spreads**2, axis=1, keepdims=True))
+    scaled = shape * np.concatenate([spreads, np.repeat(rotation, 3, axis=1)], axis=1)[:, None, :]
     return np.asarray(np.kron(np.eye(2), scaled @ scaled.swapaxes(1, 2)))
 
 
@@ -325,18 +327,18 @@ def _reference_errors(
 ) -> Iterator[CommonError]:
     """Yield what errors of the references' own chains and places, by their names, do to H."""
     names = dict.fromkeys(error.name for seen in references for error in seen.observation.common)
-    known = [line for line, gain in enumerate(gains) if gain is not None and np.any(gain)]
+    informed = [line for line, gain in enumerate(gains) if gain is not None and np.any(gain)]
     for name in names:
         offset, model, size = np.zeros_like(moved.phasors.value), None, 0.0
-        for line in known:
+        for line in informed:
             read = list[FloatArray]()
             for seen in references:
                 error = next((e for e in seen.observation.common if e.name == name), None)
-                own = np.zeros(len(seen.columns), dtype=np.complex128)
+                effect = np.zeros(len(seen.columns), dtype=np.complex128)
                 if error is not None:
                     model, motion = error, seen.sign * np.nan_to_num(moved.phasors.value)
-                    own = np.nan_to_num(error.effect(motion)[line, seen.columns])
-                read.append(real_stack(own[np.isfinite(seen.values(line))]))
+                    effect = np.nan_to_num(error.effect(motion)[line, seen.columns])
+                read.append(real_stack(effect[np.isfinite(seen.values(line))]))
             gain = gains[line]
             assert gain is not None
             change = gain @ np.concatenate(read)
@@ -360,11 +362,11 @@ def _corrected(
 
     common: dict[str, CommonError] = {error.name: error for error in observation.common}
     for error in errors:  # what a reading is given too much, its body does not have
-        own = replace(error, slope=np.zeros_like(observation.design), offset=read(error.offset))
+        changed = replace(error, slope=np.zeros_like(observation.design), offset=read(error.offset))
         before = common.get(error.name)
         if before is not None:
-            own = replace(before, offset=before.offset + own.offset)
-        common[error.name] = own
+            changed = replace(before, offset=before.offset + changed.offset)
+        common[error.name] = changed
     phasors = replace(observation.phasors, value=observation.phasors.value + read(moved.phasors.value))
     return replace(observation, phasors=phasors, common=tuple(common.values()))
 
@@ -391,5 +393,5 @@ def _notices(moved: SupportMotion) -> Iterator[Notice]:
 
 def carried_by(supports: Sequence[SupportMotion]) -> frozenset[str]:
     """Return the rows of instruments, by their names, whose support's motion is known at some line."""
-    known = [moved for moved in supports if np.isfinite(moved.phasors.value).any()]
-    return frozenset(member for moved in known for member in moved.carried)
+    measured = [moved for moved in supports if np.isfinite(moved.phasors.value).any()]
+    return frozenset(member for moved in measured for member in moved.carried)
