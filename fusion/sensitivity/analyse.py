@@ -1,4 +1,4 @@
-"""Analysis of one recording after the phasors: elastic rows, fusion, load, sensitivity and the result tree."""
+"""Analysis of one recording after the phasors: fusion, load, sensitivity and the result tree."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from fusion.instruments.vibrometer import PointSpread
 from fusion.phasors.phasor_notices import NO_INSTRUMENT
 from fusion.sensitivity.distributions import MonteCarlo
 from fusion.sensitivity.elastic import ElasticPart, InstrumentPosition, NaturalModes
-from fusion.sensitivity.load_phasors import LoadResult, load_phasors
+from fusion.sensitivity.load_phasors import LoadResult, describe_other_loads, load_phasors
 from fusion.sensitivity.moving_body import Body
 from fusion.sensitivity.ratio import (
     CHANGED,
@@ -30,7 +30,6 @@ from fusion.sensitivity.ratio import (
     Sensitivity,
     StatedMatrix,
     contradicting_outputs,
-    describe_other_loads,
     driven_component,
     mass_notices,
     prior_matrix,
@@ -62,7 +61,7 @@ if TYPE_CHECKING:
     from fusion.recording.rig import Sensor
     from fusion.sensitivity.supports import SupportMotion
 
-# Instruments on an elastic load: rows that tell the motion of its foot.
+# Instruments on an elastic load: rows for the motion of its foot.
 
 
 @dataclass(frozen=True)
@@ -85,7 +84,7 @@ class ElasticGeometry(Geometry):
         return self.inner.unknowns
 
     def rows(self, design: ComplexArray, deviates: Deviates) -> ComplexArray:
-        """Return the rows (N, K, M, 6) of drawn positions and directions on the elastic load."""
+        """Return rows (N, K, M, 6) of drawn positions and directions on the elastic load."""
         rigid = self.inner.rows(self.rigid, deviates)
         total = np.repeat(self.stretch[None], deviates.count, axis=0)
         for names, change in self.shifted_positions:
@@ -99,10 +98,11 @@ class ElasticGeometry(Geometry):
 
 
 def elastic_rows(observations: Sequence[Observation], parts: Sequence[ElasticPart]) -> tuple[Observation, ...]:
-    """Return instruments on the load with rows for the motion of its foot: design · (I + stretch).
+    """Return instruments on an elastic load with rows for the motion of its foot.
 
-    Uncertain numbers of the modes are common errors, with the names under which they act on the load. Elastic effects
-    of components that are not observed on a rigid load do not change which components are observed.
+    Rows are design · (I + stretch). Uncertain numbers of the modes are common errors, with the names under which they
+    act on the load. Elastic effects of components that are not observed on a rigid load do not change which components
+    are observed.
     """
     of_load = [observation for observation in observations if observation.body == "load"]
     if not parts or not of_load:
@@ -120,7 +120,7 @@ def _stretched(observation: Observation, parts: Sequence[ElasticPart], seen: Boo
     frequency, rigid, inner = observation.phasors.frequency_hz, observation.design, observation.geometry
     positions = _positions(observation)
     stretch = _stretch(parts, frequency, positions, rigid.shape[1])
-    # Errors of places act on what is observed of the stretched motion: what bends unseen is in it as it is read.
+    # Errors of positions act on the observed part of the elastic motion; the readings include its unobserved part.
     observed_stretch = np.where(seen[:, None, None, :], stretch, 0.0)
     slopes = {
         error.name: error.slope + _rows(error.slope, observed_stretch if error.name in inner.unknowns else stretch)
@@ -156,7 +156,10 @@ def _rows(design: ComplexArray, stretch: ComplexArray) -> ComplexArray:
 def _stretched_positions(
     modes: NaturalModes, frequency_hz: FloatArray, positions: Sequence[InstrumentPosition], rows: int
 ) -> ComplexArray:
-    """Return the elastic motion (K, M, 6, 6) of M rows at one position or at separate ones."""
+    """Return the elastic motion (K, M, 6, 6) of M rows.
+
+    All at one position, or at separate ones.
+    """
     each = np.stack([modes.stretch(frequency_hz, position) for position in positions], axis=1)
     return np.repeat(each, rows // len(positions), axis=1)
 
@@ -173,7 +176,10 @@ def _stretch(
 def _shifted_positions(
     parts: Sequence[ElasticPart], frequency_hz: FloatArray, inner: Geometry, positions: Sequence[InstrumentPosition]
 ) -> Iterator[tuple[tuple[str, ...], ComplexArray]]:
-    """Yield the unknowns of M uncertain positions, axis by axis, and the change of the stretch."""
+    """Yield the unknowns of M uncertain positions, and the change of the stretch.
+
+    Axis by axis.
+    """
     if not isinstance(inner, ChannelGeometry) or inner.transducer.rotational:
         return
     for unit, letter in zip(np.eye(3), "xyz", strict=True):
@@ -207,7 +213,7 @@ def _positions(observation: Observation) -> list[InstrumentPosition]:
     raise ComputeError(POSITION_UNSTATED, instrument=observation.title, key="subsets of its images")
 
 
-# From the phasors of all instruments to acceleration, load and sensitivity: what follows tracks and channels.
+# From the phasors of all instruments to acceleration, load and sensitivity.
 
 
 @dataclass(frozen=True)
@@ -356,9 +362,9 @@ def _sensor(inputs: Inputs, accelerations: tuple[Acceleration, ...], fused: Acce
 
 
 ESTIMATE_NOISE = "noise of the estimate of shared unknowns"
-"""Label of what instruments' noise leaves of clocks, amplifiers and whatever else outputs share with them."""
+"""Label of the noise in estimates of clocks, amplifiers and other unknowns shared with outputs."""
 COUPLED = 1e-2
-"""Least share of an unknown in the standard uncertainty that is left of another one, which is kept by its name."""
+"""Share of an unknown in the remaining standard uncertainty of another one above which it is named (chosen)."""
 
 
 def with_estimates(outputs: Outputs, fused: Acceleration) -> Outputs:
@@ -430,7 +436,7 @@ def _element_notices(
 
 
 def _far_from_static(outputs: Outputs, load: LoadResult, sensor: Sensor, component: int) -> Iterator[Notice]:
-    """Yield a warning if an output is far from its stated sensitivity times the driven load.
+    """Yield a warning if an output is far from the driven load's prediction.
 
     For sensors without enough of the matrix for `contradicting_outputs`.
     """
@@ -455,7 +461,7 @@ def _far_from_static(outputs: Outputs, load: LoadResult, sensor: Sensor, compone
     yield Notice(OUTPUT_CONTRADICTS, "sensitivity", frequency_hz=frequency_hz, outputs=text, checks=checks)
 
 
-# Whether the recording gives what it was made for.
+# Whether the recording has its result.
 
 
 NO_RESULT = "result"
@@ -497,9 +503,9 @@ def _observed(acceleration: Acceleration, component: int | None) -> BoolArray:
 
 
 def _main_output(sensor: Sensor, component: int, recorded: Sequence[str] | None = None) -> str | None:
-    """Return the output that belongs to a load, by the static matrix or its name, or None.
+    """Return the output that belongs to a load, or None.
 
-    `recorded`: outputs to choose from, by default all of the sensor.
+    By the static matrix or its name. `recorded`: outputs to choose from, by default all of the sensor.
     """
     chosen = [name in (sensor.channels if recorded is None else recorded) for name in sensor.channels]
     if sensor.static_sensitivity is not None:
@@ -509,7 +515,10 @@ def _main_output(sensor: Sensor, component: int, recorded: Sequence[str] | None 
 
 
 def _with_sensitivity(inputs: Inputs, analysis: Analysis, component: int | None) -> BoolArray:
-    """Return the lines (K,) at which the main output has a sensitivity, or any unnamed output."""
+    """Return the lines (K,) at which the main output has a sensitivity.
+
+    Any output, if none is the main one.
+    """
     found = analysis.sensitivity
     if found is None or component is None or inputs.sensor is None:
         return np.zeros(1, dtype=np.bool_)
@@ -548,7 +557,7 @@ def _describe_reason(inputs: Inputs, analysis: Analysis, component: int | None, 
     return "; ".join(reasons)
 
 
-# What one evaluated recording consists of: the tree handed to the result writers and the report.
+# The result tree of one recording, for result files and report.
 
 
 @dataclass(frozen=True)

@@ -257,7 +257,7 @@ def tolerance(u: FloatArray, digits: int) -> FloatArray:
 
 
 def judged(results: Sequence[Propagated], draws: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the quantities whose first-order U is too small, and those where it is too large."""
+    """Return the quantities whose first-order U is too small, and too large."""
     small: list[str] = []
     large: list[str] = []
     for result in results:

@@ -1,6 +1,6 @@
-"""What acts beside the excitation: temperature of the sensor, strain of its foot, motion of what carries instruments.
+"""Disturbances: temperature of the sensor, strain of its foot, motion of supports.
 
-Each is a named unknown where the rig states it; of what it does not state the user is told how much would matter.
+Each is a named unknown if the rig states it; otherwise a note gives its possible size.
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ SURROUNDINGS = "surroundings"
 
 
 def at_reference_temperature(outputs: Outputs, sensor: Sensor, environment: Environment) -> Outputs:
-    """Return the outputs as the sensor would have given them at its reference temperature.
+    """Return the outputs at the reference temperature of the sensor.
 
-    U/(1 + α·(T - T_ref)), with the unknowns α and T, where the temperature coefficient α (1/K) of the sensitivity and
-    the temperature T of the sensor are stated; otherwise the outputs as they are.
+    U/(1 + α·(T - T_ref)), with the unknowns α and T, if the temperature coefficient α (1/K) of the sensitivity and the
+    temperature T of the sensor are stated; otherwise the outputs are unchanged.
     """
     alpha, temperature = sensor.temperature_coefficient, environment.sensor_temperature
     if alpha is None or temperature is None:
@@ -71,11 +71,12 @@ def at_reference_temperature(outputs: Outputs, sensor: Sensor, environment: Envi
 
 
 def with_base_strain(outputs: Outputs, sensor: Sensor, environment: Environment) -> Outputs:
-    """Return the outputs with what strain of the sensor's foot adds to each of them.
+    """Return the outputs with the uncertainty caused by strain of the sensor's foot.
 
     S·ε with the strain sensitivity S (output unit per m/m, of unknown sign) and the largest amplitude ε of the strain
-    (ISO 5347-13: output of a transducer on a bent beam at 250 µm/m). Its phasor, anywhere in a disc of that radius, has
-    the standard uncertainty S·ε/2 in either part; one unknown for all lines, since shaker and table stay.
+    (ISO 5347-13: output of a transducer on a bent beam at 250 µm/m). Its phasor is uniform in a disc of that radius,
+    with the standard uncertainty S·ε/2 in either part. It is one unknown for all lines, because shaker and table do not
+    change.
     """
     sensitivity, strain = sensor.base_strain_sensitivity, environment.base_strain
     if not sensitivity or not strain:
@@ -97,12 +98,12 @@ def with_base_strain(outputs: Outputs, sensor: Sensor, environment: Environment)
 def with_support_motion(
     observations: Sequence[Observation], limit: float | None, measured: Collection[str] = ()
 ) -> tuple[Observation, ...]:
-    """Return the observations, those of lasers and cameras with the motion of what carries them as common errors.
+    """Return the observations with the motion of optical instruments' supports as common errors.
 
-    `limit`: largest amplitude of that motion over the motion measured. Its phasor, anywhere in a disc of that radius,
-    has the standard uncertainty limit/2 in either part. One unknown for all optical instruments of a body: they stand
-    on one floor, so that they cannot tell it from motion of the body; accelerometers can. `measured`: rows of
-    instruments whose support's motion was measured, for which the limit is part of that.
+    `limit`: largest amplitude of that motion over the measured motion. Its phasor is uniform in a disc of that radius,
+    with the standard uncertainty limit/2 in either part. It is one unknown for all optical instruments of a body: on
+    one floor they cannot distinguish it from motion of the body, but accelerometers can. `measured`: rows of
+    instruments with a measured support motion, which includes the limit.
     """
     if not limit:
         return tuple(observations)
@@ -129,10 +130,10 @@ def not_assessed(
     frequency_hz: float,
     measured: Collection[str] = (),
 ) -> Iterator[Notice]:
-    """Yield a note for each influence that the rig does not state and U does not include.
+    """Yield a note for each influence that the rig does not state.
 
-    `frequency_hz`: the lowest line; `body`: the moving parts on the sensor; `measured`: rows of instruments for which
-    the motion of their support is measured.
+    U does not include it. `frequency_hz`: the lowest line; `body`: the moving parts on the sensor; `measured`: rows of
+    instruments with a measured motion of their support.
     """
     kinds = {observation.kind for observation in observations if observation.body == "load" and observation.stated}
     sensor, environment = rig.sensor, rig.surroundings
@@ -176,7 +177,7 @@ MAX_LAG_RAD = 0.2
 def unstated_chain(
     found: Sensitivity | None, entries: Sequence[ChannelEntry], component: int, *, signed: bool
 ) -> Iterator[Notice]:
-    """Yield a notice where the phase of the main output shows a measuring chain that is not stated.
+    """Yield a notice if the main output's phase shows an unstated measuring chain.
 
     `signed`: whether the sign of the sensitivity is stated; if not, an output that opposes the load is reported.
 

@@ -18,7 +18,7 @@ from fusion.instruments.transducer import perpendicular_axes
 from shaker.arrays import ComplexArray, FloatArray, IntArray
 
 ONLY_NAMED = 1.0 / np.sqrt(3.0)
-"""Standard uncertainty of an effect between nothing and the whole, or its opposite, over the whole."""
+"""Standard uncertainty of an effect uniform between plus and minus the whole, over the whole."""
 
 
 def response(frequency_hz: FloatArray, natural_hz: FloatArray, damping: FloatArray | float) -> ComplexArray:
@@ -46,11 +46,11 @@ class InstrumentPosition:
 
 @dataclass(frozen=True)
 class MeasuredModes:
-    """Measurement by a stereo `pair` of the M modes `which` at the K lines of a recording.
+    """Measured responses of M modes at the K lines of a recording.
 
-    `response` (K, M): motion of the modes over that of their foot. `gain` (K, 2M, 2M): its weight in the mean with the
-    stated one, of all real and all imaginary parts. `share` (M, 6): rigid motion of the sensor origin that a unit of
-    each mode adds to the motion measured by the pair.
+    `pair`: stereo pair that measures the modes `which`. `response` (K, M): motion of the modes over that of their foot.
+    `gain` (K, 2M, 2M): its weight in the mean with the stated one, of all real and all imaginary parts. `share` (M, 6):
+    rigid motion of the sensor origin that a unit of each mode adds to the motion measured by the pair.
     """
 
     pair: str
@@ -69,7 +69,7 @@ class MeasuredModes:
 
 @dataclass(frozen=True)
 class NaturalModes:
-    """N natural modes of a load with clamped foot, for a modal mass of 1 kg.
+    """N natural modes of a load with clamped foot, of modal mass 1 kg.
 
     `frequency_hz`, `damping` (N,). `participation` (N, 6): wrench at the sensor origin for a unit acceleration of each
     mode. `motion` of a position: (N, 6), its displacement and rotation. `measured`: measured responses of some modes at
@@ -98,10 +98,10 @@ class NaturalModes:
         return np.asarray(np.einsum("kn,ni,nj->kij", moved, self.participation, self.participation))
 
     def stretch(self, frequency_hz: FloatArray, position: InstrumentPosition) -> ComplexArray:
-        """Return matrices (K, 6, 6) from the acceleration of the foot to the additional motion at a position.
+        """Return matrices (K, 6, 6) of the motion of a position relative to the foot.
 
-        This motion is expressed as that of the sensor origin of a rigid body, so that the rows of an instrument apply
-        to it.
+        They act on the acceleration of the foot. The motion is expressed as that of the sensor origin of a rigid body,
+        so that the rows of an instrument apply to it.
         """
         motion = self.motion(position)
         about = np.concatenate([motion[:, :3] - np.cross(motion[:, 3:], position.point_m), motion[:, 3:]], axis=1)
@@ -152,7 +152,10 @@ class ElasticPart:
     mass_kg: float | None = None
 
     def act(self, quantity: ModalQuantity) -> ComplexArray:
-        """Return the correction of a quantity for the modes, zero for a part that is only named."""
+        """Return the correction of a quantity for the modes.
+
+        Zero for a part that is only named.
+        """
         whole = quantity(self.modes)
         return whole if self.variants else np.zeros_like(whole)
 
@@ -184,7 +187,7 @@ Rows = Sequence[tuple[float | FloatArray, FloatArray]]
 
 
 def polynomials(at: FloatArray) -> FloatArray:
-    """Return s·P(2s - 1) (Q, TERMS) at s from 0, the clamp, to 1, the end."""
+    """Return s·P(2s - 1) (Q, TERMS) from s = 0, the clamp, to 1."""
     return np.asarray(at[:, None] * legendre.legvander(2.0 * at - 1.0, TERMS - 1))
 
 
@@ -247,7 +250,7 @@ class Rod:
         value, slope = VALUE, SLOPE / self.length_m
         none, along = np.zeros_like(value), self.length_m * self.young_modulus_pa
         inertia, twist = self.length_m * self.density_kgpm3, 2.0 * second
-        # The mass at the end, as if it were everywhere what it is there.
+        # The mass at the end, distributed as its value at the end.
         end = np.repeat(polynomials(np.ones(1)), len(AT), axis=0)
         axial = ritz(
             [(along * area, slope)],
@@ -325,7 +328,10 @@ class Plate:
 
     @property
     def _rim(self) -> tuple[float, float]:
-        """Radius of the clamp, and the logarithm of the rim's radius over it, the unit of s."""
+        """Radius of the clamp, and the logarithm of the rim's radius over it.
+
+        The unit of s.
+        """
         return self.clamped_diameter_m / 2.0, float(np.log(self.diameter_m / self.clamped_diameter_m))
 
     def families(self) -> dict[str, NaturalModes]:

@@ -73,7 +73,7 @@ def find_evidence(
 
 
 def _source(item: UncertainInput | None) -> tuple[str, str]:
-    """Number of the certificate and laboratory of an input, empty where they are not stated."""
+    """Return the number of the certificate and laboratory of an input, or empty texts."""
     stated = None if item is None else item.stated
     return ("", "") if stated is None else (" ".join(stated.certificate.split()), stated.laboratory)
 

@@ -48,14 +48,14 @@ if TYPE_CHECKING:
 
 
 UNOBSERVED_LIMIT = 0.05
-"""Largest relative standard uncertainty that unobserved components may bring to a load component that is given.
+"""Largest relative standard uncertainty of a load component by unobserved motion.
 
-Half of the usual 10 %: given is what the geometry keeps half of that motion away from. What is given has it in U.
+Half of the usual 10 %: the geometry must exclude half of that motion. U includes the rest.
 """
 MATTERS = 0.1
-"""Share of the variance from which on an assumption about motion that nobody observed deserves a warning."""
+"""Share of the variance above which an assumption on unobserved motion is a warning (chosen)."""
 RIGID_ENOUGH = 1e-3
-"""Relative change of a load by what is elastic of it that needs no notice, unless U is as small."""
+"""Relative elastic change of a load that is not reported, unless U is equally small (chosen)."""
 MAX_MASS_RATIO = 1.02
 """Mass of an elastic part by its drawing over all moving mass: chosen as the tolerance of drawings."""
 RESONANCE_BAND = 0.2
@@ -66,10 +66,14 @@ RESONANCE_BAND = 0.2
 class LoadResult:
     """Wrench phasors at the sensor origin in N and N.m, with the manifest's sense.
 
-    `value` (K, 6): the whole estimate, with components of the motion that nobody observed at zero; NaN at lines without
-    any reading. `uncertainty`: of all six, in which those components are contributions of their own. `observed` (K, 6):
-    which components are given as results, since the unobserved ones matter little to them. `both`: names of unknowns
-    that act on the load through the motion and by themselves, as what is elastic of it does; None where none does.
+    Attributes
+    ----------
+    frequency_hz : (K,), Hz.
+    value : (K, 6), whole estimate with unobserved components of the motion at zero; NaN at lines without a reading.
+    uncertainty : of all six components; unobserved motion is a separate contribution.
+    observed : (K, 6), components that are results because unobserved motion has little effect on them.
+    notices : notices of the load.
+    both : names of unknowns that act on the load through the motion and directly, such as elastic parts; None for none.
     """
 
     frequency_hz: FloatArray
@@ -88,7 +92,10 @@ class LoadResult:
 
     @cached_property
     def phasors(self) -> Phasors:
-        """Return the components that are given as results, NaN elsewhere; `dof` of the largest force of each line."""
+        """Return the components that are results, NaN elsewhere.
+
+        `dof`: of the largest force of each line.
+        """
         mask = ~np.tile(self.observed, (1, 2))
         covariance = np.where(mask[:, :, None] | mask[:, None, :], np.nan, self.uncertainty.covariance)
         value = np.where(self.observed, self.value, complex(np.nan, np.nan))
@@ -99,26 +106,28 @@ class LoadResult:
 
     @property
     def contributions(self) -> tuple[Contribution, ...]:
-        """Return the budget: one contribution per label; they add up to the covariance of `value`."""
+        """Return the budget, one contribution per label; they add up to the covariance of `value`."""
         return self.uncertainty.grouped()
 
     @cached_property
     def polar(self) -> list[list[Polar | None]]:
-        """Return the components (K lines of 6) as magnitude and phase, None where one is not given."""
+        """Return the components (K lines of 6) as magnitude and phase.
+
+        None where one is not a result.
+        """
         return polar_elements(self.phasors.value, self.uncertainty, self.phasors.covariance)
 
 
 def load_phasors(acceleration: Acceleration, body: Body) -> LoadResult:
-    """Return the wrench L = ±(M A + gravity tilt) at the sensor origin, positive in the body's sense.
+    """Return the wrench L = ±(M A + gravity tilt) at the sensor origin.
 
-    Its uncertainty is that of the acceleration carried through, and one influence per uncertain number of body, joint,
-    modes and gravity, (dM/dp · A) u(p). Acceleration components that no instrument observed are taken as zero within
-    the amplitudes of `acceleration.unseen`, a type B contribution "unobserved NAME"; a load component to which they
-    bring more than 5 % is not given. No load is given at lines at which a component of the acceleration is disputed.
+    It is positive in the body's sense. Its uncertainty is that of the acceleration, and one influence per uncertain
+    number of body, joint, modes and gravity, (dM/dp · A) u(p). Unobserved components of the acceleration are zero
+    within the amplitudes of `acceleration.unseen`, a type B contribution "unobserved NAME". A load component with more
+    than 5 % from these is not a result. Lines at which a component of the acceleration is disputed have no load.
     """
     frequency = acceleration.phasors.frequency_hz
-    # At a line without any reading nothing is known, neither what is zero nor how uncertain it is; nor is it where
-    # instruments dispute a component, which is neither zero nor small.
+    # A line without a reading has neither a load nor an uncertainty, and neither has one with a disputed component.
     determined = np.any(acceleration.observed, axis=1)
     if acceleration.disputed is not None:
         determined = determined & ~np.any(acceleration.disputed, axis=1)
@@ -131,7 +140,7 @@ def load_phasors(acceleration: Acceleration, body: Body) -> LoadResult:
     hidden = _hidden_contributions(acceleration, matrix, changes)
     spread = np.sum([np.zeros(value.shape), *(total_variance(part.covariance) for part in hidden.values())], axis=0)
     observed = np.isfinite(value) & (np.sqrt(spread) <= UNOBSERVED_LIMIT * np.abs(value))
-    # What is not observed has contributions of its own, with what it does to the rest in them.
+    # Unobserved components are separate contributions, which include their effect on the others.
     others = tuple(part for part in acceleration.uncertainty.random if part.label not in UNOBSERVED_ITSELF)
     carried = replace(acceleration.uncertainty, random=others).nan_as_zero().transformed(real_design(matrix))
     of_parameters = tuple(c.acting(real_stack(np.einsum("kij,kj->ki", c.effect, motion))) for c in changes)
@@ -149,7 +158,7 @@ def load_phasors(acceleration: Acceleration, body: Body) -> LoadResult:
 
 
 def _reached(acceleration: Acceleration, matrix: ComplexArray, changes: Sequence[Unknown[ComplexArray]]) -> BoolArray:
-    """Return which components of the load (K, 6) a motion changes that nobody observes and nothing bounds."""
+    """Return the components of the load (K, 6) that unbounded motion changes."""
     unbounded = np.isinf(acceleration.unobserved_amplitude)[:, None, :]
     matrices = (matrix, *(change.effect for change in changes))
     return np.asarray(np.any([np.any((one != 0.0) & unbounded, axis=2) for one in matrices], axis=0))
@@ -158,9 +167,10 @@ def _reached(acceleration: Acceleration, matrix: ComplexArray, changes: Sequence
 def _hidden_contributions(
     acceleration: Acceleration, matrix: ComplexArray, changes: Sequence[Unknown[ComplexArray]]
 ) -> dict[str, Contribution]:
-    """One type B contribution per component nobody observed; its real and imaginary parts are independent.
+    """Return one type B contribution per unobserved component.
 
-    What it adds to the load it takes from, or adds to, what instruments tell of other components, with sign.
+    Real and imaginary parts are independent. The effect on the load includes the change of observed components, with
+    sign.
     """
     amplitude = acceleration.unobserved_amplitude
     u = np.where(np.isinf(amplitude), 0.0, amplitude) / np.sqrt(2.0)
@@ -183,13 +193,13 @@ def _notices(
     observed: BoolArray,
     hidden: Mapping[str, Contribution],
 ) -> tuple[Notice, ...]:
-    """Return what is assumed of unobserved motion, its effect, and which load components have no value."""
+    """Return notices of assumed unobserved motion and of undetermined load components."""
     notices = []
     given = np.where(observed, np.abs(value) / np.where(np.arange(6) < 3, 1.0, BODY_SIZE_M), 0.0)
     line, largest = np.unravel_index(int(np.argmax(given)), given.shape)
     if hidden and given[line, largest] > 0.0:
         whole = float(total_variance(total.covariance)[line, largest])
-        # What reaches the load directly, and what uncertain directions let into the observed components.
+        # The direct effect on the load, and that through uncertain directions of observed components.
         contributions = [*hidden.values(), *(part for part in total.random if part.label == UNOBSERVED)]
         part = float(sum(total_variance(one.covariance)[line, largest] for one in contributions))
         if part > 0.0:
@@ -212,7 +222,7 @@ def _notices(
 
 
 def _describe_driven(acceleration: Acceleration, line: int) -> str:
-    """Return the limits of the unobserved components that are driven at a line; empty if there are none."""
+    """Return the limits of the unobserved driven components at a line, as text."""
     drive, amplitude = acceleration.unseen.drive or (0.0,) * 6, acceleration.unobserved_amplitude[line]
     units = ("m/s^2",) * 3 + ("rad/s^2",) * 3
     rows = zip(MOTION_COMPONENTS, drive, amplitude.tolist(), units, strict=True)
@@ -223,7 +233,7 @@ def _describe_driven(acceleration: Acceleration, line: int) -> str:
 def _elastic_notices(
     body: Body, frequency_hz: FloatArray, value: ComplexArray, rigid: ComplexArray
 ) -> tuple[Notice, ...]:
-    """Return the effect of joint and modes on the largest force, at the line where it is largest."""
+    """Return the effect of joint and modes on the largest force, at its largest change."""
     sizes = np.nan_to_num(np.abs(rigid))
     largest, lines = np.argmax(sizes[:, :3], axis=1), np.arange(len(value))
     before, after = sizes[lines, largest], np.abs(value)[lines, largest]
@@ -270,10 +280,10 @@ def _part_notices(body: Body, frequency_hz: FloatArray) -> Iterator[Notice]:
 
 
 def _rigidity_notices(body: Body, load: LoadResult) -> tuple[Notice, ...]:
-    """Return a warning where a load without stated elasticity may not be rigid, by its mass and size.
+    """Return a warning if a load without stated elasticity may not be rigid.
 
-    At the line where that matters most: where it changes the largest component by more than 0.1 %, or more than a third
-    of its U, unless U is ten times as large.
+    By its mass and size, at the line with the largest effect: more than 0.1 % of the largest component or more than a
+    third of its U, unless U is ten times as large.
     """
     if body.elastic or body.first_frequency_hz is not None:
         return ()
@@ -301,7 +311,27 @@ def _rigidity_notices(body: Body, load: LoadResult) -> tuple[Notice, ...]:
     return (Notice(LOAD_MAY_DEFORM, "load", **values),)
 
 
-# What mass and size alone say of a load of which nothing elastic is stated.
+def describe_other_loads(load: LoadResult, component: int, capacity: Sequence[float] | None = None) -> str:
+    """Return the other loads at the strongest line, relative to `component`, as text.
+
+    Forces and moments are compared in shares of the rated `capacity` (6,) only.
+    """
+    rated = np.ones(6) if capacity is None else np.asarray(capacity)
+    given = np.abs(np.where(load.observed, load.value, np.nan)) / rated
+    if not np.any(given[:, component] > 0.0):
+        return "loads that are not known"
+    line = int(np.nanargmax(given[:, component]))
+    share = given[line] / given[line, component]
+    others = [
+        f"{LOAD_COMPONENTS[i]} {share[i]:.2%}"
+        for i in range(6)
+        if i != component and (capacity is not None or i // 3 == component // 3) and np.isfinite(share[i])
+    ]
+    basis = "" if capacity is None else ", in shares of the rated loads"
+    return f"{', '.join(others)} of {LOAD_COMPONENTS[component]}{basis}" if others else "loads that are not known"
+
+
+# Likely resonances of a load without stated elasticity, by its mass and size.
 
 
 SPEED_OF_SOUND_MPS = 5000.0
@@ -317,11 +347,11 @@ FREE_END = np.pi**2 / 24.0
 
 
 def likely_frequencies(mass_matrix: FloatArray) -> FloatArray:
-    """Return (6,): first natural frequencies, Hz, that a metal body of some mass matrix (6, 6) likely has on its foot.
+    """Return likely first natural frequencies (6,), in Hz, of a metal body.
 
-    The foot is taken at the sensor origin; the body reaches along each axis as far as centre of mass and moments of
-    inertia tell: |c| + √3·k, k² = ∫x² dm/m, exact for rods. Along the axes: f = c/(4·reach); bending of the reach j by
-    motion along i: f = 1.875²/(2π)·c·k_i/reach_j², and its shear, by Dunkerley's sum of 1/f².
+    By its mass matrix (6, 6), with the foot at the sensor origin. Centre of mass and moments of inertia give the reach
+    along each axis: |c| + √3·k, k² = ∫x² dm/m, exact for rods. Along the axes: f = c/(4·reach). Bending of the reach j
+    by motion along i: f = 1.875²/(2π)·c·k_i/reach_j², combined with shear by Dunkerley's sum of 1/f².
     """
     mass = mass_matrix[0, 0]
     lever = mass_matrix[3:, :3] / mass
@@ -343,18 +373,18 @@ def likely_frequencies(mass_matrix: FloatArray) -> FloatArray:
     return np.asarray(np.concatenate([shifts, turns]) ** -0.5)
 
 
-# The uncertainty budget: what each cause does to magnitude and phase of complex values, line by line.
+# The uncertainty budget: contribution of each cause to magnitude and phase, line by line.
 
 
 @dataclass(frozen=True)
 class BudgetEntry:
-    """What one cause contributes to C complex values at K lines; all entries of a budget are independent.
+    """Contribution of one cause to C complex values at K lines, independent of all others.
 
-    `label`, `type` A or B; `count`: how many unknowns stand behind it, 0 for noise. `u` in `unit`: standard uncertainty
-    of the unknown, NaN for noise and where unknowns of different uncertainty were put together. `coefficient` (2, K,
-    C): change of the relative magnitude and of the phase (rad) per unit of the unknown; for several unknowns of one
-    uncertainty the root of the sum of squares. `u_relative`, `u_phase_rad` (K, C): contribution to the standard
-    uncertainty of the relative magnitude and of the phase. `dof` (K,).
+    `label`, `type` A or B. `count`: number of unknowns, 0 for noise. `u` in `unit`: standard uncertainty of the
+    unknown, NaN for noise and for unknowns of different uncertainty. `coefficient` (2, K, C): change of the relative
+    magnitude and of the phase (rad) per unit of the unknown; for several unknowns of one uncertainty the root of the
+    sum of squares. `u_relative`, `u_phase_rad` (K, C): contribution to the standard uncertainty of the relative
+    magnitude and of the phase. `dof` (K,).
     """
 
     label: str
@@ -369,10 +399,10 @@ class BudgetEntry:
 
 
 def budget(uncertainty: Uncertainty, value: ComplexArray) -> tuple[BudgetEntry, ...]:
-    """Return the budget of complex values (K, C): one entry per label, in the order of their first appearance.
+    """Return the budget of complex values (K, C), one entry per label.
 
-    With dX/X = d ln|X| + j d arg X the contributions are those to X turned and divided by X (JCGM 102, 9.4). What an
-    unknown does on several ways (to outputs and load) has been added up in its effect before any square is taken.
+    In the order of first appearance. With dX/X = d ln|X| + j d arg X the contributions are those to X turned and
+    divided by X (JCGM 102, 9.4). Effects of one unknown through outputs and load are added before any square.
     """
     usable = np.isfinite(value) & (value != 0.0)
     turn = np.divide(1.0, value, out=np.full(value.shape, complex(np.nan, np.nan)), where=usable)

@@ -1,4 +1,4 @@
-"""The Monte Carlo run: all that follows tracks and channels, once per draw of everything uncertain."""
+"""Monte Carlo: the evaluation after tracks and channels for each draw of all uncertain quantities."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS
 from shakercal._common.notices import Notice
 
 BLOCK = 2000
-"""Draws that are made at once; each block has streams of its own, so that blocks may be computed in any order."""
+"""Draws computed at once; each block has separate random streams, so that blocks may be computed in any order."""
 CONVERGED = 1e-9
 MOST_STEPS = 60
 
@@ -37,15 +37,16 @@ MOST_STEPS = 60
 def propagate(
     inputs: Inputs, analysis: Analysis, draws: int, seed: int, progress: ProgressCallback = no_progress
 ) -> MonteCarlo:
-    """Return what N draws of everything uncertain make of every result at the driven lines.
+    """Return the distribution of every result at the driven lines from N draws.
 
-    JCGM 101 and 102: noise from multivariate t-distributions with its degrees of freedom; masses, points, directions,
-    poses, scales, delays, clocks from normal distributions of their stated standard uncertainties, each once by its
-    name; places, finite rotations, products and delays enter exactly. Motion that nobody observes has its
-    amplitude at the limit and any phase; disagreement between instruments is drawn as the evaluation states it. The
-    weights of the instruments are the evaluation's. What weights by estimated noise cost (2Λ of `EstimatedNoise.lost`,
-    in first-order U) is not drawn beside that: t-distributions are wider by as much already, having the variance
-    ν/(ν - 2), and both together would contradict a first-order U that covers (docs/uncertainty.md).
+    JCGM 101 and 102. Noise has multivariate t-distributions with its degrees of freedom. Masses, points, directions,
+    poses, scales, delays and clocks have normal distributions of their stated standard uncertainties, each once by its
+    name. Positions, finite rotations, products and delays are exact. Unobserved motion has its limit as amplitude and a
+    uniform phase; disagreement between instruments is drawn as the evaluation states it.
+
+    The weights of the instruments are the evaluation's. The cost of estimated weights (2Λ of `EstimatedNoise.lost`, in
+    first-order U) is not drawn: t-distributions are already wider by the same amount, with the variance ν/(ν - 2). Both
+    together would contradict a correct first-order U (docs/uncertainty.md).
     """
     motions = [_motion(inputs, fused) for fused in analysis.accelerations if fused.source == "fused"]
     driven = np.flatnonzero(inputs.lines.multiple == 1)
@@ -68,11 +69,11 @@ def propagate(
 
 @dataclass(frozen=True)
 class Estimator:
-    """What turns readings into an acceleration: with the gain of the evaluation, whatever the rows are.
+    """Estimator of the acceleration from drawn readings, with the gain of the evaluation.
 
-    `observations` that were fused; `gain` (P, N) on the reduced unknowns; `expand` (12K, P) from these to
-    [Re A_k, Im A_k] of all lines. The estimate of a draw is the A for which gain · (readings - rows · A) = 0: the truth
-    itself where readings and rows belong together, and the generalised least squares to first order.
+    `observations`: those of the fusion. `gain` (P, N) on the reduced unknowns. `expand` (12K, P): from these to [Re
+    A_k, Im A_k] of all lines. The estimate of a draw is the A for which gain · (readings - rows · A) = 0: the true
+    value if readings and rows are consistent, and generalised least squares to first order.
     """
 
     observations: tuple[Observation, ...]
@@ -85,14 +86,15 @@ class Estimator:
         return cls(tuple(observations), np.asarray(np.linalg.pinv(expand) @ solution.gain), expand)
 
     def acceleration(self, drawn: Sequence[DrawnReadings], start: ComplexArray, hidden: ComplexArray) -> ComplexArray:
-        """Return the estimates (N, K, 6) from N draws of every observation, found by steps with the fixed gain.
+        """Return the estimates (N, K, 6) from N draws of every observation.
 
-        `start` (K, 6): where to start; `hidden` (N, K, 6): motion that no reading tells, which the rows may see.
+        By steps with the fixed gain. `start` (K, 6): initial value. `hidden` (N, K, 6): unobserved motion, which the
+        rows may include.
         """
         count, lines = hidden.shape[:2]
         indices = [RowIndex.of(observation) for observation in self.observations]
         unknowns = np.repeat((np.linalg.pinv(self.expand) @ real_stack(start).ravel())[None], count, axis=0)
-        # What a step may leave: in each unknown's own unit, the largest of its kind in the estimate.
+        # Tolerance of a step: the largest unknown of the same kind and unit.
         limit = CONVERGED * np.max(np.abs(unknowns), initial=1e-300)
         for _ in range(MOST_STEPS):
             estimate = as_complex((unknowns @ self.expand.T).reshape(count, lines, 12))
@@ -107,7 +109,7 @@ class Estimator:
 
 @dataclass(frozen=True)
 class _Motion:
-    """The fused acceleration of a body and how it comes from its instruments; `noise`: names of their streams."""
+    """The fused acceleration of a body with its estimator; `noise`: names of the random streams."""
 
     fused: Acceleration
     observations: tuple[Observation, ...]
@@ -120,15 +122,15 @@ class _Motion:
         return f"acceleration of the {self.fused.body}"
 
     def draw(self, deviates: Deviates) -> ComplexArray:
-        """Return accelerations (N, K, 6) of the body; where nobody observed a component, what it may be.
+        """Return accelerations (N, K, 6) of the body; possible values where it is not observed.
 
-        Beside the instruments' own errors the estimate's uncertainty holds their disagreement. A variance of it that
-        the data hardly tell from zero has nominally less than one degree of freedom, of which no distribution follows;
-        it is drawn with no fewer than `LEAST_DOF`.
+        The uncertainty of the estimate includes disagreement of the instruments in addition to their errors. A variance
+        that is hardly significant has nominally less than one degree of freedom and no distribution; it is drawn with
+        at least `MIN_DOF`.
         """
         fused, estimate = self.fused, np.asarray(np.nan_to_num(self.fused.phasors.value))
         phase = deviates.angle(f"unobserved motion of the {fused.body}", *estimate.shape)
-        amplitude = fused.unobserved_amplitude  # what is unbounded reaches no value that is given
+        amplitude = fused.unobserved_amplitude  # unbounded motion reaches no value
         hidden = np.where(np.isinf(amplitude), 0.0, amplitude) * np.exp(1j * phase)
         readings = [o.draw(estimate, deviates, noise) for o, noise in zip(self.observations, self.noise, strict=True)]
         value = self.estimator.acceleration(readings, estimate, hidden)
@@ -147,7 +149,7 @@ class _Motion:
 
 
 def _motion(inputs: Inputs, fused: Acceleration) -> _Motion:
-    """Return a fused acceleration with the instruments that took part in it."""
+    """Return a fused acceleration with the instruments that it uses."""
     of_body = [(index, seen) for index, seen in enumerate(inputs.observations) if seen.body == fused.body]
     used = [(index, seen) for index, seen in of_body if seen.stated] or of_body
     system, first, _ = reject_gross_errors([seen for _, seen in used], fused.unseen)
@@ -159,7 +161,7 @@ def _motion(inputs: Inputs, fused: Acceleration) -> _Motion:
 def _draw(
     inputs: Inputs, analysis: Analysis, motions: Sequence[_Motion], deviates: Deviates
 ) -> dict[str, ComplexArray]:
-    """Return one block of draws of every result, by its name: (N, K, components)."""
+    """Return one block of draws (N, K, components) of every result, by its name."""
     drawn: dict[str, ComplexArray] = {}
     for motion in motions:
         drawn[motion.name] = acceleration = motion.draw(deviates)
@@ -178,7 +180,7 @@ def _draw(
 def _draw_elements(
     prior: PriorMatrix, outputs: Outputs, load: LoadResult, loads: ComplexArray, deviates: Deviates
 ) -> ComplexArray:
-    """Return the sensor's elements (N, K, E) from drawn loads and outputs, and a matrix drawn unknown by unknown."""
+    """Return the elements (N, K, E) of the sensor from drawn loads, outputs and matrices."""
     matrix = np.zeros((deviates.count, loads.shape[1], *prior.value.shape), np.complex128) + prior.value
     unknowns = (*prior.unknowns, *prior.frequency_unknowns(outputs.phasors.value, load.value))
     for unknown in unknowns:
@@ -216,7 +218,7 @@ def _first_order(analysis: Analysis) -> Iterator[FirstOrder]:
 
 
 def _notices(results: Sequence[Propagated], draws: int) -> tuple[Notice, ...]:
-    """Return a warning where first-order U is too small, and a note where it is too large."""
+    """Return a warning of too small first-order U, and a note of too large."""
     small, large = judged(results, draws)
     notices = []
     if small:

@@ -1,4 +1,4 @@
-"""The path on one page: from a recording folder to the complex sensitivity."""
+"""Evaluation of a recording: from its folder to the complex sensitivity."""
 
 from __future__ import annotations
 
@@ -39,14 +39,39 @@ def evaluate_recording(
     executor: Executor | None = None,
     checkpoints: CheckpointStore | None = None,
 ) -> Evaluation:
-    """Evaluate one sinusoidal recording: files → phasors → acceleration of load and base → load → sensitivity.
+    """Evaluate one sinusoidal recording: files → phasors → acceleration → load → sensitivity.
 
-    `recording`: its manifest or its folder. What was recorded in sequential set-ups is referred to the first before the
-    instruments are fused. An `executor` follows the images, to the same digits; `kept`: where blocks of frames that
-    were followed are found again when this did not end. `settings`: by default `Settings()`. `input_hashes` (file →
-    SHA-256) are carried into the result. Raises `InputError` for what the user can mend in the files, `ComputeError`
-    for what these files do not allow.
+    Sequential set-ups are referred to the first one before the instruments are fused.
 
+    Parameters
+    ----------
+    recording : Manifest, str or Path
+        Manifest, or folder of the recording.
+    settings : Settings, optional
+        Settings of the evaluation; default `Settings()`.
+    input_hashes : mapping, optional
+        File → SHA-256, copied into the result.
+    progress : callable, optional
+        Called with stage, step and number of steps.
+    executor : Executor, optional
+        Processes that track the images, with identical results; default threads of this process.
+    checkpoints : CheckpointStore, optional
+        Store of tracked blocks of frames, by which an interrupted evaluation continues.
+
+    Returns
+    -------
+    Evaluation
+        All results of the recording.
+
+    Raises
+    ------
+    InputError
+        If a file has a mistake that the user can correct.
+    ComputeError
+        If the files do not allow a result.
+
+    Examples
+    --------
     >>> from fusion import evaluate_recording
     >>> evaluation = evaluate_recording("sample_images/demo/Fz-0080")  # doctest: +SKIP
     >>> evaluation.sensitivity.value[:, 2, 2]  # Fz output per Fz load, line by line  # doctest: +SKIP
@@ -63,7 +88,7 @@ def evaluate_set_ups(
     settings: Settings,
     progress: ProgressCallback = no_progress,
 ) -> Evaluation:
-    """Evaluate a recording whose instruments have phasors: fuse, apply the mass matrix, divide the outputs."""
+    """Evaluate a recording from the phasors of its instruments: fusion, mass matrix, outputs over load."""
     joined = join_set_ups(set_ups)
     sensor, surroundings, body = manifest.rig.sensor, manifest.rig.surroundings, load_body(manifest.rig, manifest.part)
     observations = joined.observed(surroundings.free_fall_mps2[0])

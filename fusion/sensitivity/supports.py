@@ -1,8 +1,9 @@
-"""The motion of what carries cameras and lasers, from what looks at the room or sits on a head; instruments without it.
+"""Motion of the supports of cameras and lasers by references, and instruments corrected for it.
 
-A support moves by H, six components as a body does, and an instrument on it reads rows·(A - H). A patch at rest in the
-view of cameras, or a beam at the room, reads -rows·H, an accelerometer on a head rows·H. Of H is known before how large
-it may be: readings and that are one linear model for each line, solved here before the bodies are.
+A reference is a target at rest, or an instrument on a head. A support moves by H, six components like a body, and an
+instrument on it reads rows·(A - H). A patch at rest in the view of cameras, or a beam at the room, reads -rows·H, an
+accelerometer on a head rows·H. The prior of H is its possible size. Readings and prior are one linear model for each
+line, solved before the fusion of the bodies.
 """
 
 from __future__ import annotations
@@ -37,26 +38,26 @@ if TYPE_CHECKING:
     from fusion.recording.manifest import ChannelEntry
 
 SHARES, RATIOS = np.geomspace(1e-5, 0.1, 13), (1.0, 0.3, 0.1)
-"""Where nothing is stated: possible standard deviations of a support's translation along what it measures, over the
-motion measured, and those of the translations across over that."""
+"""Without a statement: possible standard deviations of a support's translation along the measured motion, over that
+motion, and of the translations across, over the former."""
 CONTRADICTED = 1e-3
-"""Probability of readings below which a stated `support_motion` is not believed."""
+"""Probability of readings below which a stated `support_motion` is rejected (chosen)."""
 SMALL = 0.03
-"""Of the standard deviation of H: errors of a reference that do less to it are left out."""
+"""Effect of an error of a reference, over the standard deviation of H, below which it is omitted (chosen)."""
 NOTED, SURE = 1e-4, 4.0
-"""Of the motion measured, and of its standard uncertainty: what motion of a support is worth a word."""
+"""Motion of a support that is reported, over the measured motion, and over its standard uncertainty (chosen)."""
 WEAK = 1e-3
-"""Of the motion measured: standard uncertainty of a support's motion from which on a better reference is asked for."""
+"""Standard uncertainty of a support's motion, over the measured motion, above which it is reported (chosen)."""
 
 
 @dataclass(frozen=True, eq=False)
 class SupportMotion:
-    """How one support moved: `phasors` of acceleration of the point of it that is at the sensor origin.
+    """Motion of one support: acceleration `phasors` of its point at the sensor origin.
 
-    They are NaN at lines that no reference shows and of which nothing is stated. `observed` (K, 6): components that the
-    references tell by themselves, of the others only how large they may be is known. `measured_mps2` (K,): the largest
-    translation that the instruments on it measure. `references`: what tells of it; `carried`: rows of the instruments
-    that it was taken off, by their names.
+    They are NaN at lines without a reference and without a stated limit. `observed` (K, 6): components that the
+    references determine; the others only have their possible size. `measured_mps2` (K,): largest translation that the
+    instruments on it measure. `references`: names of the references. `carried`: names of the corrected rows of
+    instruments.
     """
 
     name: str
@@ -70,7 +71,7 @@ class SupportMotion:
 
 
 class _Seen(NamedTuple):
-    """Some `columns` of an observation, all on one support; `sign` of what they read of it, for references."""
+    """Some `columns` of an observation on one support; `sign` of its motion in references."""
 
     observation: Observation
     columns: list[int]
@@ -86,10 +87,11 @@ class _Seen(NamedTuple):
 def without_supports(
     observations: Sequence[Observation], limit: float | None
 ) -> tuple[tuple[Observation, ...], tuple[SupportMotion, ...], tuple[Notice, ...]]:
-    """Take the motion of every support with a reference off the instruments on it, and leave out the references.
+    """Correct the instruments for the motion of supports with a reference, and remove the references.
 
-    `limit`: largest amplitude of that motion over the motion measured (`environment.support_motion`), None where it is
-    not stated, for supports without a reference too. What is left open of H are unknowns of all instruments on it.
+    `limit`: largest amplitude of that motion over the measured motion (`environment.support_motion`), None if not
+    stated; also for supports without a reference. The remaining uncertainty of H is an unknown of all instruments on
+    the support.
     """
     bodies = [o for o in observations if o.body not in (STATIONARY, HEAD)]
     found, notices = list[SupportMotion](), list[Notice]()
@@ -110,7 +112,10 @@ def _members(seen: _Seen) -> list[str]:
 
 
 def _by_support(observations: Sequence[Observation] | Iterator[Observation]) -> dict[str, list[_Seen]]:
-    """Return the rows of observations by the name of what they are on; channels without a head are on nothing."""
+    """Return the rows of observations by the name of their support.
+
+    Channels without a head have none.
+    """
     groups: dict[str, list[_Seen]] = {}
     for observation in observations:
         columns_of: dict[str, list[int]] = {}
@@ -129,13 +134,13 @@ def _by_support(observations: Sequence[Observation] | Iterator[Observation]) -> 
     return groups
 
 
-# One support: what is known of its motion before, and with the readings of its references.
+# One support: the prior of its motion, and the estimate from the readings of its references.
 
 
 def _settled(
     name: str, references: Sequence[_Seen], carried: Sequence[_Seen], limit: float | None
 ) -> tuple[SupportMotion, list[CommonError], list[Notice]]:
-    """Return the motion of one support, what is uncertain of it as (K, 6) `offset`s, and what to tell."""
+    """Return the motion of one support, its uncertainty as (K, 6) `offset`s, and notices."""
     frequency = carried[0].observation.phasors.frequency_hz
     shape, observed = _shape([*references, *carried]), np.zeros((len(frequency), 6), dtype=np.bool_)
     value = np.full((len(frequency), 6), complex(np.nan, np.nan))
@@ -165,10 +170,11 @@ def _settled(
 
 
 def _shape(seen: Sequence[_Seen]) -> FloatArray:
-    """Return (6, 6) columns that make [Re H, Im H]'s covariance of squares of six standard deviations of size 1.
+    """Return columns (6, 6) of the covariance of [Re H, Im H].
 
-    Translations where the support is, rotations as large as these over the distance L to what is measured: cameras that
-    rock about a place at that distance. H is that of the sensor origin, t - θ × p of a support at p.
+    For six unit standard deviations: translations at the support, and rotations as large as these over the distance L
+    to the measured body, like cameras that rock about a pivot at that distance. H refers to the sensor origin, t - θ ×
+    p of a support at p.
     """
     pivots, points = list[FloatArray](), list[FloatArray]()
     for observation, columns, _ in seen:
@@ -189,14 +195,14 @@ def _shape(seen: Sequence[_Seen]) -> FloatArray:
 
 
 def _head_position(entry: ChannelEntry) -> FloatArray | None:
-    """Return where a head is, as far as a channel tells: its mirror, else what sits on it."""
+    """Return the position of a head: its mirror, else its instrument; None if not stated."""
     if entry.head is not None and entry.head.stated.mirror is not None:
         return np.array(entry.head.stated.mirror)
     return measuring_point(entry) if entry.body == HEAD else None
 
 
 def _sizes(carried: Sequence[_Seen], line: int) -> FloatArray:
-    """Return the largest translations (3,) along the axes, as acceleration, that instruments read at a line."""
+    """Return the largest translations (3,) along the axes, as acceleration, at a line."""
     sizes = np.zeros(3)
     for seen in carried:
         along = np.abs(seen.rows(line)[:, :3])
@@ -207,8 +213,11 @@ def _sizes(carried: Sequence[_Seen], line: int) -> FloatArray:
 
 
 class _Readings(NamedTuple):
-    """What references read at a line: real `rows` (N, 12), `values` (N,), their `noise` (N, N), how well it is `known`,
-    and its fewest degrees of freedom."""
+    """Readings of references at a line.
+
+    Real `rows` (N, 12), `values` (N,), their `noise` (N, N), the `estimated_noise` with its degrees of freedom, and
+    their smallest number `dof`.
+    """
 
     rows: FloatArray
     values: FloatArray
@@ -218,7 +227,7 @@ class _Readings(NamedTuple):
 
     @property
     def observed(self) -> BoolArray:
-        """Components (6,) that lie in the space of the rows."""
+        """Components (6,) in the space of the rows."""
         _, singular, right = np.linalg.svd(self.rows * np.tile(SCALE, 2), full_matrices=False)
         basis = right[singular > RANK_TOLERANCE * singular.max(initial=0.0)]
         return np.asarray(np.sum(basis[:, :6] ** 2, axis=0) > 1.0 - RESOLUTION_TOLERANCE)
@@ -245,7 +254,10 @@ class _Readings(NamedTuple):
 
 
 class _Estimate(NamedTuple):
-    """[Re H, Im H] (12,), covariance (12, 12), gain (12, N), and whether readings contradict what is stated of H."""
+    """Estimate of [Re H, Im H] (12,) with covariance (12, 12) and gain (12, N).
+
+    `contradicts`: whether readings contradict the stated limit.
+    """
 
     mean: FloatArray
     covariance: FloatArray
@@ -256,13 +268,14 @@ class _Estimate(NamedTuple):
 def _estimate(read: _Readings, shape: FloatArray, main: int, stated: float | None) -> _Estimate:
     """Return the best linear estimate of H from readings y = rows·H + noise.
 
-    H has the covariance S = shape·diag(s²)·shapeᵀ in either part: the mean is S·Dᵀ·(D·S·Dᵀ + N)⁻¹·y, with what that
-    leaves as covariance (Henderson 1975, Biometrics 31, 423). `stated`: the standard deviation s of every translation.
-    Where none is stated, or the readings refute it, s is one of `SHARES` (even in its square root, between even in the
-    logarithm, which believes in rest, and even in s, which does not) for the translation along the `main` axis, of the
-    others that times one of `RATIOS`; rotations have their mean square. The estimate is then the mean over s, weighted
-    by the probability density of the readings (of Student's t, since N is estimated), and the covariance holds what s
-    leaves open: readings far above their noise are taken as they are, of readings within it hardly anything is.
+    H has the covariance S = shape·diag(s²)·shapeᵀ in either part. The mean is S·Dᵀ·(D·S·Dᵀ + N)⁻¹·y, with the remaining
+    covariance (Henderson 1975, Biometrics 31, 423). `stated`: the standard deviation s of every translation.
+
+    If none is stated, or the readings contradict it, s is one of `SHARES` for the translation along the `main` axis,
+    and times one of `RATIOS` for the others; rotations have the mean square. The prior of s is uniform in its square
+    root, between uniform in the logarithm, which favours rest, and uniform in s. The estimate is the mean over s
+    weighted by the probability density of the readings (Student's t, because N is estimated), and the covariance
+    includes the spread over s. Readings far above their noise are used fully, readings within it hardly.
     """
     rows, values, count = read.rows, read.values, len(read.values)
     contradicts, spreads, likely = False, np.full((1, 3), stated or 0.0), np.zeros(1)
@@ -295,17 +308,23 @@ def _estimate(read: _Readings, shape: FloatArray, main: int, stated: float | Non
 
 
 def _prior(shape: FloatArray, spreads: FloatArray) -> FloatArray:
-    """Return covariances (G, 12, 12) of [Re H, Im H] for standard deviations (G, 3) of the translations."""
+    """Return covariances (G, 12, 12) of [Re H, Im H].
+
+    For standard deviations (G, 3) of the translations.
+    """
     rotation = np.sqrt(np.mean(spreads**2, axis=1, keepdims=True))
     scaled = shape * np.concatenate([spreads, np.repeat(rotation, 3, axis=1)], axis=1)[:, None, :]
     return np.asarray(np.kron(np.eye(2), scaled @ scaled.swapaxes(1, 2)))
 
 
-# What is uncertain of a support's motion, and what it does to the instruments that it carries.
+# Uncertainty of a support's motion, and its effect on the instruments.
 
 
 def _remaining_errors(moved: SupportMotion) -> Iterator[CommonError]:
-    """Yield the remaining uncertainty of H at each line as independent unknowns; `offset` (K, 6) of H."""
+    """Yield the remaining uncertainty of H at each line as independent unknowns.
+
+    `offset` (K, 6) of H.
+    """
     phasors, label = moved.phasors, f"motion of {moved.name}"
     for line in np.flatnonzero(np.isfinite(phasors.value).all(axis=1)):
         for part, step in enumerate(principal_components(phasors.covariance[line])[::-1], 1):
@@ -318,14 +337,17 @@ def _remaining_errors(moved: SupportMotion) -> Iterator[CommonError]:
 
 
 def _none(offset: ComplexArray) -> ComplexArray:
-    """Return the slope (K, 6, 6) of what does not change with a body's motion."""
+    """Return a zero slope (K, 6, 6).
+
+    Of effects that do not depend on a body's motion.
+    """
     return np.zeros((*offset.shape, 6), dtype=np.complex128)
 
 
 def _reference_errors(
     moved: SupportMotion, references: Sequence[_Seen], gains: Sequence[FloatArray | None]
 ) -> Iterator[CommonError]:
-    """Yield what errors of the references' own chains and places, by their names, do to H."""
+    """Yield the effects on H of errors of the references' chains and positions, by name."""
     names = dict.fromkeys(error.name for seen in references for error in seen.observation.common)
     informed = [line for line, gain in enumerate(gains) if gain is not None and np.any(gain)]
     for name in names:
@@ -352,7 +374,7 @@ def _reference_errors(
 def _corrected(
     observation: Observation, on_it: Sequence[bool], moved: SupportMotion, errors: Sequence[CommonError]
 ) -> Observation:
-    """Return an observation that reads the motion of its body, with what is uncertain of that of its support."""
+    """Return an observation of the body's motion, corrected for its support and with that uncertainty."""
     mine: BoolArray = np.array(on_it, dtype=np.bool_)
     if not mine.any():
         return observation
@@ -361,7 +383,7 @@ def _corrected(
         return np.where(mine, np.einsum("kmj,kj->km", observation.design, np.nan_to_num(motion)), 0.0)
 
     common: dict[str, CommonError] = {error.name: error for error in observation.common}
-    for error in errors:  # what a reading is given too much, its body does not have
+    for error in errors:  # an error added to a reading is subtracted from its body
         changed = replace(error, slope=np.zeros_like(observation.design), offset=read(error.offset))
         before = common.get(error.name)
         if before is not None:
@@ -372,7 +394,10 @@ def _corrected(
 
 
 def _notices(moved: SupportMotion) -> Iterator[Notice]:
-    """Yield the motion of a support at the strongest line if it is significant, and a note if it is uncertain."""
+    """Yield notes on the motion of a support if it is significant or uncertain.
+
+    At the strongest line.
+    """
     line = int(np.argmax(moved.measured_mps2))
     value, size = moved.phasors.value[line], float(moved.measured_mps2[line])
     if not (np.isfinite(value).all() and size > 0.0):
@@ -392,6 +417,6 @@ def _notices(moved: SupportMotion) -> Iterator[Notice]:
 
 
 def carried_by(supports: Sequence[SupportMotion]) -> frozenset[str]:
-    """Return the rows of instruments, by their names, whose support's motion is known at some line."""
+    """Return the names of instrument rows with a measured support motion."""
     measured = [moved for moved in supports if np.isfinite(moved.phasors.value).any()]
     return frozenset(member for moved in measured for member in moved.carried)

@@ -18,14 +18,13 @@ from fusion.estimation.fuse import Acceleration
 from fusion.estimation.uncertainty import Influence, polar_elements
 from fusion.instruments.channel import ChannelReading, Outputs, delay_errors, output_phasors
 from fusion.sensitivity.analyse import analyse
-from fusion.sensitivity.load_phasors import LoadResult, load_phasors
+from fusion.sensitivity.load_phasors import LoadResult, describe_other_loads, load_phasors
 from fusion.sensitivity.monte_carlo import propagate
 from fusion.sensitivity.moving_body import Body, make_moving_part
 from fusion.sensitivity.ratio import (
     PriorMatrix,
     Sensitivity,
     StatedMatrix,
-    describe_other_loads,
     driven_component,
     mass_notices,
     parasitic_loads,
