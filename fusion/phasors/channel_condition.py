@@ -1,4 +1,4 @@
-"""Phasors of channels whose samples are clipped, lost or coarse: what is fitted, and what that leaves open of them."""
+"""Phasors of channels with clipped, lost or coarse samples, and the errors that these cause."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Fitter = Callable[[Stacked], SineFit]
 
 
 def require_usable(record: DaqRecord, channel: ChannelEntry) -> None:
-    """Refuse a channel of whose samples too few are neither clipped nor lost."""
+    """Raise if too few samples of a channel are neither clipped nor lost."""
     raw, defects = record.raw[channel.name], record.defects(channel)
     if sum(defect.count for defect in defects) > (1.0 - MIN_USABLE_SHARE) * len(raw.samples):
         raise _unusable(record, channel, defects)
@@ -51,13 +51,12 @@ def _described(record: DaqRecord, channel: ChannelEntry, defect: Defect) -> str:
 def fit_usable(
     record: DaqRecord, group: Sequence[ChannelEntry], fitted: Fitter, time_s: FloatArray
 ) -> tuple[SineFit, Stacked, ComplexArray | None]:
-    """Fit lines to samples of channels that are neither lost nor clipped; return the fit and the values used (S, C).
+    """Fit lines to samples that are neither lost nor clipped; return the fit and the values (S, C).
 
-    A channel that has such samples is alone in its group.
-
-    Which samples are clipped is decided by the fitted curve, so that noise near a limit chooses none of them. The third
-    result is the relative change of the lines, as Re and Im, if the fit keeps farther off the limits: what samples
-    near these are rounded by filters, or by an amplifier that saturates. None where nothing is clipped.
+    A channel with such samples is alone in its group. The fitted curve decides which samples are clipped, so that noise
+    near a limit does not select them. The third result is the relative change of the lines, as Re and Im, if the fit
+    keeps a larger distance from the limits: filters, or a saturating amplifier, round samples near them. None without
+    clipping.
     """
     channel, values = group[0], record.usable_samples(group)
     require_usable(record, channel)
@@ -86,10 +85,10 @@ def fit_usable(
 def assess_condition(
     record: DaqRecord, index: int, fit: SineFit, time_s: FloatArray, clipped: ComplexArray | None, seen: BoolArray
 ) -> tuple[list[ChannelRelativeError], list[Notice]]:
-    """Return what the condition of a fitted channel's samples leaves open of its lines, and what a user should know.
+    """Return the errors of a fitted channel caused by its samples, and notices.
 
-    `clipped`: third result of `fit_usable`. The errors are those of all lines (K,), of which the fit holds those `seen`
-    first.
+    `clipped`: third result of `fit_usable`. The errors are those of all lines (K,), of which the fit contains those
+    `seen` first.
     """
     channel = next(entry for entry in record.entry.channel if entry.name == fit.phasors.channels[index])
     step = abs(channel.scale) * converter_step(record.raw[channel.name].samples)
@@ -113,16 +112,16 @@ def assess_condition(
     return errors, notices
 
 
-def _rounded(fit: SineFit, place: int, step: float, time_s: FloatArray) -> ComplexArray | None:
-    """Return the standard uncertainty (K,) of the relative change by converter steps, as Re and Im; None if negligible.
+def _rounded(fit: SineFit, index: int, step: float, time_s: FloatArray) -> ComplexArray | None:
+    """Return the relative u (K,) by converter steps as Re and Im, None if negligible.
 
-    The change is bounded, and as likely anywhere between its bounds.
+    The change has a uniform distribution between its bounds.
     """
-    size = np.abs(fit.phasors.value[:, place])
+    size = np.abs(fit.phasors.value[:, index])
     if not step > 0.0 or not size.any():
         return None
-    noise = np.hypot(fit.phasors.u_re[:, place], fit.phasors.u_im[:, place])
-    u = quantisation_error(fit, place, time_s, step) / np.sqrt(3.0)
+    noise = np.hypot(fit.phasors.u_re[:, index], fit.phasors.u_im[:, index])
+    u = quantisation_error(fit, index, time_s, step) / np.sqrt(3.0)
     u[size <= NOISE_REACH * noise] = 0.0
     return u if np.any(np.abs(u) * size > MATTERS * noise) else None
 

@@ -1,4 +1,4 @@
-"""Phasors of every channel: the lines of a recording, the sine approximation, delay and response taken off."""
+"""Phasors of every channel: lines of a recording, sine approximation, correction of delay and response."""
 
 from __future__ import annotations
 
@@ -83,14 +83,13 @@ LINE_QUANTITIES = (*sorted(TRANSDUCERS, key=lambda name: -TRANSDUCERS[name].orde
 
 @dataclass(frozen=True)
 class ChannelResult:
-    """One DAQ channel: phasors in SI at the recording's lines, and what the figures need.
+    """One DAQ channel: phasors in SI at the recording's lines, and the data of its figures.
 
-    `excerpt_s`, `excerpt`, `excerpt_fit` (S,): a short stretch with its fit. `spectrum_hz`, `spectrum` (B,):
-    amplitude spectrum of the signal, of long records the highest of neighbouring bins; `residual_rms`: of what the
-    lines leave, in the channel's SI unit.
-    `stationarity`: phasors over blocks of whole periods, delay and response not corrected. `notices`: what its fit
-    wants the user to know. `harmonics`: fundamentals and their harmonics up to the fifth, whether or not they are lines
-    of the recording, as far as this channel samples them; None where there are many fundamentals.
+    `excerpt_s`, `excerpt`, `excerpt_fit` (S,): a short stretch with its fit. `spectrum_hz`, `spectrum` (B,): amplitude
+    spectrum of the signal, of long records the largest of neighbouring bins. `residual_rms`: of the residuals, in the
+    channel's SI unit. `stationarity`: phasors over blocks of whole periods, without correction of delay and response.
+    `notices`: of its fit. `harmonics`: fundamentals and their harmonics up to the fifth, whether or not they are lines
+    of the recording, as far as this channel samples them; None with many fundamentals.
     """
 
     name: str
@@ -119,7 +118,10 @@ class ChannelResult:
 
 @dataclass(frozen=True)
 class LineRecord:
-    """The channels in which a recording's lines are looked for: `values` (S, C) in SI at `time_s` (S,)."""
+    """The channels in which a recording's lines are searched.
+
+    `values` (S, C) in SI at `time_s` (S,).
+    """
 
     record: DaqRecord
     channels: tuple[ChannelEntry, ...]
@@ -128,15 +130,15 @@ class LineRecord:
 
 
 def line_clock(base: TimeBase) -> tuple[TimingError, ...]:
-    """Return what is open of the clock on which the lines are found in the fastest channels."""
+    """Return the errors of the clock on which the lines are found."""
     fastest = _fastest(base)
     return () if fastest is None else base.tie_errors(fastest[0].entry.name)
 
 
 def _fastest(base: TimeBase) -> tuple[DaqRecord, ChannelEntry] | None:
-    """Return the fastest channel and its block, of equally fast ones the first by quantity and place.
+    """Return the fastest channel and its block; of equally fast ones the first by quantity and index.
 
-    What tells of a room or a laser head, which should stand still, is the last choice.
+    Channels of a room or a laser head, which should be at rest, are the last choice.
     """
     candidates = [
         (
@@ -144,11 +146,11 @@ def _fastest(base: TimeBase) -> tuple[DaqRecord, ChannelEntry] | None:
             -record.raw[channel.name].sample_rate_hz,
             bool(record.defects(channel)),
             LINE_QUANTITIES.index(channel.quantity),
-            place,
+            index,
             record,
             channel,
         )
-        for place, record in enumerate(base.records)
+        for index, record in enumerate(base.records)
         for channel in record.entry.channel
         if channel.quantity in LINE_QUANTITIES
     ]
@@ -159,7 +161,10 @@ def _fastest(base: TimeBase) -> tuple[DaqRecord, ChannelEntry] | None:
 
 
 def line_record(base: TimeBase) -> LineRecord | None:
-    """Return the fastest channel and all that were sampled with it; None where there are only triggers."""
+    """Return the fastest channel and all sampled with it.
+
+    None if there are only triggers.
+    """
     fastest = _fastest(base)
     if fastest is None:
         return None
@@ -171,30 +176,30 @@ def line_record(base: TimeBase) -> LineRecord | None:
 
 
 def find_channel_lines(manifest: Manifest, base: TimeBase) -> LineFrequencies | None:
-    """Find the lines in the fastest channels; None where there are only triggers."""
+    """Find the lines in the fastest channels, None if there are only triggers."""
     chosen = line_record(base)
     return None if chosen is None else base.on_clock(lines_of_record(manifest, chosen), line_clock(base))
 
 
 def refine_ties(base: TimeBase, lines: LineFrequencies) -> tuple[TimeBase, LineFrequencies]:
-    """Return ties whose rates the lines refine, and the lines on the base clock as it is known then.
+    """Return ties with rates refined by the lines, and the lines on the refined base clock.
 
-    A wrong rate r costs a sine over T seconds (πfTr)²/6 of its amplitude, of which no first-order uncertainty knows;
-    ties whose u of the rate turns every line by less than `TURN` over half the record stay as they are. Frequencies
-    that contradict the edges are told and change nothing.
+    A wrong rate r costs a sine over T seconds (πfTr)²/6 of its amplitude, which no first-order uncertainty includes.
+    Ties whose u of the rate turns every line by less than `TURN` over half the record are unchanged. Frequencies that
+    contradict the edges are reported and change no tie.
     """
     length_s = max(float(np.ptp(fit.edge_s)) for fit in base.triggers.values()) if base.triggers else 0.0
     turn = np.pi * float(lines.frequency_hz.max()) * length_s
-    open_ties = {
+    uncertain_ties = {
         name: tie for name, tie in base.ties.items() if tie is not None and turn * tie.covariance[1, 1] ** 0.5 > TURN
     }
-    seen = line_rates(base, lines, list(open_ties))
-    ties = {name: tie.with_rate(*seen[name]) for name, tie in open_ties.items() if name in seen}
+    seen = line_rates(base, lines, list(uncertain_ties))
+    ties = {name: tie.with_rate(*seen[name]) for name, tie in uncertain_ties.items() if name in seen}
     return (base, lines) if not ties else with_ties(base, lines, ties)
 
 
 def with_ties(base: TimeBase, lines: LineFrequencies, ties: Mapping[str, ClockTie]) -> tuple[TimeBase, LineFrequencies]:
-    """Return a time base with some other ties, and the lines on its clock, whose rate was that of the tie before."""
+    """Return a time base with some ties replaced, and the lines on its clock."""
     fastest, refined = _fastest(base), replace(base, ties={**base.ties, **ties})
     if fastest is None or fastest[0].entry.name not in ties:
         return refined, lines
@@ -203,30 +208,29 @@ def with_ties(base: TimeBase, lines: LineFrequencies, ties: Mapping[str, ClockTi
     plain = replace(
         lines,
         frequency_hz=lines.frequency_hz * scale,
-        u_frequency_hz=_own(base, lines) * lines.frequency_hz,
+        u_frequency_hz=_relative_u_without_clock(base, lines) * lines.frequency_hz,
         nuisance_hz=lines.nuisance_hz * scale,
     )
     return refined, refined.on_clock(plain, line_clock(refined))
 
 
-def _own(base: TimeBase, lines: LineFrequencies) -> FloatArray:
-    """Return the relative u (K,) of the frequencies on the clock on which they were found."""
+def _relative_u_without_clock(base: TimeBase, lines: LineFrequencies) -> FloatArray:
+    """Return the relative u (K,) of the frequencies on the clock of their channel."""
     clock = float(np.linalg.norm([error.rate for error in line_clock(base)]))
     return np.sqrt(np.maximum((lines.u_frequency_hz / lines.frequency_hz) ** 2 - clock**2, 0.0))
 
 
 def line_rates(base: TimeBase, lines: LineFrequencies, names: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """Return the rates of other blocks' ties, with their u, as the lines tell them without any edge.
+    """Return the rates of other blocks' ties, with u, from the lines alone.
 
-    One generator makes the lines that all blocks record, so that the ratio of two clocks' rates is that of the
-    frequencies that they find, known orders of magnitude better than from edges between samples. Blocks without lines
-    are left out.
+    One generator drives the lines of all blocks. The ratio of two clock rates is that of the frequencies found, orders
+    of magnitude more precise than from edges between samples. Blocks without lines are omitted.
     """
     fastest, first = _fastest(base), base.records[0].entry.name
     if fastest is None or not names:
         return {}
     found_in = fastest[0].entry.name
-    stretches = {found_in: (0.0, float(_own(base, lines).min()))}
+    stretches = {found_in: (0.0, float(_relative_u_without_clock(base, lines).min()))}
     for name in {first, *names} - {found_in}:
         found = line_stretch(base, name, lines)
         stretches |= {} if found is None else {name: found}
@@ -242,9 +246,9 @@ def line_rates(base: TimeBase, lines: LineFrequencies, names: Sequence[str]) -> 
 def line_stretch(
     base: TimeBase, name: str, lines: LineFrequencies, body: str = "", span_s: tuple[float, float] = (-np.inf, np.inf)
 ) -> tuple[float, float] | None:
-    """Return by how much all lines seem higher in a block, relative, with its u; None where it shows none.
+    """Return the relative offset of all line frequencies in a block, with u, or None.
 
-    In channels that see the motion of a `body`, if one is named; in the samples from one time to another.
+    None if the block has no lines. `body`: use channels of its motion only. `span_s`: use samples in this interval.
     """
     record = base.record(name)
     groups = sorted(_same_times(record), key=lambda group: -record.raw[group[0].name].sample_rate_hz)
@@ -266,7 +270,7 @@ def line_stretch(
 
 
 def lines_of_record(manifest: Manifest, chosen: LineRecord) -> LineFrequencies:
-    """Find the lines that the manifest states, their harmonics and all else in the channels chosen for it."""
+    """Find the stated lines, their harmonics and all others in the chosen channels."""
     record, together, time_s, values = chosen.record, chosen.channels, chosen.time_s, chosen.values
     harmonics, half_rate = manifest.excitation.harmonics, record.raw[together[0].name].sample_rate_hz / 2.0
     # A line above is looked for where it folds to, within `CAPTURE` of its nominal frequency: the whole band, some day.
@@ -279,9 +283,9 @@ def lines_of_record(manifest: Manifest, chosen: LineRecord) -> LineFrequencies:
         if manifest.excitation.frequencies is not None:
             return find_lines(time_s, values, manifest.excitation.frequencies, harmonics)
         record.check_uniform(together)
-        nominal_hz, told = _driven_lines(manifest, time_s, values, [member.name for member in together])
+        nominal_hz, notice = _driven_lines(manifest, time_s, values, [member.name for member in together])
         lines = find_lines(time_s, values, nominal_hz, harmonics)
-        return replace(lines, notices=(told, *lines.notices))
+        return replace(lines, notices=(notice, *lines.notices))
     except ValueError as error:
         names = ", ".join(member.name for member in together)
         where = f"{'channel' if len(together) == 1 else 'channels'} {names} of {record.entry.file.name}"
@@ -292,10 +296,10 @@ def lines_of_record(manifest: Manifest, chosen: LineRecord) -> LineFrequencies:
 def _driven_lines(
     manifest: Manifest, time_s: FloatArray, values: Stacked, names: Sequence[str]
 ) -> tuple[Sequence[float], Notice]:
-    """Return the lines in the band of a multisine that states no frequencies, and a notice that lists them.
+    """Return the lines in the band of a multisine without stated frequencies, and a notice.
 
-    Of the reference channels where they are among these, else of all: what reaches a twentieth of the strongest line
-    and, where the period is stated, lies at a multiple of its inverse.
+    In the reference channels if they are among these, else in all. A line reaches a twentieth of the strongest one and,
+    if the period is stated, is a multiple of its inverse.
     """
     excitation = manifest.excitation
     chosen = [c for c, name in enumerate(names) if name in excitation.reference] or list(range(len(names)))
@@ -303,10 +307,10 @@ def _driven_lines(
     lines = survey_lines(fill_gaps(values.select(chosen)), rate_hz)
     low, high = excitation.band or (0.0, rate_hz / 2.0)
     in_band = lines.select((lines.frequency_hz >= low) & (lines.frequency_hz <= high))
-    kept = in_band.select(relative_strength(in_band.amplitude) >= DRIVEN) if len(in_band.frequency_hz) else in_band
-    nominal_hz = [float(f"{f:.6g}") for f in kept.frequency_hz]
+    strong = in_band.select(relative_strength(in_band.amplitude) >= DRIVEN) if len(in_band.frequency_hz) else in_band
+    nominal_hz = [float(f"{f:.6g}") for f in strong.frequency_hz]
     if excitation.period is not None:
-        turns = [(f, round(f * excitation.period) / excitation.period) for f in kept.frequency_hz.tolist()]
+        turns = [(f, round(f * excitation.period) / excitation.period) for f in strong.frequency_hz.tolist()]
         nominal_hz = [whole for f, whole in turns if abs(f - whole) <= rate_hz / len(time_s)]
     if not nominal_hz:
         raise ValueError(
@@ -322,15 +326,14 @@ def _driven_lines(
 def channel_phasors(
     manifest: Manifest, base: TimeBase, lines: LineFrequencies, *, shown: bool = True
 ) -> tuple[tuple[ChannelResult, ...], tuple[ChannelReading, ...]]:
-    """Fit the lines to every channel of every block: the phasors with what the figures show, and with their errors.
+    """Fit the lines to every channel of every block: phasors, errors and data of the figures.
 
-    Lines above the Nyquist frequency are left out, since recorders filter them away, but not in the fastest channels,
-    where the lines were found. Where nothing is `shown`, spectra, harmonics and stationarity are left out, which refuse
-    nothing.
+    Lines above the Nyquist frequency are omitted, because recorders filter them, but not in the fastest channels, in
+    which the lines were found. Without `shown`, spectra, harmonics and stationarity are omitted; they cause no refusal.
     """
     groups = [(record, group) for record in base.records for group in _same_times(record)]
     rates_hz = [record.raw[group[0].name].sample_rate_hz for record, group in groups]
-    open_lines = base.line_errors(lines, line_clock(base))
+    line_errors = base.line_errors(lines, line_clock(base))
     fitted: list[tuple[ChannelResult, ChannelReading]] = []
     for (record, group), rate_hz in zip(groups, rates_hz, strict=True):
         seen = (lines.frequency_hz < rate_hz / 2.0) | (rate_hz >= max(rates_hz))
@@ -339,15 +342,15 @@ def channel_phasors(
             file, name, found = record.entry.file, group[0].name, f"{rate_hz:g} Hz"
             raise InputError(LINE_ABOVE_SAMPLING, file, name, found=found, expected=expected)
         units = [manifest.rig.unit_of(channel) for channel in group]
-        errors = combine_timing_errors([*base.tie_errors(record.entry.name), *open_lines])
+        errors = combine_timing_errors([*base.tie_errors(record.entry.name), *line_errors])
         fitted += _fit_group(base, record, group, units, (lines, seen, errors), shown)
     return tuple(result for result, _ in fitted), tuple(reading for _, reading in fitted)
 
 
 def _same_times(record: DaqRecord) -> list[list[ChannelEntry]]:
-    """Group a block's channels (triggers left out) by equal times, to be fitted in one solve.
+    """Group a block's channels, without triggers, by equal times, to be fitted together.
 
-    One that has lost or clipped samples is fitted alone.
+    A channel with lost or clipped samples is fitted alone.
     """
     groups: dict[tuple[float, float, int, bytes, str], list[ChannelEntry]] = {}
     for channel in record.entry.channel:
@@ -364,22 +367,21 @@ def _fit_group(
     record: DaqRecord,
     group: Sequence[ChannelEntry],
     units: Sequence[str],
-    wanted_lines: tuple[LineFrequencies, BoolArray, Sequence[TimingError]],
+    group_lines: tuple[LineFrequencies, BoolArray, Sequence[TimingError]],
     shown: bool,
 ) -> list[tuple[ChannelResult, ChannelReading]]:
-    """Fit the lines seen (K,) to all channels of one group and split the result by channel.
+    """Fit the lines seen (K,) to all channels of one group, and split the result by channel.
 
-    Other lines are fitted beside the wanted ones where they are below Nyquist, and so far off that they can. What is
-    open of times and lines acts through the fit.
+    Other lines are fitted too if they are below Nyquist and separable. Errors of times and lines act through the fit.
     """
-    lines, seen, errors = wanted_lines
+    lines, seen, errors = group_lines
     time_s = base.to_base_s(record.entry.name, record.time_s(group[0].name))
     rate_hz = record.raw[group[0].name].sample_rate_hz
     names = [channel.name for channel in group]
-    apart = np.abs(np.subtract.outer(lines.nuisance_hz, alias_frequency(lines.frequency_hz, rate_hz)))
-    clear = np.all(apart * float(time_s[-1] - time_s[0]) >= MIN_BEAT_PERIODS, axis=1)
-    beside = lines.nuisance_hz[clear & (lines.nuisance_hz < rate_hz / 2.0)]
-    frequency_hz = np.concatenate([lines.frequency_hz[seen], beside])
+    distance = np.abs(np.subtract.outer(lines.nuisance_hz, alias_frequency(lines.frequency_hz, rate_hz)))
+    clear = np.all(distance * float(time_s[-1] - time_s[0]) >= MIN_BEAT_PERIODS, axis=1)
+    nuisance_hz = lines.nuisance_hz[clear & (lines.nuisance_hz < rate_hz / 2.0)]
+    frequency_hz = np.concatenate([lines.frequency_hz[seen], nuisance_hz])
     first = lines.frequency_hz[(lines.multiple == 1) & seen]
     multiples = _multiples(first, frequency_hz, rate_hz, float(time_s[-1] - time_s[0]))
     added = multiples[~np.isin(multiples, frequency_hz)]
@@ -387,56 +389,59 @@ def _fit_group(
         every = np.concatenate([frequency_hz, added])
         fitted_to = partial(fit_sines, time_s, frequency_hz=every, channels=names, unit=units, model=_ROBUST)
         fit, values, clipped = fit_usable(record, group, fitted_to, time_s)
-    wanted = expand_lines(fit.phasors.at_lines(np.arange(np.count_nonzero(seen))), seen, lines.frequency_hz)
-    kept = None
+    phasors = expand_lines(fit.phasors.at_lines(np.arange(np.count_nonzero(seen))), seen, lines.frequency_hz)
+    regular = None
     if len(fit.spikes):
-        kept = np.ones(len(values), dtype=np.bool_)
-        kept[fit.spikes] = False
-    times = time_s if kept is None else time_s[kept]
-    steady = stationarity(times, values.select_rows(kept), frequency_hz, names) if shown else None
+        regular = np.ones(len(values), dtype=np.bool_)
+        regular[fit.spikes] = False
+    times = time_s if regular is None else time_s[regular]
+    steady = stationarity(times, values.select_rows(regular), frequency_hz, names) if shown else None
     fitted: list[tuple[ChannelResult, ChannelReading]] = []
     for c, channel in enumerate(group):
-        own = wanted.select([channel.name])
-        result, reading = _result(record, channel, time_s, fit, own, shown)
+        of_channel = phasors.select([channel.name])
+        result, reading = _result(record, channel, time_s, fit, of_channel, shown)
         order = -TRANSDUCERS[channel.quantity].order if channel.quantity in TRANSDUCERS else 0
-        late = [error.through(fit, seen, order).of_channel(c).relative_to(own) for error in errors]
-        open_values, told = assess_condition(record, c, fit, time_s, clipped, seen)
-        steady_here = steady and steady.select(channel.name)
+        late = [error.through(fit, seen, order).of_channel(c).relative_to(of_channel) for error in errors]
+        value_errors, notices = assess_condition(record, c, fit, time_s, clipped, seen)
+        of_blocks = steady and steady.select(channel.name)
         harmonics = _harmonics(channel, fit, every, multiples) if shown else None
-        result = replace(result, stationarity=steady_here, harmonics=harmonics, notices=(*result.notices, *told))
+        result = replace(result, stationarity=of_blocks, harmonics=harmonics, notices=(*result.notices, *notices))
         result = replace(result, spectrum_hz=fitted[0][0].spectrum_hz) if fitted else result  # the same, held once
-        fitted.append((result, replace(reading, further_errors=nonzero_errors([*late, *open_values]))))
+        fitted.append((result, replace(reading, further_errors=nonzero_errors([*late, *value_errors]))))
     return fitted
 
 
 def _multiples(first: FloatArray, fitted: FloatArray, rate_hz: float, length_s: float) -> FloatArray:
-    """Return fundamentals and those harmonics that are fitted anyhow, or that a fit can have beside what is fitted."""
+    """Return fundamentals and the harmonics that are lines or can be fitted separately."""
     if not 0 < len(first) <= FEW:
         return np.empty(0)
     alias, multiples = alias_frequency(fitted, rate_hz), list(first)
     for frequency in (m * f for f in first for m in HARMONICS):
-        own = fitted[np.abs(fitted - frequency) < 1e-9 * frequency]
+        equal = fitted[np.abs(fitted - frequency) < 1e-9 * frequency]
         clear = np.min(np.abs(np.append(alias, [0.0, rate_hz / 2.0]) - frequency)) * length_s >= MIN_BEAT_PERIODS
-        if len(own) or (clear and frequency < rate_hz / 2.0):
-            multiples.append(own[0] if len(own) else frequency)
+        if len(equal) or (clear and frequency < rate_hz / 2.0):
+            multiples.append(equal[0] if len(equal) else frequency)
             alias = np.append(alias, frequency)
     return np.array(multiples)
 
 
 def _harmonics(channel: ChannelEntry, fit: SineFit, fitted: FloatArray, multiples: FloatArray) -> Phasors | None:
-    """Return fundamentals and harmonics of one channel, None where its response is not stated as far as these."""
+    """Return fundamentals and harmonics of one channel, or None.
+
+    None if its response is not stated at these frequencies.
+    """
     if not len(multiples):
         return None
-    places = [int(np.argmin(np.abs(fitted - frequency))) for frequency in multiples]
-    own = fit.phasors.at_lines(np.array(places)).select([channel.name])
+    indices = [int(np.argmin(np.abs(fitted - frequency))) for frequency in multiples]
+    of_channel = fit.phasors.at_lines(np.array(indices)).select([channel.name])
     try:
-        return own.scaled(_correction(channel, own.frequency_hz)[0][:, None])
+        return of_channel.scaled(_correction(channel, of_channel.frequency_hz)[0][:, None])
     except InputError:
         return None
 
 
 def _correction(channel: ChannelEntry, frequency_hz: FloatArray) -> tuple[ComplexArray, ChainResponse | None]:
-    """Return the factor from a channel's phasor to the true one, exp(+jω·delay) / response(f), and the response."""
+    """Return the factor exp(+jω·delay) / response(f) of a channel's phasor, and the response."""
     correction = np.exp(2j * np.pi * frequency_hz * channel.delay)
     if channel.response is None:
         return correction, None
@@ -452,14 +457,14 @@ def _result(
     phasors: Phasors,
     shown: bool,
 ) -> tuple[ChannelResult, ChannelReading]:
-    """Correct one channel's phasors for delay and response, and keep what its figures need."""
+    """Correct one channel's phasors for delay and response, and collect the data of its figures."""
     block, rate_hz, values = record.entry.name, record.raw[channel.name].sample_rate_hz, record.stacked([channel])
     chain = ChainUncertainty(clock=block)
     correction, response = _correction(channel, phasors.frequency_hz)
     if response is not None:
         chain = replace(chain, u_magnitude=response.u_magnitude, u_phase_rad=response.u_phase_rad)
     phasors = phasors.scaled(correction[:, None])
-    place = fit.phasors.channels.index(channel.name)
+    index = fit.phasors.channels.index(channel.name)
     first = slice(0, min(len(values), int(EXCERPT_PERIODS * rate_hz / fit.phasors.frequency_hz[0]) + 2))
     uneven_s = None if record.raw[channel.name].stamp_s is None else time_s
     spectrum = _spectrum(fill_gaps(values), uneven_s, rate_hz) if shown else _NO_SPECTRUM
@@ -472,10 +477,10 @@ def _result(
         sample_rate_hz=rate_hz,
         samples=len(values),
         phasors=phasors,
-        residual_rms=float(fit.residual_rms[place]),
+        residual_rms=float(fit.residual_rms[index]),
         excerpt_s=time_s[first].copy(),  # a view would hold the whole record
         excerpt=values[first][:, 0],
-        excerpt_fit=fit.model(time_s[first], slice(place, place + 1))[:, 0],
+        excerpt_fit=fit.model(time_s[first], slice(index, index + 1))[:, 0],
         spectrum_hz=spectrum.frequency_hz,
         spectrum=spectrum.amplitude[:, 0],
         notices=tuple(notice.at(f"{block}, {notice.where}") for notice in fit.notices),
@@ -484,7 +489,7 @@ def _result(
 
 
 def _spectrum(values: FloatArray | Stacked, uneven_s: FloatArray | None, rate_hz: float) -> Spectrum:
-    """Return the spectrum of a channel, of one at uneven times (S,) on the grid nearest to them."""
+    """Return the spectrum of a channel, at uneven times (S,) on the nearest grid."""
     if uneven_s is None:
         return amplitude_spectrum(values, rate_hz, MOST_BINS)
     grid = sampling_grid(uneven_s) or nearest_grid(uneven_s)
@@ -496,7 +501,7 @@ def _spectrum(values: FloatArray | Stacked, uneven_s: FloatArray | None, rate_hz
 
 
 def fill_gaps(values: Stacked) -> FloatArray | Stacked:
-    """Return values (S, C), those that are no numbers as the mean of their channel: enough for a spectrum."""
+    """Return values (S, C) with gaps replaced by the mean of their channel, for spectra."""
     if rows_present(values) is None:
         return values
     every = values[:]
@@ -506,9 +511,9 @@ def fill_gaps(values: Stacked) -> FloatArray | Stacked:
 def folding(
     frequency_hz: Sequence[float], rate_hz: float, samples: int, most: int = HARMONICS[-1]
 ) -> list[AliasedHarmonic]:
-    """Return the harmonics of driven lines, up to order `most`, that sampling folds within a bin of one of these.
+    """Return the harmonics of driven lines up to order `most` that alias within a bin of one of these.
 
-    Of lines below half the rate; none of many lines, which fold onto each other's harmonics anyhow.
+    Of lines below half the rate. None for many lines, whose harmonics alias onto each other in any case.
     """
     few = frequency_hz if len(frequency_hz) <= FEW else ()
     below = [f for f in few if f < rate_hz / 2.0]
@@ -536,10 +541,10 @@ def folding_notices(
         if reading.entry.response is None:
             blocks.setdefault((channel.daq, channel.sample_rate_hz), []).append((channel, reading))
     notices = []
-    for (daq, rate_hz), own in blocks.items():
+    for (daq, rate_hz), members in blocks.items():
         found: dict[bool, list[AliasedHarmonic]] = {True: [], False: []}
-        for fold in folding(driven, rate_hz, own[0][0].samples, FOLDED):
-            found[fold.multiple <= HARMONICS[-1] or any(_expected(*one, fold) for one in own)].append(fold)
+        for fold in folding(driven, rate_hz, members[0][0].samples, FOLDED):
+            found[fold.multiple <= HARMONICS[-1] or any(_expected(*one, fold) for one in members)].append(fold)
         for important, declared in ((True, ALIASED_HARMONICS), (False, HIGH_HARMONICS_NOT_ASSESSED)):
             if found[important]:
                 notices.append(Notice(declared, daq, rate_hz=rate_hz, aliases=describe_folds(found[important])))
@@ -547,10 +552,11 @@ def folding_notices(
 
 
 def _expected(channel: ChannelResult, reading: ChannelReading, fold: AliasedHarmonic) -> bool:
-    """Whether the harmonics seen of a channel let expect one at a fold that matters beside its u at the line.
+    """Return whether the measured harmonics of a channel predict a significant one at an alias.
 
     Coefficients of a waveform without jumps fall at least as 1/m² with their order m (Zygmund 1959, Trigonometric
-    Series I, II.4), which starts at the one seen that promises most.
+    Series I, II.4). The prediction starts at the measured one that predicts most; it is significant relative to the u
+    of the line.
     """
     if channel.harmonics is None:
         return False
@@ -559,8 +565,8 @@ def _expected(channel: ChannelResult, reading: ChannelReading, fold: AliasedHarm
     counted = (np.abs(order - np.rint(order)) < 1e-9 * order) & (order > 1.5) & (size > NOISE_REACH * noise)
     line = int(np.argmin(np.abs(channel.phasors.frequency_hz - fold.line_hz)))
     relative = [np.abs(error.effect[line, 0]) for error in chain_errors([reading])]
-    own = channel.phasors.at_lines(np.array([line]))
-    u = np.linalg.norm([own.u_re[0, 0], own.u_im[0, 0], np.abs(own.value[0, 0]) * np.linalg.norm(relative)])
+    at_line = channel.phasors.at_lines(np.array([line]))
+    u = np.linalg.norm([at_line.u_re[0, 0], at_line.u_im[0, 0], np.abs(at_line.value[0, 0]) * np.linalg.norm(relative)])
     return bool(np.max((size * (order / fold.multiple) ** 2)[counted], initial=0.0) > OF_U * u)
 
 
@@ -581,9 +587,10 @@ def delay_notices(readings: Sequence[ChannelReading], path: Path) -> list[Notice
 
 
 def line_strength(readings: Sequence[ChannelReading], lines: LineFrequencies) -> FloatArray | None:
-    """Return the acceleration at each line (K,) relative to the strongest: the largest share that any channel shows.
+    """Return the acceleration (K,) at each line relative to the strongest one.
 
-    Of motion channels, else of the sensor's outputs; 0 where none sees a line. None where there are no such channels.
+    The largest share in any motion channel, else in the sensor's outputs; 0 if no channel measures a line. None without
+    such channels.
     """
     moving = [(reading, TRANSDUCERS[q].order) for reading in readings if (q := reading.entry.quantity) in TRANSDUCERS]
     chosen = moving or [(reading, 0) for reading in readings if reading.entry.quantity == "output"]
@@ -595,7 +602,10 @@ def line_strength(readings: Sequence[ChannelReading], lines: LineFrequencies) ->
 
 
 def expand_lines(phasors: Phasors, mask: BoolArray, frequency_hz: FloatArray) -> Phasors:
-    """Return phasors at all lines `frequency_hz` (K,) from those at the lines of `mask` (K,), NaN at the others."""
+    """Return phasors at all lines (K,) from those at the lines of `mask` (K,).
+
+    NaN at the others.
+    """
     lines, channels = len(mask), len(phasors.channels)
     value = np.full((lines, channels), np.nan, dtype=np.complex128)
     covariance = np.full((lines, 2 * channels, 2 * channels), np.nan)

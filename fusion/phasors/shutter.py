@@ -19,11 +19,11 @@ from shakercal._common.notices import Notice
 
 @dataclass(frozen=True, eq=False)
 class PhaseRotated:
-    """Frames fitted cell by cell, the delays of their rows taken back at each of K lines.
+    """Frames fitted cell by cell, with the delays of their rows corrected at each of K lines.
 
-    pose (F, K, p): of six components and p - 6 shapes, beside the motion taken for known; `response` (K, p, p): what a
-    motion is in them; `known` (K, p): what the known one is. `late` (6, 6): by how many rows after the first one a
-    motion is seen. `delay_s` (N,): of the rows that show the points of the surface; `side_px` of the
+    `pose` (F, K, p): six components and p - 6 shapes, in addition to the reference motion. `response` (K, p, p): effect
+    of a motion on them; `reference_motion` (K, p): that of the reference. `row_delay` (6, 6): number of rows after the
+    first one at which a motion is measured. `delay_s` (N,): of the rows at the points of the surface. `side_px`: of the
     cells.
     """
 
@@ -35,13 +35,16 @@ class PhaseRotated:
     side_px: int
 
     def motion(self, time_s: FloatArray, fit: SineFit) -> Phasors:
-        """Return the phasors (K, 6) of the body at the lines of a fit, each as the mean over an exposure."""
+        """Return the phasors (K, 6) of the body at the lines of a fit, as means over an exposure."""
         return self._restored(time_s, fit, slice(0, 6), self.reference_motion[:, :6], lambda _, found: found.phasors)
 
     def shapes(
         self, time_s: FloatArray, fit: SineFit, motion: Phasors, noise: Callable[[FloatArray, SineFit], Phasors]
     ) -> Phasors:
-        """Return the amplitudes (K, S) of shapes beside that motion; `noise`: of series by their fit."""
+        """Return the amplitudes (K, S) of shapes in addition to that motion.
+
+        `noise`: noise of series by their fit.
+        """
         moved = np.einsum("kij,kj->ki", self.response[:, 6:, :6], motion.value)
         return self._restored(time_s, fit, slice(6, None), self.reference_motion[:, 6:] - moved, noise)
 
@@ -49,26 +52,26 @@ class PhaseRotated:
         self,
         time_s: FloatArray,
         fit: SineFit,
-        own: slice,
-        beside: ComplexArray,
+        columns: slice,
+        offset: ComplexArray,
         noise: Callable[[FloatArray, SineFit], Phasors],
     ) -> Phasors:
-        """Return G⁻¹·(A + jB + what is `beside` them), A and B the phasors of the real and imaginary parts of the pose.
+        """Return G⁻¹·(A + jB + `offset`), with the phasors A and B of real and imaginary part of the pose.
 
-        A motion Re{X exp(jωt)} is in a pose turned back as G·X·exp(jωt)/2, beside what turns the other way; as the
-        parts are Re{A exp(jωt)} and Re{B exp(jωt)}, that is (A + jB)/2.
+        A motion Re{X exp(jωt)} appears in a rotated pose as G·X·exp(jωt)/2 and a part of opposite rotation. With the
+        parts Re{A exp(jωt)} and Re{B exp(jωt)} that is (A + jB)/2.
         """
         frequency_hz, model = fit.phasors.frequency_hz, SineModel(robust=True)
         names, unit = fit.phasors.channels, fit.phasors.unit
         both = (*(f"Re {name}" for name in names), *(f"Im {name}" for name in names))
-        inverse, unity, lines = np.linalg.inv(self.response[:, own, own]), np.eye(len(names)), list[Phasors]()
+        inverse, unity, lines = np.linalg.inv(self.response[:, columns, columns]), np.eye(len(names)), list[Phasors]()
         for k in range(len(frequency_hz)):
-            series = np.concatenate([self.pose[:, k, own].real, self.pose[:, k, own].imag], axis=1)
+            series = np.concatenate([self.pose[:, k, columns].real, self.pose[:, k, columns].imag], axis=1)
             found = noise(series, fit_sines(time_s, series, frequency_hz, both, unit * 2, model=model))
             matrix = inverse[k] @ np.hstack([unity, 1j * unity])
             lines.append(found.at_lines(np.array([k])).combined(matrix[None], names, unit))
         value, covariance = (np.concatenate([getattr(one, name) for one in lines]) for name in ("value", "covariance"))
-        value = value + np.einsum("kij,kj->ki", inverse, beside)
+        value = value + np.einsum("kij,kj->ki", inverse, offset)
         dof = np.concatenate([one.dof for one in lines])
         return replace(fit.phasors, value=value, covariance=covariance, dof=dof)
 
@@ -77,7 +80,7 @@ class PhaseRotated:
 
 LATE_RAD, LATE_U = 0.01, 5.0
 """Phase between the cameras from which on it is reported; the same in standard uncertainties."""
-UNLIKE_FRAMES = 0.05
+FRAME_PHASE_TOLERANCE = 0.05
 """Phase by which a lag may differ from that of whole frames; the frames at either end are others then."""
 MOST_FRAMES = 5
 EQUAL = 0.2
@@ -87,11 +90,12 @@ EQUAL = 0.2
 def check_in_step(
     rig: StereoRig, frames: Sequence[FloatArray], frequency_hz: FloatArray, time_s: FloatArray
 ) -> tuple[Notice, ...]:
-    """Return a warning where the right camera lags behind the left one; raise `ComputeError` where by whole frames.
+    """Return a warning if one camera is delayed; raise `ComputeError` if by whole frames.
 
-    Across the epipolar lines both cameras see the same motion. With phasors a of n_left · L and b of n_right · R of the
-    subsets, n the derivatives of the epipolar residual, a + b·exp(jωδ) = 0 if the right camera is late by δ, hence
-    exp(jωδ) ∝ -Σ a·b*. `frames` (1 + 2K, N, 2) of each camera: mean positions, and these + Re, + Im of each phasor.
+    Across the epipolar lines both cameras measure the same motion. With phasors a of n_left · L and b of n_right · R of
+    the subsets, n being the derivatives of the epipolar residual, a + b·exp(jωδ) = 0 if the right camera is late by δ.
+    Hence exp(jωδ) ∝ -Σ a·b*. `frames` (1 + 2K, N, 2) of each camera: mean positions, and these + Re, + Im of each
+    phasor.
     """
     (left, right), (_, by_left, by_right) = frames, epipolar_residual(rig, *(side[0] for side in frames))
 
@@ -111,8 +115,8 @@ def check_in_step(
         return ()
     omega, period_s = 2.0 * np.pi * float(frequency_hz[k]), float(np.min(np.diff(time_s)))
     for count in sorted((n for n in range(-MOST_FRAMES, MOST_FRAMES + 1) if n), key=abs):
-        away = abs(np.angle(np.exp(1j * (phase - omega * count * period_s))))
-        if away < min(UNLIKE_FRAMES, abs(phase) / 2.0):
+        distance = abs(np.angle(np.exp(1j * (phase - omega * count * period_s))))
+        if distance < min(FRAME_PHASE_TOLERANCE, abs(phase) / 2.0):
             late, early = ("right", "left") if count > 0 else ("left", "right")
             values = {"frames": abs(count), "delay_ms": 1e3 * abs(count) * period_s}
             raise ComputeError(CAMERAS_OUT_OF_STEP, late=late, early=early, **values)

@@ -1,4 +1,4 @@
-"""From the motion of a stereo pair's body to displacement phasors, with what is common to all its frames."""
+"""Displacement phasors of a stereo pair's body, with errors common to all its frames."""
 
 from __future__ import annotations
 
@@ -53,27 +53,29 @@ from shakercal._common.notices import Notice
 if TYPE_CHECKING:
     from photogram.epipolar import EpipolarCheck
 
-STEP, FEWEST_BESIDE = 20.0, 4  # of the noise: a step that no chance makes; frames beyond the unknowns of the lines
+STEP, MIN_FREE_FRAMES = 20.0, 4  # of the noise: a step that no chance makes; frames beyond the unknowns of the lines
 ONE_BEAT = 1.1  # periods of a line's alias: in less, a slope looks like the line
 NO_LINE = "its frame rate resolves no line of the recording"
 
 
 @dataclass(frozen=True)
 class StereoResult:
-    """Motion seen by one stereo pair, in the sensor frame.
+    """Motion of one stereo pair's body in the sensor frame.
 
-    `time_s` (F,): exposure middles on the first DAQ's clock. `motion`: from the first frame's pose.
-    `motion_from_mean`: re-referred to the mean pose, the series that `fit` (six components, m and rad) describes and
-    of which it leaves `residual` (F, 6). `phasors` (K, 6): of the body's displacement, exposure loss corrected.
-    `reference_image` (H, W) and `subsets_px` (N, 2): first left image and the subsets tracked in it, None for points
-    of another program. `usable` (K,): which lines of the recording this camera rate can tell apart. `deflection`: what
-    the points do beside the rigid motion at the usable lines, `shapes` what all pixels tell of it, both None of a
-    camera alone, which does not tell depth from stretch. `noise`: of each camera. `sigma_px` (2,): median standard
-    deviation of a subset's coordinate, as predicted from the first images and as found.
-    `epipolar`: whether the cameras are what was calibrated, frame by frame; its notices are among the evaluation's.
-    `stationarity`: the six components over blocks of whole beats, exposure loss not corrected. `u_exposure_s`: 0 where
-    the exposure is stated. `u_rate`: relative, of the rate at which its frames were taken. `surface`: the points, and
-    what they do beside the rigid motion in every frame, some frames at a time.
+    `time_s` (F,): exposure middles on the first DAQ's clock. `motion`: from the first frame's pose. `motion_from_mean`:
+    referred to the mean pose, the series of `fit` (six components, m and rad) with its `residual` (F, 6). `phasors` (K,
+    6): of the body's displacement, corrected for the exposure. `usable` (K,): lines of the recording that this frame
+    rate resolves.
+
+    `reference_image` (H, W), `subsets_px` (N, 2): first left image and its subsets, None for points of another program.
+    `deflection`: of the points at the usable lines; `shapes`: from all pixels; both None for a single camera, which
+    cannot separate depth from stretch. `noise`: of each camera. `sigma_px` (2,): median standard deviation of a
+    subset's coordinate, as predicted from the first images and as measured. `epipolar`: test of the calibration per
+    frame; its notices are among the evaluation's.
+
+    `stationarity`: the six components over blocks of whole beats, without exposure correction. `u_exposure_s`: 0 for a
+    stated exposure. `u_rate`: relative, of the frame rate. `surface`: points and their deformation in every frame, some
+    frames at a time.
     """
 
     name: str
@@ -111,10 +113,10 @@ class StereoResult:
 
 @dataclass(frozen=True)
 class StereoPhasors:
-    """What one stereo pair saw of the lines: its `result`, and its `reading` at all of them for the linear model.
+    """Phasors of one stereo pair: its `result`, and its `reading` for the linear model.
 
-    The phasors of the reading, exposure loss corrected, are NaN at lines that this camera rate cannot tell apart; so
-    are its `effects`: of each principal component of the calibration's covariance, of errors periodic in the pixel.
+    The phasors of the reading, corrected for the exposure, are NaN at lines that this frame rate does not resolve. So
+    are its `effects`: of each principal component of the calibration's covariance, and of errors periodic in the pixel.
     """
 
     result: StereoResult
@@ -129,11 +131,10 @@ def pairs_phasors(
     line_errors: Sequence[TimingError],
     strength: FloatArray | None,
 ) -> tuple[tuple[StereoPhasors, ...], tuple[Notice, ...], tuple[RejectedPair, ...]]:
-    """Fit the lines to the motion of every stereo pair, and leave out the pairs whose rate tells no line apart.
+    """Fit the lines to the motion of every stereo pair, and reject pairs that resolve none.
 
-    The notices name what was left out, line by line and pair by pair; the pairs whose motion takes no fit come last.
-    `line_errors`: what is open of the lines;
-    `strength` (K,): the acceleration at each line relative to the strongest, as far as channels tell.
+    The notices name rejected lines and pairs; the third result are pairs without a possible fit. `line_errors`: errors
+    of the lines. `strength` (K,): acceleration at each line relative to the strongest, as far as channels measure it.
     """
     fitted: list[StereoPhasors] = []
     unfitted: list[RejectedPair] = []
@@ -164,11 +165,11 @@ def stereo_phasors(
     line_errors: Sequence[TimingError] = (),
     strength: FloatArray | None = None,
 ) -> StereoPhasors:
-    """Fit those lines to a body's motion about its mean pose that its frames tell apart.
+    """Fit the resolved lines to a body's motion about its mean pose.
 
-    What trigger, clocks and `line_errors` leave open acts through that fit: over many beats it turns the phasors, over
-    less than one it changes every part of them. So does motion at the lines left out, of which `strength` (K,) tells
-    the size: the acceleration relative to that at the strongest line.
+    Errors of trigger, clocks and lines (`line_errors`) act through that fit: over many beats they turn the phasors,
+    over less than one they change every part. So does motion at unresolved lines, with the relative acceleration
+    `strength` (K,).
     """
     sight, view = measured.sight, measured.view
     name, time_s, exposure = sight.name, sight.time_s, sight.exposure
@@ -176,7 +177,7 @@ def stereo_phasors(
     if not usable.any():
         raise ComputeError(NO_RIGID_MOTION, pair=name, reason=NO_LINE)
     frequency_hz = lines.frequency_hz[usable]
-    told = _step(name, time_s, measured.motion.pose[:, :3], frequency_hz)
+    notices = _step(name, time_s, measured.motion.pose[:, :3], frequency_hz)
     measured, from_mean, fit = fit_about_mean(measured, frequency_hz)
     gain = exposure_gain(lines.frequency_hz, exposure.length_s)
     errors = [
@@ -189,7 +190,7 @@ def stereo_phasors(
     if (
         view is not None and sight.pair.body != STATIONARY
     ):  # they grow with the motion seen, of which a room has next to none
-        effects, of_shapes = image_effects(measured, view, frequency_hz, usable, gain, told)
+        effects, of_shapes = image_effects(measured, view, frequency_hz, usable, gain, notices)
         if isinstance(view.rig, StereoRig):
             of_motion = of_shapes, moved, view.phase_rotated
             shapes = shape_phasors(time_s, frequency_hz, view.deformed, exposure.length_s, *of_motion)
@@ -203,8 +204,10 @@ def stereo_phasors(
         face_m=np.asarray(np.nanmean(next(iter(measured.deformation)).reference_m, axis=0)),
         through_surface=effects.pop(THROUGH, None),
     )
-    own = [*(n for n in fit.notices if n.severity == "warning"), *told, *(shapes.notices() if shapes else ())]
-    own += _short_notices(lines, usable, sight.time_s, reading) + _jitter_notices(base, sight, lines, usable, reading)
+    of_phasors = [*(n for n in fit.notices if n.severity == "warning"), *notices, *(shapes.notices() if shapes else ())]
+    of_phasors += _short_notices(lines, usable, sight.time_s, reading) + _jitter_notices(
+        base, sight, lines, usable, reading
+    )
     pose = from_mean.pose.copy()
     pose[fit.spikes] = np.nan
     result = StereoResult(
@@ -225,7 +228,7 @@ def stereo_phasors(
         stationarity=stationarity(time_s, pose, frequency_hz, MOTION_COMPONENTS),
     )
     whole = result if view is None else _with_view(replace(result, shapes=shapes), view)
-    return StereoPhasors(whole, reading, _named(measured, own))
+    return StereoPhasors(whole, reading, _named(measured, of_phasors))
 
 
 def _named(measured: StereoMotion, of_phasors: Sequence[Notice]) -> tuple[Notice, ...]:
@@ -236,20 +239,23 @@ def _named(measured: StereoMotion, of_phasors: Sequence[Notice]) -> tuple[Notice
 
 
 def _row_time_error(measured: StereoMotion, phasors: Phasors) -> list[FittedError]:
-    """Return what one standard uncertainty of the row time does: rows seem later by u times their number."""
-    turned, pair = None if measured.view is None else measured.view.phase_rotated, measured.sight.pair
-    if turned is None or pair.row_time_uncertainty == 0.0:
+    """Return the effect of one standard uncertainty u of the row time.
+
+    Rows are later by u times their number.
+    """
+    rotated, pair = None if measured.view is None else measured.view.phase_rotated, measured.sight.pair
+    if rotated is None or pair.row_time_uncertainty == 0.0:
         return []
-    later = 2j * np.pi * phasors.frequency_hz[:, None] * (np.nan_to_num(phasors.value) @ turned.row_delay.T)
+    later = 2j * np.pi * phasors.frequency_hz[:, None] * (np.nan_to_num(phasors.value) @ rotated.row_delay.T)
     name, none = f"stereo {measured.sight.name}: row time", np.zeros((len(later), 1), np.complex128)
     u = pair.row_time_uncertainty
     return [FittedError(name, name, u, "s", none, "rig", additive=u * later)]
 
 
 def _deflection(measured: StereoMotion, frequency_hz: FloatArray) -> DeflectionShape | None:
-    """Return what the points do beside the motion at the lines, of a rolling shutter by the delays of their rows.
+    """Return the deformation of the points at the lines, None for a single camera.
 
-    None of a camera alone, which does not see them out of it.
+    For a rolling shutter, corrected by the delays of the rows.
     """
     if measured.view is not None and isinstance(measured.view.rig, FaceCamera):
         return None
@@ -264,11 +270,11 @@ def _deflection(measured: StereoMotion, frequency_hz: FloatArray) -> DeflectionS
 def _left_out(
     measured: StereoMotion, fit: SineFit, lines: LineFrequencies, usable: NDArray[np.bool_], strength: FloatArray
 ) -> list[FittedError]:
-    """Return what motion at lines that were left out does to the others: twelve unknowns at each, Re and Im.
+    """Return the effects of motion at unresolved lines on the others.
 
-    `strength` (K,): acceleration at each line relative to the strongest one, after the exposure. By it and what was
-    seen of the strongest line that is `usable`, a translation or rotation in any direction may be as large as the
-    largest there.
+    Twelve unknowns at each, Re and Im. `strength` (K,): acceleration at each line relative to the strongest one, after
+    the exposure. With the measured motion at the strongest `usable` line, a translation or rotation in any direction
+    may be as large as the largest there.
     """
     seen = np.where(usable, np.nan_to_num(strength), 0.0)
     best = int(np.argmax(seen))
@@ -299,7 +305,10 @@ def _left_out(
 def _short_notices(
     lines: LineFrequencies, usable: NDArray[np.bool_], time_s: FloatArray, reading: StereoReading
 ) -> list[Notice]:
-    """Return warnings of driven lines whose beat is longer than the record, if the effect exceeds the noise."""
+    """Return warnings of driven lines with less than a beat in the record.
+
+    If the effect exceeds the noise.
+    """
     fitted = [error for error in reading.errors if isinstance(error, FittedError)]
     interval_s = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
     rate_hz, notices = 1.0 / interval_s, []
@@ -331,10 +340,11 @@ def _short_notices(
 def _jitter_notices(
     base: TimeBase, sight: Sight, lines: LineFrequencies, usable: NDArray[np.bool_], reading: StereoReading
 ) -> list[Notice]:
-    """Return warnings of scattering edges of the trigger whose effect on a driven line may exceed the noise.
+    """Return warnings of scattering trigger edges with a possible effect on a driven line.
 
-    Random scatter shows in the residuals of the lines. Instants late by a·cos(2ωt), or by anything that folds there,
-    make of the motion at ω a part ωa/2 at -ω, which is the line itself and shows nowhere; a is √2 times the scatter.
+    If the effect may exceed the noise. Random scatter appears in the residuals of the lines. Instants late by
+    a·cos(2ωt), or any alias of it, turn the motion at ω into a part ωa/2 at -ω, which is the line itself and not
+    visible; a is √2 times the scatter.
     """
     _, trigger = base.first_with(sight.exposure.trigger)
     notices = []
@@ -351,7 +361,7 @@ def _jitter_notices(
 
 
 def _with_view(result: StereoResult, view: ImageView) -> StereoResult:
-    """Add what only images tell: the first one, the subsets, their noise and what it promised of their scatter."""
+    """Add the results of images: first image, subsets, noise, and predicted and measured scatter."""
     sigma_px, first = None, next(iter(view.tracks))
     if view.quality is not None:
         sigma_px = np.array([np.nanmedian([side.predicted_sigma_px for side in view.quality]), view.sigma_px])
@@ -369,16 +379,16 @@ def _with_view(result: StereoResult, view: ImageView) -> StereoResult:
 
 
 def _step(name: str, time_s: FloatArray, position_m: FloatArray, frequency_hz: FloatArray) -> list[Notice]:
-    """Return a notice if the body is displaced from some frame on: touched, or a wrong match of its pattern.
+    """Return a notice if the body is displaced from some frame on.
 
-    Beside the lines and a drift, a parabola, a step at each frame in turn: the best fit counts if its step stands
-    `STEP` standard deviations out of what remains. One larger than all motion is none of the body that was calibrated:
-    `ComputeError`.
+    It was touched, or matched to another part of its pattern. In addition to the lines, a drift and a parabola, a step
+    is fitted at each frame in turn. The best one is significant if it exceeds `STEP` standard deviations of the
+    residuals. A step larger than the whole motion raises `ComputeError`.
     """
     seen = np.flatnonzero(np.isfinite(position_m).all(axis=1))
     turn = np.linspace(-1.0, 1.0, len(seen))
     design = np.column_stack([sine_columns(time_s[seen], frequency_hz), turn, turn**2])
-    fewest = design.shape[1] + FEWEST_BESIDE
+    fewest = design.shape[1] + MIN_FREE_FRAMES
     if len(seen) < fewest:
         return [Notice(TOO_FEW_FRAMES_FOR_STEP, "frames", frames=len(seen), needed=fewest)]
     base, _ = np.linalg.qr(design)
@@ -407,9 +417,9 @@ def _step(name: str, time_s: FloatArray, position_m: FloatArray, frequency_hz: F
 def unresolved_fundamentals(
     seen: Sequence[Observation], lines: LineFrequencies, folded: Sequence[Notice]
 ) -> tuple[Notice, ...]:
-    """Return a notice for each driven line at which no instrument sees a motion, and refuse a recording without any.
+    """Return a notice for each driven line without an instrument; raise if there is no other line.
 
-    `folded`: what was said of the lines that camera rates cannot tell apart.
+    `folded`: notices of lines that frame rates do not resolve.
     """
     driven = lines.frequency_hz[lines.multiple == 1]
     lost = [f for f in driven if not any(np.isfinite(o.phasors.value[o.phasors.frequency_hz == f]).any() for o in seen)]

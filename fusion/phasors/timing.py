@@ -1,4 +1,4 @@
-"""One time base for a recording: trigger edges tie the clocks and say when each frame was exposed."""
+"""Time base of a recording: trigger edges tie the clocks and date the frames."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Sight:
-    """One stereo pair over one recording: how it is placed, how long and when its frames were exposed.
+    """One stereo pair over one recording: placement, exposure and times of its frames.
 
-    `pair`: as the rig has it, with what the recording overrides. `time_s` (F,): exposure middles on the first block's
-    clock; `model_share`: how far, on average, an error of the trigger's periodic model moves them. `where`: file and
-    key at which mistakes of its frames are told. `edge` (F,): which edge exposed each frame.
+    `pair`: of the rig, with values of the recording. `time_s` (F,): exposure middles on the first block's clock.
+    `model_share`: mean effect of an error of the trigger's periodic model on them. `where`: file and key of errors of
+    its frames. `edge` (F,): number of the edge of each frame.
     """
 
     name: str
@@ -62,11 +62,11 @@ class Sight:
 
 @dataclass(frozen=True)
 class TimingError:
-    """One unknown of clocks, triggers or lines, by what one standard uncertainty `u` of it does.
+    """One unknown of clocks, triggers or lines, by the effect of one standard uncertainty `u`.
 
-    Times seem later by `offset_s` + `rate`·t, t on the first block's clock, and the frequencies of the K lines greater
-    by `stretch` (K,), or () for all, of themselves. `dof`: of what was fitted to edges (type A), whose errors hold for
-    the `scope` "start".
+    Times are later by `offset_s` + `rate`·t, t on the first block's clock, and the frequencies of the K lines are
+    higher by the relative `stretch` (K,), or () for all. `dof`: of a fit to edges (type A), whose errors have the
+    `scope` "start".
     """
 
     name: str
@@ -79,11 +79,12 @@ class TimingError:
     scope: Scope = "recording"
 
     def through(self, fit: SineFit, seen: BoolArray, order: int) -> FittedError:
-        """Return how it changes C readings of the lines (K,), of which a sine approximation holds those `seen` first.
+        """Return its effect on C readings of the lines (K,) through a sine approximation.
 
-        What is late by L(t), the phase of a frequency that is too great by φ among it, was y(t - L): the fit makes of
-        that X - jω·L(middle)·X, and of the rest, a slope, whatever the lines, their conjugates and the offset can
-        imitate of it over the record. Readings ∝ ω^-order of an acceleration seem larger by order·φ.
+        The fit contains the lines `seen` first. A signal late by L(t), including the phase of a frequency too high by
+        φ, was y(t - L). The fit returns X - jω·L(middle)·X, plus the part of the remaining slope that the lines, their
+        conjugates and the offset can represent over the record. Readings ∝ ω^-order of an acceleration increase by
+        order·φ.
         """
         omega, value, lines = 2.0 * np.pi * fit.phasors.frequency_hz, fit.phasors.value, np.count_nonzero(seen)
         stretch = np.zeros(len(omega))
@@ -98,18 +99,18 @@ class TimingError:
 
 
 def combine_timing_errors(errors: Iterable[TimingError]) -> tuple[TimingError, ...]:
-    """Return every unknown once, what it does added up."""
+    """Return every unknown once, with its effects added."""
     merged: dict[str, TimingError] = {}
     for error in errors:
-        known = merged.get(error.name)
+        earlier = merged.get(error.name)
         merged[error.name] = (
             error
-            if known is None
+            if earlier is None
             else replace(
-                known,
-                offset_s=known.offset_s + error.offset_s,
-                rate=known.rate + error.rate,
-                stretch=np.asarray(known.stretch + error.stretch),
+                earlier,
+                offset_s=earlier.offset_s + error.offset_s,
+                rate=earlier.rate + error.rate,
+                stretch=np.asarray(earlier.stretch + error.stretch),
             )
         )
     return tuple(merged.values())
@@ -117,8 +118,10 @@ def combine_timing_errors(errors: Iterable[TimingError]) -> tuple[TimingError, .
 
 @dataclass(frozen=True)
 class _Straight:
-    """What a straight line's covariance (2, 2), of its value at 0 and its slope, says of it: `at` which argument value
-    and slope are independent, and the standard uncertainty of either."""
+    """Uncertainty of a straight line from its covariance (2, 2) of value at 0 and slope.
+
+    `at`: argument at which value and slope are independent, with the standard uncertainty of either.
+    """
 
     at: float
     u_value: float
@@ -136,10 +139,10 @@ _SAME_PERIOD = 1e-5
 
 @dataclass(frozen=True)
 class Grid:
-    """Where the edges of a trigger fall between the samples of one block: what sampling them leaves open follows that.
+    """Positions of a trigger's edges between the samples of one block; they determine the sampling error.
 
     Seconds: first edge after the first sample, period, sampling interval, `offset_s` of the tie to the first block's
-    clock (0 for that), `width_s` of the pulses (NaN where it cannot be told).
+    clock (0 for that), `width_s` of the pulses (NaN if not measurable).
     """
 
     start_s: float
@@ -150,7 +153,7 @@ class Grid:
 
     @classmethod
     def of(cls, trigger: TriggerFit, tie: ClockTie | None, width_s: float | None) -> Grid | None:
-        """Return the grid, None of a trigger whose jitter puts its edges elsewhere every time."""
+        """Return the grid, None for a trigger with jitter, whose positions vary."""
         sample_s = trigger.sample_s
         if trigger.jitter_s > sample_s / 2.0:
             return None
@@ -158,7 +161,7 @@ class Grid:
         return cls(trigger.start_s, trigger.period_s, sample_s, offset_s, np.nan if width_s is None else width_s)
 
     def like(self, other: Grid) -> bool:
-        """Whether edges fall on the same places: within half a sample, and in their period within 1e-5."""
+        """Return whether edges have the same positions: within half a sample, periods within 1e-5."""
         ours, theirs = ((g.start_s, g.offset_s, g.width_s) for g in (self, other))
         near = np.allclose(ours, theirs, rtol=0.0, atol=self.sample_s / 2.0, equal_nan=True)
         pace = (other.period_s / self.period_s, other.sample_s / self.sample_s)
@@ -167,10 +170,10 @@ class Grid:
 
 @dataclass(frozen=True)
 class ClockResult:
-    """One DAQ block: its file, the trigger found in it and its tie to the first block's clock (None for the first).
+    """One DAQ block: its file, its trigger and its tie to the first block's clock.
 
-    `pulse_width_s`, `u_pulse_width_s`: of the trigger's pulses, None where their ends cannot be told. `grid`: where the
-    edges fall between the samples, None without a trigger or where they fall anywhere.
+    The first block has no tie. `pulse_width_s`, `u_pulse_width_s`: of the trigger's pulses, None if not measurable.
+    `grid`: positions of the edges between the samples, None without a trigger or with jitter.
     """
 
     daq: str
@@ -188,7 +191,7 @@ INVERTED = 0.02
 
 @dataclass(frozen=True)
 class TimeBase:
-    """The clocks of a recording. Time is counted on the first block's clock from its earliest sample.
+    """The clocks of a recording; times on the first block's clock from its earliest sample.
 
     `triggers`: per block and trigger channel, in seconds from the block's earliest sample. `ties`: per block, None for
     the first.
@@ -199,7 +202,7 @@ class TimeBase:
     ties: dict[str, ClockTie | None]
 
     def to_base_s(self, daq: str, time_s: FloatArray) -> FloatArray:
-        """Return times of a block's own clock on the first block's clock."""
+        """Return times of a block's clock on the first block's clock."""
         tie = self.ties[daq]
         return time_s if tie is None else tie.to_base_s(time_s)
 
@@ -208,19 +211,19 @@ class TimeBase:
         return next((daq, fit) for (daq, name), fit in self.triggers.items() if name == trigger)
 
     def tie_errors(self, daq: str) -> tuple[TimingError, ...]:
-        """Return what the tie of a block's clock to the first one leaves open, none for the first.
+        """Return the errors of a block's tie to the first clock, none for the first block.
 
-        What it follows of an error of the first block's trigger is that unknown, which the frames have, too.
+        Effects of an error of the first block's trigger have the name of that unknown, which the frames share.
         """
         tie = self.ties[daq]
         if tie is None:
             return ()
         found: list[TimingError] = []
-        own = tie.covariance - tie.noise
+        independent = tie.covariance - tie.noise
         if tie.follows is not None and tie.beside is not None:
             name = self.shared_triggers(self.records[0].entry.name, daq)[0]
             fit = self.first_with(name)[1]
-            line, own = _Straight.of(fit.covariance), tie.beside
+            line, independent = _Straight.of(fit.covariance), tie.beside
             dof = float(max(len(fit.number) - 2, 1))
             for kind, unit, u, error in (
                 ("time", "s", line.u_value, np.array([line.u_value, 0.0])),
@@ -231,7 +234,7 @@ class TimeBase:
                 offset_s -= rate * tie.offset_s
                 found.append(TimingError(f"{name}: {kind}", u, unit, offset_s, rate, np.zeros(()), dof, "start"))
         parts: tuple[tuple[str, FloatArray, Scope], ...] = (
-            ("", own, "start"),
+            ("", independent, "start"),
             (" (noise of its edges)", tie.noise, "recording"),
         )
         for what, covariance, scope in parts:
@@ -241,43 +244,42 @@ class TimeBase:
         return tuple(error for error in found if error.u > 0.0)
 
     def sight_errors(self, sight: Sight) -> tuple[TimingError, ...]:
-        """Return what the trigger's periodic model, and the tie of its clock, leave open of the frames' instants.
+        """Return the errors of the frames' instants by the trigger's periodic model and its clock.
 
-        Frames that follow what was seen of each edge follow the model by `model_share` only; what is open of all edges
-        alike stays.
+        Frames dated by each edge follow the model by `model_share` only; errors common to all edges remain.
         """
         name = sight.exposure.trigger
         daq, fit = self.first_with(name)
         line, tie = _Straight.of(fit.covariance), self.ties[daq]
         at_s = self.to_base_s(daq, np.asarray(fit.start_s + line.at * fit.period_s))
-        alike = min(fit.open_s / np.sqrt(12.0), line.u_value)
-        own = np.hypot(sight.model_share * np.sqrt(line.u_value**2 - alike**2), alike)
+        common = min(fit.open_s / np.sqrt(12.0), line.u_value)
+        u_time = np.hypot(sight.model_share * np.sqrt(line.u_value**2 - common**2), common)
         rate = sight.model_share * line.u_slope / fit.period_s
         scale = 1.0 if tie is None else tie.rate
         return (
-            *_straight_errors(name, float(at_s), scale * float(own), rate, len(fit.number)),
+            *_straight_errors(name, float(at_s), scale * float(u_time), rate, len(fit.number)),
             *self.tie_errors(daq),
         )
 
     @staticmethod
     def on_clock(lines: LineFrequencies, clock: Sequence[TimingError]) -> LineFrequencies:
-        """Return lines that were found on a clock with these errors, its rate's among those of their frequencies."""
+        """Return lines with the rate error of their clock added to u of the frequencies."""
         rate = float(np.sqrt(sum(error.rate**2 for error in clock)))
         return replace(lines, u_frequency_hz=np.hypot(lines.u_frequency_hz, rate * lines.frequency_hz))
 
     @staticmethod
     def line_errors(lines: LineFrequencies, clock: Sequence[TimingError]) -> tuple[TimingError, ...]:
-        """Return what is open of the frequencies of lines `on_clock`s with these errors.
+        """Return the errors of the frequencies of lines from `on_clock`.
 
-        A clock that runs fast makes them small. What is left of `u_frequency_hz` is each fundamental's own.
+        A fast clock lowers them. The remaining part of `u_frequency_hz` is separate for each fundamental.
         """
         shared = [replace(e, offset_s=0.0, rate=0.0, stretch=np.asarray(-e.rate)) for e in clock if e.rate]
         ours = sum(e.rate**2 for e in clock) * lines.frequency_hz**2
-        own = np.sqrt(np.maximum(lines.u_frequency_hz**2 - ours, 0.0))
+        remaining = np.sqrt(np.maximum(lines.u_frequency_hz**2 - ours, 0.0))
         for f in np.unique(lines.nominal_hz).tolist():
             group = lines.nominal_hz == f
-            u_hz = float(own[group][np.argmin(lines.multiple[group])])
-            stretch = np.where(group, own / lines.frequency_hz, 0.0)
+            u_hz = float(remaining[group][np.argmin(lines.multiple[group])])
+            stretch = np.where(group, remaining / lines.frequency_hz, 0.0)
             shared.append(TimingError(f"frequency of {f:.6g} Hz", u_hz, "Hz", 0.0, 0.0, stretch))
         return tuple(shared)
 
@@ -286,7 +288,10 @@ class TimeBase:
         return [name for daq, name in self.triggers if daq == first and (second, name) in self.triggers]
 
     def pulses(self) -> dict[tuple[str, str], PulseWidth]:
-        """Width of the pulses per block and trigger channel, where both flanks can be told; the records keep them."""
+        """Width of the pulses per block and trigger channel, if both edges are resolved.
+
+        The records store them.
+        """
         widths = {}
         for daq, name in self.triggers:
             with suppress(ValueError):
@@ -294,7 +299,7 @@ class TimeBase:
         return widths
 
     def inverted(self) -> Iterator[Notice]:
-        """Yield a warning of a trigger whose pulses in one block are as long as its pauses in another."""
+        """Yield a warning of a trigger whose pulses are as long as its pauses in another block."""
         widths = self.pulses()
         for (one, name), (other, same) in combinations(widths, 2):
             if name != same or one == other:
@@ -326,9 +331,9 @@ class TimeBase:
 def _straight_errors(
     name: str, at_s: float, u_s: float, rate: float, edges: int, scope: Scope = "start"
 ) -> tuple[TimingError, ...]:
-    """Return the errors of a time base that is known to `u_s` at the time `at_s`, and independently to its `rate`.
+    """Return the errors of a time base with `u_s` at the time `at_s` and an independent `rate`.
 
-    Both from as many `edges`, of which the line takes two degrees of freedom.
+    Both from as many `edges`, less two degrees of freedom of the line.
     """
     steady, dof = np.zeros(()), float(max(edges - 2, 1))
     both = (
@@ -339,7 +344,7 @@ def _straight_errors(
 
 
 def tie_daqs(manifest: Manifest, records: Sequence[DaqRecord]) -> TimeBase:
-    """Find the trigger edges of all blocks and tie every block's clock to the first one's by a trigger they share."""
+    """Find the trigger edges of all blocks and tie every clock to the first one by a shared trigger."""
     base, *others = records
     first = base.entry.name
     triggers: dict[tuple[str, str], TriggerFit] = {}
@@ -367,36 +372,36 @@ def tie_daqs(manifest: Manifest, records: Sequence[DaqRecord]) -> TimeBase:
 def frame_sight(
     manifest: Manifest, base: TimeBase, entry: Images | PointFiles, frames: int | IntArray, rows: int = 1
 ) -> Sight:
-    """Return how long and when each of some frames was exposed: its middle is edge + delay + exposure / 2.
+    """Return exposures and instants of some frames.
 
-    `frames`: how many, one after the other, or how many edges after the first one's each was exposed (F,). Of pictures
-    with so many `rows` the one that a rolling shutter reads first.
+    The middle of an exposure is edge + delay + exposure / 2. `frames`: number of consecutive frames, or the edge of
+    each relative to the first one's (F,). With a rolling shutter of `rows`, the first row.
 
-    The edge is the periodic model's where the trigger has no jitter, and follows what was seen of it where it has: also
-    what other blocks saw of it, where these edges tie them to the trigger's block. The exposure is as stated, or as
-    long as the first block saw the trigger's pulses.
+    The edge is the periodic model's for a trigger without jitter, and otherwise the measured edge. Measured edges
+    include those of other blocks that are tied by them. The exposure is as stated, or the pulse width in the first
+    block.
     """
     daq, trigger = base.first_with(entry.trigger)
     key = f"{'images' if isinstance(entry, Images) else 'points'}.{entry.stereo}"
-    place = np.arange(frames) if isinstance(frames, int) else frames
-    span = int(place[-1]) + 1
+    index = np.arange(frames) if isinstance(frames, int) else frames
+    span = int(index[-1]) + 1
     if entry.first_edge is None and trigger.edges > span:
-        expected = f"the number of the edge that belongs to the first of {len(place)} frames"
+        expected = f"the number of the edge that belongs to the first of {len(index)} frames"
         found = f"none, and {trigger.edges} edges in {entry.trigger}"
         raise InputError(EDGES_AMBIGUOUS, manifest.path, f"{key}.first_edge", found=found, expected=expected)
     first = entry.first_edge or 0
     if first + span > trigger.edges:
         expected, edges_found = (
-            f"at least {first + span} edges in {entry.trigger} for {len(place)} frames",
+            f"at least {first + span} edges in {entry.trigger} for {len(index)} frames",
             trigger.edges,
         )
         raise InputError(TOO_FEW_EDGES, manifest.path, f"{key}.trigger", found=str(edges_found), expected=expected)
-    elsewhere = []
+    other_records = []
     if daq == base.records[0].entry.name:
         for other, tie in base.ties.items():
             if tie is not None and base.shared_triggers(daq, other)[:1] == [entry.trigger]:
-                elsewhere.append((base.triggers[other, entry.trigger], tie))
-    edges = edge_instants(trigger, first + place, elsewhere)
+                other_records.append((base.triggers[other, entry.trigger], tie))
+    edges = edge_instants(trigger, first + index, other_records)
     if entry.exposure == PULSE:
         try:
             pulse = base.record(daq).pulse_width(entry.trigger)
@@ -421,7 +426,7 @@ def frame_sight(
     middle_s = base.to_base_s(daq, edges.time_s) + entry.delay + exposure.length_s / 2.0
     pair = manifest.rig.stereo[entry.stereo].model_copy(update={"delay_uncertainty": entry.delay_uncertainty})
     share = float(np.mean(edges.model_share))
-    return Sight(entry.stereo, pair, exposure, np.asarray(middle_s), share, (manifest.path, key), first + place)
+    return Sight(entry.stereo, pair, exposure, np.asarray(middle_s), share, (manifest.path, key), first + index)
 
 
 def frame_edges(
@@ -431,21 +436,20 @@ def frame_edges(
     cameras: Mapping[str, FrameNumbers | None],
     frames: int,
 ) -> tuple[IntArray, tuple[Notice, ...]]:
-    """Return how many edges after the first frame's each was exposed (F,), by the numbers that the `cameras` give them.
+    """Return the edge of each frame (F,) relative to the first one's, by the file numbers.
 
-    A number that is missing in all cameras is an edge without a frame, if there is an edge for it. Numbers that differ,
-    and edges that are too few, are refused; so are numbers that count by several where the edges leave open whether
-    those between have edges, unless `edge_step` says it.
+    A number missing in all `cameras` is an edge without a frame, if it exists. Different numbers and too few edges are
+    refused. So are numbers in steps for which the existence of edges between is ambiguous without `edge_step`.
     """
     key = f"{'images' if isinstance(entry, Images) else 'points'}.{entry.stereo}"
-    known = {side: numbers for side, numbers in cameras.items() if numbers is not None}
-    side, first = next(iter(known.items()), ("", None))
+    available = {side: numbers for side, numbers in cameras.items() if numbers is not None}
+    side, first = next(iter(available.items()), ("", None))
     notices = list[Notice]()
     if first is None:
         return np.arange(frames) * (entry.edge_step or 1), ()
     for other, numbers in [(other, cameras[other]) for other in cameras if other != side]:
-        place, step = (np.arange(frames), first.step) if numbers is None else (numbers.frame_index, numbers.step)
-        if not np.array_equal(place, first.frame_index) or step != first.step:
+        index, step = (np.arange(frames), first.step) if numbers is None else (numbers.frame_index, numbers.step)
+        if not np.array_equal(index, first.frame_index) or step != first.step:
             found = " and ".join(f"{name}: {_gap(one)}" for name, one in cameras.items())
             expected = "the same numbers of frames in both cameras"
             raise InputError(IMAGES_REFUSED, manifest.path, f"{key}.{other}", found=found, expected=expected)
@@ -482,7 +486,7 @@ def frame_edges(
 
 
 def _gap(numbers: FrameNumbers | None) -> str:
-    """What numbers of frames lack, in words."""
+    """Return the gaps of frame numbers as text."""
     if numbers is None:
         return "no numbers that show gaps"
     by = f" by {numbers.step}" if numbers.step > 1 else ""
@@ -490,19 +494,19 @@ def _gap(numbers: FrameNumbers | None) -> str:
 
 
 def _later(one: FrameNumbers, other: FrameNumbers) -> int:
-    """How many steps the first numbers of two series are apart."""
+    """Return the difference of the first numbers of two series in steps."""
     return abs(int(other.first) - int(one.first)) // one.step
 
 
 def _exposure_key(manifest: Manifest, entry: Frames, stated: float | str) -> tuple[Path, str]:
-    """Return file and key at which the exposure of some frames is stated: the pair's own, or what overrides it."""
+    """Return file and key of the exposure of some frames: the pair's, or the recording's."""
     if manifest.rig.stereo[entry.stereo].exposure == stated:
         return manifest.rig_path, f"stereo.{entry.stereo}.exposure"
     return manifest.path, f"{'images' if isinstance(entry, Images) else 'points'}.{entry.stereo}.exposure"
 
 
 def no_pulse_width(manifest: Manifest, daq: str, entry: Frames, error: ValueError) -> InputError:
-    """Return the error, at the key of the exposure, that the width of a trigger's pulses cannot be measured."""
+    """Return the error of an exposure by pulse width that cannot be measured."""
     file, key = _exposure_key(manifest, entry, PULSE)
     reason = ARGUMENT.sub("", str(error), count=1)
     found = f'"{PULSE}", but the width of the pulses of {entry.trigger} in {daq} cannot be measured ({reason})'
