@@ -24,9 +24,10 @@ if TYPE_CHECKING:
 MIN_USABLE_SHARE = 0.25
 """Smallest share of samples that are neither clipped nor lost (chosen); with fewer there is no result."""
 DEPTH, NARROWER = 4.0, 0.1
-"""Deviations of the residual by which a fit keeps off a limit; of the amplitude by which a second keeps farther."""
+"""Distance of used samples from a limit in deviations of the residual; further distance of a second fit, over the
+amplitude (chosen)."""
 MATTERS = 0.05
-"""Of a line's noise: the change by converter steps from which on it is part of the uncertainty."""
+"""Change by converter steps over the noise of a line above which U includes it (chosen)."""
 Fitter = Callable[[Stacked], SineFit]
 
 
@@ -51,12 +52,12 @@ def _described(record: DaqRecord, channel: ChannelEntry, defect: Defect) -> str:
 def fit_usable(
     record: DaqRecord, group: Sequence[ChannelEntry], fitted: Fitter, time_s: FloatArray
 ) -> tuple[SineFit, Stacked, ComplexArray | None]:
-    """Fit lines to samples that are neither lost nor clipped; return the fit and the values (S, C).
+    """Fit lines to samples that are neither lost nor clipped.
 
-    A channel with such samples is alone in its group. The fitted curve decides which samples are clipped, so that noise
-    near a limit does not select them. The third result is the relative change of the lines, as Re and Im, if the fit
-    keeps a larger distance from the limits: filters, or a saturating amplifier, round samples near them. None without
-    clipping.
+    Returns the fit and the values used (S, C). A channel with such samples is alone in its group. The fitted curve
+    decides which samples are clipped, so that noise near a limit does not select them. The third result is the relative
+    change of the lines, as Re and Im, if the fit keeps a larger distance from the limits: filters, or a saturating
+    amplifier, round samples near them. None without clipping.
     """
     channel, values = group[0], record.usable_samples(group)
     require_usable(record, channel)

@@ -7,26 +7,19 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from hashlib import sha256
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fusion.errors import ARGUMENT, InputError, as_input_error
 from fusion.instruments.channel import (
-    NOISE_REACH,
     ChainUncertainty,
     ChannelReading,
-    chain_errors,
     nonzero_errors,
-    u_of_filter,
 )
 from fusion.instruments.transducer import HEAD, STATIONARY, TRANSDUCERS
 from fusion.phasors.channel_condition import assess_condition, fit_usable, require_usable
 from fusion.phasors.phasor_notices import (
-    ALIASED_HARMONICS,
-    FILTER_DELAY,
-    HIGH_HARMONICS_NOT_ASSESSED,
     LINE_ABOVE_SAMPLING,
     LINES_FROM_BAND,
     LINES_NOT_FOUND,
@@ -59,31 +52,27 @@ if TYPE_CHECKING:
 
 EXCERPT_PERIODS = 4
 MOST_BINS = 1 << 18
-"""Of a spectrum that is kept."""
+"""Largest number of bins of a stored spectrum (chosen for file size)."""
 DRIVEN = 0.05
-"""Of the strongest line: what a line of a multisine without stated frequencies must reach."""
+"""Smallest line of a multisine without stated frequencies, over the strongest one (chosen)."""
 MIN_BEAT_PERIODS = 2.0
-"""Periods of the beat with every wanted line that a record must hold for another line to be fitted beside them."""
+"""Beat periods with every line of the recording that a record must contain for another line to be fitted (chosen)."""
 HARMONICS = (2, 3, 4, 5)
-FOLDED = 20
-"""Order up to which harmonics are looked for that sampling folds onto a driven line."""
-OF_U = 1.0 / 3.0
-"""Of a channel's u at a line: what a folded harmonic must be likely to reach to be worth a notice."""
 TURN = 0.01
-"""Radians at the end of a record by which an unknown rate may turn a line before the lines refine it: 2e-5 of it."""
+"""Phase in rad at the end of a record by an uncertain rate, above which lines refine it: 2e-5 of the amplitude."""
 U_SHARED_FREQUENCY = 1e-8
-"""Relative standard uncertainty with which two blocks record the same frequency: a generator's drift in a minute."""
+"""Relative standard uncertainty of a frequency common to two blocks: the drift of a generator in a minute."""
 FEW = 3
-"""Fundamentals up to which their harmonics are looked at: a multisine has its own lines there, and intermodulation."""
+"""Largest number of fundamentals with harmonics: a multisine has other lines and intermodulation there."""
 _ROBUST = SineModel(robust=True)
 _NO_SPECTRUM = Spectrum(np.empty(0), np.empty((0, 1)))
-# The order in which quantities are preferred for finding the lines: those that show high frequencies best.
+# Quantities for finding the lines in order of preference: those that show high frequencies best.
 LINE_QUANTITIES = (*sorted(TRANSDUCERS, key=lambda name: -TRANSDUCERS[name].order), "output", "force", "voltage")
 
 
 @dataclass(frozen=True)
 class ChannelResult:
-    """One DAQ channel: phasors in SI at the recording's lines, and the data of its figures.
+    """Phasors of one DAQ channel at the recording's lines, in SI units.
 
     `excerpt_s`, `excerpt`, `excerpt_fit` (S,): a short stretch with its fit. `spectrum_hz`, `spectrum` (B,): amplitude
     spectrum of the signal, of long records the largest of neighbouring bins. `residual_rms`: of the residuals, in the
@@ -136,9 +125,10 @@ def line_clock(base: TimeBase) -> tuple[TimingError, ...]:
 
 
 def _fastest(base: TimeBase) -> tuple[DaqRecord, ChannelEntry] | None:
-    """Return the fastest channel and its block; of equally fast ones the first by quantity and index.
+    """Return the fastest channel and its block.
 
-    Channels of a room or a laser head, which should be at rest, are the last choice.
+    Of equally fast ones the first by quantity and index. Channels of a room or a laser head, which should be at rest,
+    are the last choice.
     """
     candidates = [
         (
@@ -182,7 +172,7 @@ def find_channel_lines(manifest: Manifest, base: TimeBase) -> LineFrequencies | 
 
 
 def refine_ties(base: TimeBase, lines: LineFrequencies) -> tuple[TimeBase, LineFrequencies]:
-    """Return ties with rates refined by the lines, and the lines on the refined base clock.
+    """Return ties refined by the lines, and the lines on that clock.
 
     A wrong rate r costs a sine over T seconds (πfTr)²/6 of its amplitude, which no first-order uncertainty includes.
     Ties whose u of the rate turns every line by less than `TURN` over half the record are unchanged. Frequencies that
@@ -326,7 +316,7 @@ def _driven_lines(
 def channel_phasors(
     manifest: Manifest, base: TimeBase, lines: LineFrequencies, *, shown: bool = True
 ) -> tuple[tuple[ChannelResult, ...], tuple[ChannelReading, ...]]:
-    """Fit the lines to every channel of every block: phasors, errors and data of the figures.
+    """Fit the lines to every channel of every block.
 
     Lines above the Nyquist frequency are omitted, because recorders filter them, but not in the fastest channels, in
     which the lines were found. Without `shown`, spectra, harmonics and stationarity are omitted; they cause no refusal.
@@ -370,7 +360,7 @@ def _fit_group(
     group_lines: tuple[LineFrequencies, BoolArray, Sequence[TimingError]],
     shown: bool,
 ) -> list[tuple[ChannelResult, ChannelReading]]:
-    """Fit the lines seen (K,) to all channels of one group, and split the result by channel.
+    """Fit the lines seen (K,) to all channels of one group.
 
     Other lines are fitted too if they are below Nyquist and separable. Errors of times and lines act through the fit.
     """
@@ -406,7 +396,7 @@ def _fit_group(
         of_blocks = steady and steady.select(channel.name)
         harmonics = _harmonics(channel, fit, every, multiples) if shown else None
         result = replace(result, stationarity=of_blocks, harmonics=harmonics, notices=(*result.notices, *notices))
-        result = replace(result, spectrum_hz=fitted[0][0].spectrum_hz) if fitted else result  # the same, held once
+        result = replace(result, spectrum_hz=fitted[0][0].spectrum_hz) if fitted else result  # the same object
         fitted.append((result, replace(reading, further_errors=nonzero_errors([*late, *value_errors]))))
     return fitted
 
@@ -478,7 +468,7 @@ def _result(
         samples=len(values),
         phasors=phasors,
         residual_rms=float(fit.residual_rms[index]),
-        excerpt_s=time_s[first].copy(),  # a view would hold the whole record
+        excerpt_s=time_s[first].copy(),  # a view would reference the whole record
         excerpt=values[first][:, 0],
         excerpt_fit=fit.model(time_s[first], slice(index, index + 1))[:, 0],
         spectrum_hz=spectrum.frequency_hz,
@@ -496,7 +486,7 @@ def _spectrum(values: FloatArray | Stacked, uneven_s: FloatArray | None, rate_hz
     if grid is None:
         return _NO_SPECTRUM
     column = values[:]
-    share = len(column) / grid.length  # of the places of the grid, the others are zero
+    share = len(column) / grid.length  # of the grid points, the others are zero
     return amplitude_spectrum(grid.filled(column - column.mean(axis=0)) / share, grid.rate_hz, MOST_BINS)
 
 
@@ -511,9 +501,10 @@ def fill_gaps(values: Stacked) -> FloatArray | Stacked:
 def folding(
     frequency_hz: Sequence[float], rate_hz: float, samples: int, most: int = HARMONICS[-1]
 ) -> list[AliasedHarmonic]:
-    """Return the harmonics of driven lines up to order `most` that alias within a bin of one of these.
+    """Return the harmonics of driven lines that alias onto one of these.
 
-    Of lines below half the rate. None for many lines, whose harmonics alias onto each other in any case.
+    Up to order `most`, within a bin. Of lines below half the rate. None for many lines, whose harmonics alias onto each
+    other in any case.
     """
     few = frequency_hz if len(frequency_hz) <= FEW else ()
     below = [f for f in few if f < rate_hz / 2.0]
@@ -525,65 +516,6 @@ def describe_folds(folds: Sequence[AliasedHarmonic]) -> str:
     return ", ".join(
         f"harmonic {fold.multiple} of {fold.fundamental_hz:.6g} Hz aliases onto {fold.line_hz:.6g} Hz" for fold in folds
     )
-
-
-def folding_notices(
-    channels: Sequence[ChannelResult], readings: Sequence[ChannelReading], lines: LineFrequencies
-) -> list[Notice]:
-    """Return notices of harmonics that alias onto the lines of a block.
-
-    Harmonics up to the fifth are reported unless a response of the channel states a filter. Higher ones are reported if
-    those measured by a channel predict more than a third of its u at the line, and are otherwise not assessed.
-    """
-    driven = lines.frequency_hz[lines.multiple == 1].tolist()
-    blocks: dict[tuple[str, float], list[tuple[ChannelResult, ChannelReading]]] = {}
-    for channel, reading in zip(channels, readings, strict=True):
-        if reading.entry.response is None:
-            blocks.setdefault((channel.daq, channel.sample_rate_hz), []).append((channel, reading))
-    notices = []
-    for (daq, rate_hz), members in blocks.items():
-        found: dict[bool, list[AliasedHarmonic]] = {True: [], False: []}
-        for fold in folding(driven, rate_hz, members[0][0].samples, FOLDED):
-            found[fold.multiple <= HARMONICS[-1] or any(_expected(*one, fold) for one in members)].append(fold)
-        for important, declared in ((True, ALIASED_HARMONICS), (False, HIGH_HARMONICS_NOT_ASSESSED)):
-            if found[important]:
-                notices.append(Notice(declared, daq, rate_hz=rate_hz, aliases=describe_folds(found[important])))
-    return notices
-
-
-def _expected(channel: ChannelResult, reading: ChannelReading, fold: AliasedHarmonic) -> bool:
-    """Return whether the measured harmonics of a channel predict a significant one at an alias.
-
-    Coefficients of a waveform without jumps fall at least as 1/m² with their order m (Zygmund 1959, Trigonometric
-    Series I, II.4). The prediction starts at the measured one that predicts most; it is significant relative to the u
-    of the line.
-    """
-    if channel.harmonics is None:
-        return False
-    seen, order = channel.harmonics, channel.harmonics.frequency_hz / fold.fundamental_hz
-    size, noise = np.abs(seen.value[:, 0]), np.hypot(seen.u_re[:, 0], seen.u_im[:, 0])
-    counted = (np.abs(order - np.rint(order)) < 1e-9 * order) & (order > 1.5) & (size > NOISE_REACH * noise)
-    line = int(np.argmin(np.abs(channel.phasors.frequency_hz - fold.line_hz)))
-    relative = [np.abs(error.effect[line, 0]) for error in chain_errors([reading])]
-    at_line = channel.phasors.at_lines(np.array([line]))
-    u = np.linalg.norm([at_line.u_re[0, 0], at_line.u_im[0, 0], np.abs(at_line.value[0, 0]) * np.linalg.norm(relative)])
-    return bool(np.max((size * (order / fold.multiple) ** 2)[counted], initial=0.0) > OF_U * u)
-
-
-ATTENUATED = 1e-3
-"""Relative attenuation that a filter of a stated delay may have, from which on the user is asked about it."""
-
-
-def delay_notices(readings: Sequence[ChannelReading], path: Path) -> list[Notice]:
-    """Return warnings of stated delays that filters may cause, which also attenuate; `path`: of the manifest."""
-    notices = []
-    for entry, phasors in ((reading.entry, reading.phasors) for reading in readings if reading.entry.delay_of is None):
-        loss = np.sqrt(3.0) * u_of_filter(phasors.frequency_hz, entry.filter_delay_s)[0]
-        line = int(np.argmax(loss))
-        if loss[line] > ATTENUATED:
-            values = {"delay_us": 1e6 * entry.delay, "frequency_hz": phasors.frequency_hz[line], "loss": loss[line]}
-            notices.append(Notice(FILTER_DELAY, f"{path.name}: channel.{entry.name}.delay", **values))
-    return notices
 
 
 def line_strength(readings: Sequence[ChannelReading], lines: LineFrequencies) -> FloatArray | None:

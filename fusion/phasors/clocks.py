@@ -1,4 +1,4 @@
-"""Clocks tied by the motion: the period of a camera trigger from a line in frames and channels."""
+"""Clocks tied by the motion: trigger periods from lines in frames and channels."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from shaker.timebase.trigger import MAX_DISAGREEMENT_SIGMAS, TriggerFit
 from shakercal._common.notices import Notice
 
 UNCERTAIN_SAMPLES, JITTERS = {"sampled": 0.15, "resolved": 0.01}, 3.0
-"""Of a sample, over the length of the burst: nearly locked edges leave more, others less. And of what jitter leaves."""
+"""Uncertainty of the burst's length above which edges are nearly locked: in samples, and over that by jitter."""
 MIN_IMPROVEMENT = 0.5
-"""Of the u that edges leave of a trigger's period: what that of another answer must fall below to count."""
+"""Largest u of another period, over that by edges, for it to be used (chosen)."""
 
 ValueWithU = tuple[float, float]
-"""A value, and its standard uncertainty."""
+"""A value and its standard uncertainty."""
 
 
 def tie_clocks_by_motion(
@@ -114,9 +114,9 @@ def _refined(
 
 
 def _with_period(fit: TriggerFit, readings: Sequence[ValueWithU], limit: float, back: ValueWithU) -> TriggerFit:
-    """Return a trigger with the mean period on its clock, if u of the mean is below a limit.
+    """Return a trigger with the mean period on its clock.
 
-    Readings that contradict each other are reported and change no period.
+    If u of the mean is below a limit. Readings that contradict each other are reported and change no period.
     """
     mean = _mean(readings)
     difference, both = float(np.ptp([value for value, _ in readings])), float(np.linalg.norm([u for _, u in readings]))
@@ -127,7 +127,7 @@ def _with_period(fit: TriggerFit, readings: Sequence[ValueWithU], limit: float, 
 
 
 def _renewed_tie(tie: ClockTie, base: TriggerFit, other: TriggerFit, *, rate: ValueWithU) -> ClockTie:
-    """Return a tie from the edges of both blocks with the rate of their clocks by the lines.
+    """Return a tie from the edges of both blocks and the lines' rate.
 
     If that rate agrees with the edges. Edges with an uncertain gap keep the uncertainty of the triggers.
     """

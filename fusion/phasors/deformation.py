@@ -1,4 +1,7 @@
-"""Deformation of a body at the lines: point by point, and in shapes fitted to all grey values."""
+"""Deformation of a body at the lines, point by point and in shapes.
+
+Shapes are fitted to all grey values.
+"""
 
 from __future__ import annotations
 
@@ -21,10 +24,10 @@ from shaker.sine.sine_fit import fit_sines
 from shaker.sine.solve import SineFit, SineModel
 from shakercal._common.notices import Notice, Value
 
-# Operating deflection shape: phasors of what a body does beside its rigid motion, point by point.
+# Operating deflection shape: phasors of the deformation of a body, point by point.
 
 
-MIN_FREEDOM = 4  # frames beyond the unknowns of the fit that make a scatter
+MIN_FREEDOM = 4  # frames beyond the unknowns of the fit for an estimate of scatter
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,11 +66,11 @@ def deflection_shape(
     return DeflectionShape(frequency_hz, part.reference_m, np.asarray(value / gain), u / gain)
 
 
-# Shapes whose amplitudes the grey values of all pixels tell, and whether there is any deformation at all.
+# Amplitudes of shapes by the grey values of all pixels, and the test of any deformation.
 
 LEVEL = 0.01
-"""Chance at which a rigid body seems to deform, over all lines of a recording."""
-LOUDER, SLOW = 0.001, 3.09  # chance at which white noise seems louder around a line; its quantile
+"""Probability of a false deformation of a rigid body, over all lines of a recording."""
+LOUDER, SLOW = 0.001, 3.09  # probability that white noise seems louder around a line; its quantile
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +109,10 @@ class ShapePhasors:
         return np.asarray(self.chance < LEVEL / len(self.chance))
 
     def notices(self) -> list[Notice]:
-        """Return a warning for each line at which the body deforms; none if the shapes are stated modes."""
+        """Return a warning for each line at which the body deforms.
+
+        None if the shapes are stated modes.
+        """
         notices = list[Notice]()
         if self.phasors.channels != PLAIN:
             return notices
@@ -133,11 +139,11 @@ def shape_phasors(
     moved: Phasors | None = None,
     phase_rotated: PhaseRotated | None = None,
 ) -> ShapePhasors | None:
-    """Return the phasors of shape amplitudes (F, S) at K lines, None for too few frames.
+    """Return the phasors of shape amplitudes (F, S) at K lines.
 
-    By sine approximation. Hotelling's T² = xᵀ·C⁻¹·x of the 2S parts of a line, with C of ν degrees of freedom and the
-    `effects` (P, K, S) added, is 2Sν/(ν − 2S + 1) times F(2S, ν − 2S + 1) on a rigid body. `phase_rotated`: frames of a
-    rolling shutter, of a body that has `moved` so.
+    None for too few frames. By sine approximation. Hotelling's T² = xᵀ·C⁻¹·x of the 2S parts of a line, with C of ν
+    degrees of freedom and the `effects` (P, K, S) added, is 2Sν/(ν − 2S + 1) times F(2S, ν − 2S + 1) on a rigid body.
+    `phase_rotated`: frames of a rolling shutter, of a body that has `moved` so.
     """
     from scipy.special import fdtrc
 
@@ -166,11 +172,12 @@ def shape_phasors(
 
 
 def _tested_noise(time_s: FloatArray, amplitude: FloatArray, fit: SineFit) -> Phasors:
-    """Return the phasors of a fit with the noise of all frames if that is white, like pixel noise.
+    """Return the phasors of a fit with white noise, if it is white.
 
-    At a slow beat the density at a line has only two degrees of freedom. It is used if noise is significantly slow, by
-    the mean square of successive differences (von Neumann 1941, Ann. Math. Stat. 12, 367), or louder around the line,
-    in all shapes together: air and lamps are not white.
+    Like pixel noise, it then has the degrees of freedom of all frames. At a slow beat the density at a line has only
+    two degrees of freedom. It is used if noise is significantly slow, by the mean square of successive differences (von
+    Neumann 1941, Ann. Math. Stat. 12, 367), or louder around the line, in all shapes together: air and lamps are not
+    white.
     """
     from scipy.special import fdtrc
 

@@ -1,4 +1,4 @@
-"""Errors common to all frames of a pair: mean pose, calibration, surface before one camera, pixel grid."""
+"""Errors common to all frames of a pair: calibration, surface, pixel grid."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from shakercal._common.notices import Notice
 MIN_SUBSETS, SEEN_SHARE, EFFECT_SUBSETS = 6, 0.5, 200
 PERIODIC_SHARE = 0.4  # standard uncertainty of a line over the amplitude of an error periodic in the pixel
 BIAS_STEP_PX = 0.01
-MIN_VARIANCE_RATIO = 2.0  # times the variance of other frames: weights of less gain less than 6 %
+MIN_VARIANCE_RATIO = 2.0  # variance ratio of frames: weights for smaller ones gain less than 6 %
 THROUGH = "pose through the surface"
 
 
@@ -43,7 +43,7 @@ def image_effects(
     gain: FloatArray,
     notices: list[Notice],
 ) -> tuple[dict[str, ComplexArray], ComplexArray]:
-    """Return effects of calibration and of errors periodic in the pixel on phasors and shape amplitudes.
+    """Return effects of calibration and pixel grid on phasors and shape amplitudes.
 
     On phasors NaN at lines not `usable`; on amplitudes of shapes at the usable ones. Warnings of cameras that are not
     synchronous are added to `notices`. For a single camera also the effects of the stated surface, and of the pose
@@ -61,7 +61,7 @@ def image_effects(
     assert sums is not None
     mean_positions = [running.mean for running in means]
     frames = list[FloatArray]()
-    # Without a covariance nothing but the comparison of the cameras needs the displacement of each subset.
+    # Without a covariance only the comparison of the cameras needs the displacement of each subset.
     with suppress(ComputeError) if view.rig.covariance is None else nullcontext():
         frames = _phasor_frames(sums, len(measured.points_time_s), measured.sight.name)
     if frames and isinstance(view.rig, StereoRig):
@@ -81,14 +81,14 @@ def image_effects(
 def _periodic_effects(
     measured: StereoMotion, view: ImageView, means: Sequence[FloatArray], bias_px: FloatArray, lines: int
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Return the effects (12·K, K, 6) of errors periodic in the pixel on phasors, each at one line.
+    """Return the effects (12·K, K, 6) of errors periodic in the pixel.
 
-    A mean error B·sin(2πu + φ) of all subsets moving as u(t) = a·cos ωt is at most 2·B·J₁(1.84) = 1.16·B at any
-    multiple of ω; over amplitudes and phases about 0.4·B, as a standard uncertainty of real and imaginary part. Because
-    u differs across the image, it acts on x and y of either camera as a shift of all subsets by B and as displacements
-    growing to B at the body's rim, along and across. These are twelve separate patterns, of which the motion has six
-    independent combinations. A single camera measures tilts by patterns of second order, which are then included.
-    `means` (N, 2): positions of the subsets in each camera.
+    On phasors, each at one line. A mean error B·sin(2πu + φ) of all subsets moving as u(t) = a·cos ωt is at most
+    2·B·J₁(1.84) = 1.16·B at any multiple of ω; over amplitudes and phases about 0.4·B, as a standard uncertainty of
+    real and imaginary part. Because u differs across the image, it acts on x and y of either camera as a shift of all
+    subsets by B and as displacements growing to B at the body's rim, along and across. These are twelve separate
+    patterns, of which the motion has six independent combinations. A single camera measures tilts by patterns of second
+    order, which are then included. `means` (N, 2): positions of the subsets in each camera.
 
     Also return their effects (2S·K, K, S) on amplitudes of shapes, with displacements of second order over the image.
     """
@@ -117,11 +117,12 @@ def _periodic_effects(
 def _calibration_effects(
     measured: StereoMotion, view: ImageView, frames: Sequence[FloatArray], lines: int
 ) -> ComplexArray:
-    """Return the change (P, K, 6 + S) of phasors and amplitudes per principal component of the calibration.
+    """Return the changes (P, K, 6 + S) by each principal component of the calibration.
 
-    The path from the tracks onward is evaluated again with each perturbed rig. Phasors are linear in small pixel
-    displacements. Only the mean positions of the subsets and their displacement phasors at each line are therefore
-    triangulated and fitted: 1 + 2K `frames`. For a single camera without the uncertainty of its surface.
+    Of phasors and amplitudes of shapes. The path from the tracks onward is evaluated again with each perturbed rig.
+    Phasors are linear in small pixel displacements. Only the mean positions of the subsets and their displacement
+    phasors at each line are therefore triangulated and fitted: 1 + 2K `frames`. For a single camera without the
+    uncertainty of its surface.
     """
     covariance, shapes = view.rig.covariance, view.deformed.shapes
     if covariance is None:
@@ -167,10 +168,11 @@ def surface_effects(
 
 
 def _phasor_frames(sums: SineSums, samples: int, name: str) -> list[FloatArray]:
-    """Return positions (1 + 2K, N, 2) in each camera: mean, mean + Re and mean + Im of each line.
+    """Return positions (1 + 2K, N, 2) in each camera.
 
-    Of the subsets in most frames, each by its frames, because in a long recording all are lost at times. About 200 of
-    them are enough, because the effect of the calibration is smooth over the image.
+    Mean, mean + Re and mean + Im of the displacement at each line. Of the subsets in most frames, each by its frames,
+    because in a long recording all are lost at times. About 200 of them are enough, because the effect of the
+    calibration is smooth over the image.
     """
     mean, phasors, _ = sums.solve(1)
     good = np.isfinite(mean).all(axis=1) & (sums.count >= SEEN_SHARE * samples)
@@ -185,7 +187,7 @@ def _phasor_frames(sums: SineSums, samples: int, name: str) -> list[FloatArray]:
 
 
 def phasor_motion(rig: Rig, pose: RigidTransform, frames: Sequence[FloatArray], shapes: Shapes) -> ComplexArray:
-    """Return displacement phasors (K, 6) and shape amplitudes (K, S) of phasor frames by a rig.
+    """Return displacement phasors (K, 6) and shape amplitudes (K, S) of phasor frames.
 
     The left camera has the pose `pose`. By least squares of the points with their depth uncertainty. Linear in the
     displacements: differences by the rig are required, to which a rotation by a milliradian adds a thousandth.
@@ -230,7 +232,10 @@ def with_surface_at_rest(measured: StereoMotion, mean_pose: FloatArray) -> Stere
 
 
 def displacement(measured: StereoMotion, fit: SineFit) -> Phasors:
-    """Return the phasors of a body's motion at the lines of its fit, as means over an exposure."""
+    """Return the phasors of a body's motion at the lines of its fit.
+
+    Means over an exposure.
+    """
     rotated = None if measured.view is None else measured.view.phase_rotated
     return fit.phasors if rotated is None else rotated.motion(measured.sight.time_s, fit)
 
@@ -269,7 +274,7 @@ def fit_about_mean(measured: StereoMotion, frequency_hz: FloatArray) -> tuple[St
 
 
 def _frame_variance(time_s: FloatArray, motion: RigidMotion, fit: SineFit) -> FloatArray | None:
-    """Return the noise variance (F,) of each frame over the median, by its pixels, or None.
+    """Return the relative noise variance (F,) of each frame by its pixels.
 
     The geometric mean over the six components; frames with other illumination, partly hidden, or with points only have
     less weight. Sums of pixels over all frames would weight by the total information, which is not better

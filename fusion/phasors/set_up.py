@@ -19,14 +19,13 @@ from fusion.phasors.channel_phasors import (
     MIN_BEAT_PERIODS,
     ChannelResult,
     channel_phasors,
-    delay_notices,
     find_channel_lines,
-    folding_notices,
     line_clock,
     line_record,
     line_strength,
     refine_ties,
 )
+from fusion.phasors.missing_filters import delay_notices, folding_notices
 from fusion.phasors.phasor_notices import HARMONIC_UNRESOLVED, NO_INSTRUMENT, TAKES_REFUSED, TIME_STAMP_GAP
 from fusion.phasors.steadiness import distortions, enlarge_doubted, line_stationarity
 from fusion.phasors.stereo_motion import (
@@ -51,7 +50,7 @@ if TYPE_CHECKING:
     from fusion.phasors.stereo_phasors import StereoPhasors
 
 LineKey = tuple[float, int]
-"""What makes lines of two set-ups the same: their nominal fundamental and their multiple of it."""
+"""Identity of a line in several set-ups: its nominal fundamental and its multiple of it."""
 
 
 @dataclass(frozen=True)
@@ -112,9 +111,10 @@ class MeasuredSetUp:
 
 
 def prepare_set_ups(manifest: Manifest, already: FileCache | None = None) -> tuple[PreparedSetUp, ...]:
-    """Read all files set-up by set-up and find the lines; fit no channel and track no image.
+    """Read all files set-up by set-up and find the lines.
 
-    Clocks are tied, images opened and points read. Files `already` read are not read again.
+    No channel is fitted and no image tracked. Clocks are tied, images opened and points read. Files `already` read are
+    not read again.
     """
     parts = read_set_ups(manifest, already)
     tied = []
@@ -151,15 +151,16 @@ def measure_set_ups(
     executor: Executor | None = None,
     checkpoints: CheckpointStore | None = None,
 ) -> list[MeasuredSetUp]:
-    """Track the images of all set-ups, by threads or an executor, and fit lines to channels and motions.
+    """Track the images of all set-ups, and fit lines to channels and motions.
 
-    All channels are fitted while the bodies of the first set-up are prepared, so that their errors are reported early.
+    By threads or an executor. All channels are fitted while the bodies of the first set-up are prepared, so that their
+    errors are reported early.
     """
     fitted, measured = list[PreparedSetUp](), list[MeasuredSetUp]()
     for prepared in set_ups:
         with tracked_pairs(prepared.images, settings, executor, checkpoints, prepared.lines) as motions:
             fitted = fitted or [with_channels(each) for each in set_ups]
-            prepared.base.pulses()  # kept by the records, which are asked for them in the end
+            prepared.base.pulses()  # stored by the records, which provide them later
             with errors_in_set_up(prepared.manifest.path, prepared.where, prepared.name):
                 measured.append(_measured(fitted[len(measured)], motions(progress)))
     return measured
@@ -227,9 +228,10 @@ def _check_left(prepared: PreparedSetUp, stereo: Sequence[object], left_out: Seq
 
 
 def _lines(set_ups: Sequence[PreparedSetUp]) -> list[LineFrequencies | None]:
-    """Find the lines of every set-up on its clock: the same in all, and in the same order.
+    """Find the lines of every set-up on its clock.
 
-    A harmonic that one set-up cannot separate from another line is omitted from all.
+    The same in all, and in the same order. A harmonic that one set-up cannot separate from another line is omitted from
+    all.
     """
     first = find_channel_lines(set_ups[0].manifest, set_ups[0].base)
     if len(set_ups) == 1 or first is None:
@@ -254,7 +256,10 @@ def _lines(set_ups: Sequence[PreparedSetUp]) -> list[LineFrequencies | None]:
 
 
 def _further_lines(prepared: PreparedSetUp, nominal: tuple[float, ...]) -> LineFrequencies:
-    """Find the lines of a further set-up; raise if its channels do not resolve all fundamentals."""
+    """Find the lines of a further set-up.
+
+    Raises if its channels do not resolve all fundamentals.
+    """
     manifest = prepared.manifest
     excitation = manifest.excitation.model_copy(update={"frequencies": nominal})
     with errors_in_set_up(manifest.path, prepared.where, prepared.name):
@@ -272,9 +277,9 @@ def _keys(lines: LineFrequencies) -> list[LineKey]:
 
 
 def _indistinct(prepared: PreparedSetUp, lines: LineFrequencies, keys: Sequence[LineKey]) -> list[LineKey]:
-    """Return the lines of other set-ups that this one cannot separate from another or from zero.
+    """Return the lines of other set-ups that this one cannot separate.
 
-    In its fastest channel.
+    From another line or from zero. In its fastest channel.
     """
     record = line_record(prepared.base)
     added = set(keys) - set(_keys(lines))

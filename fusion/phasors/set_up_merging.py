@@ -35,23 +35,24 @@ from shaker.sine.sine_fit import Stationarity
 from shakercal._common.notices import Notice
 
 MIN_SNR = 6.0
-"""Of its own standard uncertainty: what the reference must reach at a line; 1/R_i is biased by u²/R², 3 % there."""
+"""Smallest reference over its standard uncertainty; 1/R_i is biased by u²/R², 3 % there."""
 NOTED_DRIFT, LARGE_DRIFT = 1e-3, 2e-2
-SAME_FREQUENCY = 1e-4  # relative: what clocks and generators differ by from set-up to set-up
-REMAINING_NOISE = 1e-6  # of a covariance that an unknown has taken over: enough to stay positive definite
-MIN_SPREAD = 1e-9  # of the reading: below it, rounding looks like scatter
+SAME_FREQUENCY = 1e-4  # relative difference of clocks and generators between set-ups
+REMAINING_NOISE = 1e-6  # share of a covariance that remains beside an unknown, to be positive definite
+MIN_SPREAD = 1e-9  # of the reading: rounding below it would look like scatter
 
 
-# What ties a set-up to the first one, and what that leaves open.
+# Tie of a set-up to the first one, and its uncertainty.
 
 
 @dataclass(frozen=True)
 class SetUpResult:
-    """Tie of one set-up to the first: its reference channel, and the exact lines on its clock.
+    """Tie of one set-up to the first by its reference channel.
 
-    `frequency_hz` (K,) in the order of the evaluation's lines. `value` (K,): phasors R_i of the reference on the
-    set-up's clock. `factor` (K,): R_1/R_i, by which all phasors of the set-up are multiplied, NaN where the reference
-    is not significant. `drift` (K,): |R_i/R_1| - 1, with its standard uncertainty by noise.
+    With the exact lines on its clock. `frequency_hz` (K,) in the order of the evaluation's lines. `value` (K,): phasors
+    R_i of the reference on the set-up's clock. `factor` (K,): R_1/R_i, by which all phasors of the set-up are
+    multiplied, NaN where the reference is not significant. `drift` (K,): |R_i/R_1| - 1, with its standard uncertainty
+    by noise.
     """
 
     name: str
@@ -88,7 +89,10 @@ class ReferenceTie:
         return replace(phasors.scaled(self.factor[:, None]), frequency_hz=self.frequency_hz)
 
     def reading(self, reading: ChannelReading) -> ChannelReading:
-        """Return a channel of the set-up as one of the first, with the errors of its clock."""
+        """Return a channel of the set-up as one of the first.
+
+        With the errors of its clock.
+        """
         chain = replace(reading.chain, clock=f"{self.name}: {reading.chain.clock}")
         further = nonzero_errors([*_clock_errors(self.name, reading), *self.errors])
         return ChannelReading(reading.entry, self.phasors(reading.phasors), chain, further)
@@ -120,13 +124,14 @@ class ReferenceTie:
 
 
 def reference_ties(set_ups: Sequence[PreparedSetUp]) -> tuple[ReferenceTie, ...]:
-    """Tie set-ups to the first one by the channel with `reference = true` in all of them.
+    """Tie set-ups to the first one by their reference channel.
 
-    The factor is R_1/R_i of the reference's phasors, corrected for delay and response. Its scale, delay and response
-    cancel. Its noise in set-up i is one complex unknown per line for all phasors of that set-up; its noise in the first
-    one acts on all others and on itself. A drift of its amplitude is corrected, but related changes are not known: d =
-    ||R_i/R_1| - 1|, less its noise and with twice the relative change of the frequency, acts on magnitude and phase of
-    all phasors of set-up i at that line (type B, rectangular of half-width d).
+    The one with `reference = true` in all of them. The factor is R_1/R_i of the reference's phasors, corrected for
+    delay and response. Its scale, delay and response cancel. Its noise in set-up i is one complex unknown per line for
+    all phasors of that set-up; its noise in the first one acts on all others and on itself. A drift of its amplitude is
+    corrected, but related changes are not known: d = ||R_i/R_1| - 1|, less its noise and with twice the relative change
+    of the frequency, acts on magnitude and phase of all phasors of set-up i at that line (type B, rectangular of
+    half-width d).
     """
     references = []
     for prepared in set_ups:
@@ -213,18 +218,18 @@ def _noise(
 
 
 def _clock_errors(name: str, reading: ChannelReading) -> list[ChannelRelativeError]:
-    """Return the relative errors (K, 1) of a channel by its clock and its lines' frequencies.
+    """Return the relative errors (K, 1) of a channel by its clock.
 
-    They are separate for that set-up, unless they belong to the rig.
+    And by its lines' frequencies. They are separate for that set-up, unless they belong to the rig.
     """
     errors = reading.further_errors
     return [error if error.scope == "rig" else replace(error, name=f"{name}: {error.name}") for error in errors]
 
 
 def _drift(name: str, frequency_hz: FloatArray, half_width: FloatArray) -> list[ChannelRelativeError]:
-    """Return the relative errors (K, 1) of all phasors of a set-up by drift of its reference.
+    """Return the relative errors (K, 1) by drift of a reference.
 
-    Of magnitude and phase.
+    Of all phasors of the set-up. Of magnitude and phase.
     """
     label, errors = "drift between takes", []
     for k in np.flatnonzero(half_width > 0.0):
@@ -348,9 +353,9 @@ def _mean(parts: Sequence[Phasors], weight: FloatArray, spread: FloatArray, lost
 
 
 def _between_set_ups(readings: Sequence[ChannelReading], value: ComplexArray) -> FloatArray:
-    """Return covariances (K, T, T) of the complex values by noise and errors common to set-ups.
+    """Return covariances (K, T, T) of the complex values.
 
-    Relative errors act on the median amplitude, never on the reading itself.
+    By noise and errors common to set-ups. Relative errors act on the median amplitude, never on the reading itself.
     """
     size = np.array([np.median(np.abs(v[np.isfinite(v)])) if np.isfinite(v).any() else 0.0 for v in value.T])
     noise = np.array([np.trace(reading.phasors.covariance, axis1=1, axis2=2) for reading in readings])
@@ -424,7 +429,7 @@ def _weights(covariance: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Joined:
-    """All data of a recording on the clock and at the lines of its first set-up.
+    """All data of a recording on the first set-up's clock and lines.
 
     `readings`, `pairs`: every channel and stereo pair with its errors. `clock_uncertainty`: relative, of that clock.
     `set_ups`: empty for a single one.
@@ -471,7 +476,7 @@ def join_set_ups(set_ups: Sequence[MeasuredSetUp]) -> Joined:
         used = [r for r in item.prepared.readings if tie.first or not r.entry.reference]
         referred.append((name, [tie.reference(r) if r.entry.reference else tie.reading(r) for r in used]))
         clocks_named += [replace(c, daq=f"{name}: {c.daq}") for c in item.prepared.base.results()]
-        for channel in item.prepared.channels:  # what the figures show stays
+        for channel in item.prepared.channels:  # data of the figures are unchanged
             steady = _at_lines(channel.stationarity, item.lines, lines.frequency_hz)
             referred_channel = replace(channel, phasors=tie.phasors(channel.phasors), stationarity=steady)
             channels.append(replace(referred_channel, name=f"{name}: {channel.name}", daq=f"{name}: {channel.daq}"))

@@ -1,4 +1,4 @@
-"""Exposure of images: rows read one after another, and cameras of a pair that are not synchronous."""
+"""Exposure of images: rolling shutters, and cameras that are not synchronous."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from shakercal._common.notices import Notice
 
 @dataclass(frozen=True, eq=False)
 class PhaseRotated:
-    """Frames fitted cell by cell, with the delays of their rows corrected at each of K lines.
+    """Frames fitted cell by cell, with row delays corrected at K lines.
 
     `pose` (F, K, p): six components and p - 6 shapes, in addition to the reference motion. `response` (K, p, p): effect
     of a motion on them; `reference_motion` (K, p): that of the reference. `row_delay` (6, 6): number of rows after the
@@ -35,7 +35,10 @@ class PhaseRotated:
     side_px: int
 
     def motion(self, time_s: FloatArray, fit: SineFit) -> Phasors:
-        """Return the phasors (K, 6) of the body at the lines of a fit, as means over an exposure."""
+        """Return the phasors (K, 6) of the body at the lines.
+
+        Means over an exposure.
+        """
         return self._restored(time_s, fit, slice(0, 6), self.reference_motion[:, :6], lambda _, found: found.phasors)
 
     def shapes(
@@ -56,10 +59,11 @@ class PhaseRotated:
         offset: ComplexArray,
         noise: Callable[[FloatArray, SineFit], Phasors],
     ) -> Phasors:
-        """Return G⁻¹·(A + jB + `offset`), with the phasors A and B of real and imaginary part of the pose.
+        """Return G⁻¹·(A + jB + `offset`).
 
-        A motion Re{X exp(jωt)} appears in a rotated pose as G·X·exp(jωt)/2 and a part of opposite rotation. With the
-        parts Re{A exp(jωt)} and Re{B exp(jωt)} that is (A + jB)/2.
+        A and B are the phasors of real and imaginary part of the pose. A motion Re{X exp(jωt)} appears in a rotated
+        pose as G·X·exp(jωt)/2 and a part of opposite rotation. With the parts Re{A exp(jωt)} and Re{B exp(jωt)} that is
+        (A + jB)/2.
         """
         frequency_hz, model = fit.phasors.frequency_hz, SineModel(robust=True)
         names, unit = fit.phasors.channels, fit.phasors.unit
@@ -79,9 +83,9 @@ class PhaseRotated:
 # Cameras of a pair that were not exposed at the same time.
 
 LATE_RAD, LATE_U = 0.01, 5.0
-"""Phase between the cameras from which on it is reported; the same in standard uncertainties."""
+"""Phase between the cameras above which it is reported, and the same in standard uncertainties (chosen)."""
 FRAME_PHASE_TOLERANCE = 0.05
-"""Phase by which a lag may differ from that of whole frames; the frames at either end are others then."""
+"""Largest difference in rad of a lag from whole frames: different frames at either end (chosen)."""
 MOST_FRAMES = 5
 EQUAL = 0.2
 """Relative difference of the two cameras' motion across the epipolar lines that no lag explains."""

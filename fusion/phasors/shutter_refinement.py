@@ -27,18 +27,19 @@ from shaker.sine.aliasing import exposure_gain
 from shaker.sine.normal_equations import SineSums
 from shakercal._common.notices import Notice
 
-FINEST_RAD_PX = 0.7  # of the waves of grey that tell the place of speckle, about
-BLUR_COUNTS = 1e-5  # of an amplitude: bias by the path of an exposure from which on it is taken off
-CLOSE, MOST_LOOKS = 3e-4, 6  # relative change of the motion within which it is known, and how often that is sought
-NOTABLE_CHANGE = 3e-3  # the largest one at the end of which nothing is said
+FINEST_RAD_PX = 0.7  # typical wave number of grey values of speckle
+BLUR_COUNTS = 1e-5  # relative bias by blur above which it is corrected
+CLOSE, MOST_LOOKS = 3e-4, 6  # relative change of the motion at convergence, and most iterations
+NOTABLE_CHANGE = 3e-3  # largest final change without a notice
 
 
 def refine_rolling_shutter(
     measured: StereoMotion, images: Sequence[PreparedImages], lines: LineFrequencies
 ) -> StereoMotion:
-    """Return the motion of a pair with all rows at one instant and blur accounted for.
+    """Return the motion of a pair with all rows at one instant.
 
-    The same object is returned if all rows are exposed at once, and too briefly to blur the motion.
+    Blur is accounted for. The same object is returned if all rows are exposed at once, and too briefly to blur the
+    motion.
     """
     view, pair, exposure_s = measured.view, measured.sight.pair, measured.sight.exposure.length_s
     usable, _ = resolved_lines(measured, lines)
@@ -68,7 +69,10 @@ def refine_rolling_shutter(
 
 
 def _shutter_notices(measured: StereoMotion, swing: ExposureMotion, bias: float, left: float) -> Iterator[Notice]:
-    """Yield the effects of motion during exposures, and a warning where the fit did not converge."""
+    """Yield the effects of motion during exposures.
+
+    With a warning where the fit did not converge.
+    """
     rotated = None if measured.view is None else measured.view.phase_rotated
     fastest_hz = float(swing.frequency_hz.max())
     if rotated is not None:
@@ -118,7 +122,7 @@ def _look(prepared: PreparedImages, correction: ExposureCorrection, frames: Sequ
 
 
 def _of_subsets(measured: StereoMotion, tracked: TrackedSubsets, frequency_hz: FloatArray) -> ComplexArray:
-    """Return the motion (K, 6) from the positions of subsets at the exposures of their rows.
+    """Return the motion (K, 6) from positions of subsets by rows.
 
     By least squares.
     """
@@ -144,11 +148,11 @@ def _of_subsets(measured: StereoMotion, tracked: TrackedSubsets, frequency_hz: F
 
 
 def _blur_bias(tracked: TrackedSubsets, frequency_hz: FloatArray, phasors: ComplexArray, exposure_s: float) -> float:
-    """Return the approximate relative bias of a motion fitted to sharp grey values by its blur.
+    """Return the approximate relative bias of a motion by its blur.
 
-    A wave of grey exp(jkx) averaged over the path of a sine of amplitude a shifts in phase by the third moment of the
-    path, a³ω⁴T⁴·sin²·cos/120. This is k²a²(ωT)⁴/2880 of the amplitude at the line, and the same at three times its
-    frequency.
+    If it is fitted to sharp grey values. A wave of grey exp(jkx) averaged over the path of a sine of amplitude a shifts
+    in phase by the third moment of the path, a³ω⁴T⁴·sin²·cos/120. This is k²a²(ωT)⁴/2880 of the amplitude at the line,
+    and the same at three times its frequency.
     """
     rates = np.concatenate([seen.rates for seen in tracked.scene.seen])
     amplitude = np.linalg.norm(np.einsum("nij,kj->nki", rates, phasors), axis=2)

@@ -23,10 +23,10 @@ from shakercal._common.notices import Notice, Value
 if TYPE_CHECKING:
     from fusion.phasors.stereo_phasors import StereoResult
 
-SURE = 1.0 / 16000.0  # chance that noise and rates of clocks make a change that is told
+SURE = 1.0 / 16000.0  # probability of a reported change by noise and clock rates
 MATTERS = 1e-3  # of the amplitude, or rad, over the record: a mean over another stretch differs by up to half of it
 
-# What readings of outputs are found to hold beside the load.
+# Parts of the readings of outputs that are not caused by the load.
 
 DISTORTION, DRIFT = "distortion", "drift over the record"
 SCOPES: dict[str, Scope] = {DISTORTION: "rig", DRIFT: "recording"}
@@ -224,7 +224,7 @@ def _of_lines(
 # Harmonics of outputs that the load's motion does not have, and of the motion that no output answers to.
 
 STRONG = 0.5  # of the largest fundamental: outputs and motion channels whose harmonics are compared
-CHANGED = 0.3  # relative: what the sensor may answer otherwise at a harmonic than at its fundamental
+CHANGED = 0.3  # relative difference of the sensitivity between harmonic and fundamental
 
 
 class HarmonicDistortion(NamedTuple):

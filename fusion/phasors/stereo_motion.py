@@ -1,4 +1,4 @@
-"""From the images, or points, of a stereo pair to the rigid motion of its body.
+"""From the images, or points, of a stereo pair to rigid motion.
 
 Images are tracked pair by pair and block by block, by threads of this process or by processes of an executor. Functions
 that track import numba; reading does not.
@@ -73,15 +73,12 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 MAX_SATURATED = 0.02  # fraction of pixels at full scale above which a camera is refused
-SAME_EXPOSURE = 0.02  # relative difference of exposures that are told apart
+SAME_EXPOSURE = 0.02  # relative difference of equal exposures
 SAME_RATE = 0.01  # of frames on the camera's clock and of edges on that of a DAQ
-MIN_SUBSET_FRAMES, SPARED, TIMES_UNKNOWNS = (
-    24,
-    8,
-    2,
-)  # frames with subsets, at least: so many, a share, and by the lines
+MIN_SUBSET_FRAMES, SPARED, TIMES_UNKNOWNS = 24, 8, 2
+"""Fewest frames with subsets: number, inverse share of all, and multiple of the unknowns of the lines (chosen)."""
 MOST_NAMED = 5  # frames in a notice
-MIN_POSITIONS = 3  # on a body that tell where it is
+MIN_POSITIONS = 3  # on a body that determine its depth
 NO_MOTION = "no frame has enough points for a rigid motion"
 
 
@@ -173,7 +170,10 @@ class RejectedPair:
 
 
 def sensor_from_camera(stereo: Stereo) -> RigidTransform:
-    """Return the pose of the left camera (or of the frame of the points) in the sensor frame."""
+    """Return the pose of the left camera in the sensor frame.
+
+    Or of the frame of the points.
+    """
     return RigidTransform(np.array(stereo.rotation), np.array(stereo.translation))
 
 
@@ -253,7 +253,10 @@ def _stated_exposure(manifest: Manifest, entry: Images, sequences: Sequence[Imag
 
 
 def _contradictions(sight: Sight, images: ImageSequence) -> list[Notice]:
-    """Return warnings where exposure or frame times in the file of a camera contradict those of the sight."""
+    """Return warnings where the file of a camera contradicts the sight.
+
+    By its exposure and frame times.
+    """
     where, notices = images.names[0].rpartition("[")[0] or sight.name, list[Notice]()
     stated, used = images.exposure_s, sight.exposure.length_s
     if stated is not None and abs(stated - used) > SAME_EXPOSURE * max(stated, used):
@@ -272,10 +275,11 @@ def _contradictions(sight: Sight, images: ImageSequence) -> list[Notice]:
 
 
 def depth_range_m(manifest: Manifest, pair: Stereo) -> tuple[float, float] | None:
-    """Return the nearest and farthest depth in the left camera of the visible face, or None.
+    """Return the nearest and farthest depth of the visible face.
 
-    From the sensor's origin and the points of the channels on the pair's body. The face is assumed to be no further
-    beyond them, nearer or farther, than their distance from the origin. None with fewer than three points.
+    In the left camera. From the sensor's origin and the points of the channels on the pair's body. The face is assumed
+    to be no further beyond them, nearer or farther, than their distance from the origin. None with fewer than three
+    points.
     """
     channels = (channel for daq in manifest.daq for channel in daq.channel)
     points = [channel.point for channel in channels if channel.body == pair.body and channel.point is not None]
@@ -310,7 +314,9 @@ def tracked_pairs(
     from photogram.kernels.device import resolve_device
 
     on_gpu = executor is None and resolve_device(settings.device) != "cpu"
-    with Threads(max(1, len(images)) if on_gpu else None) as threads:  # a GPU holds one block of each body at a time
+    with Threads(
+        max(1, len(images)) if on_gpu else None
+    ) as threads:  # a GPU processes one block of each body at a time
         crew = threads if executor is None else executor
         prepared = [crew.submit(0, _prepared, item, settings, lines) for item in images]
 
@@ -346,7 +352,10 @@ def tracked_pairs(
 
 
 def _attempted(images: PreparedImages, act: Callable[[], T]) -> T | RejectedPair:
-    """Return the result of an action on a pair, or the rejected pair if its body is not found."""
+    """Return the result of an action on a pair, or the rejected pair.
+
+    Rejected if its body is not found.
+    """
     from photogram.subsets.find import BodyNotFound
 
     try:
@@ -419,7 +428,7 @@ def body_inputs(images: PreparedImages, settings: Settings, lines: int | None = 
 
 
 def motion_from_tracks(images: PreparedImages, body: BodyMotion) -> StereoMotion:
-    """Return the motion of the body of a stereo pair, with the results of its images."""
+    """Return the motion of a stereo pair's body from its tracks."""
     from photogram.epipolar import check_epipolar
     from photogram.subsets.find import BodyNotFound
 
@@ -494,7 +503,10 @@ def read_rig(stereo: Stereo, sequences: Sequence[ImageSequence]) -> Rig:
 
 
 def _before_surface(stereo: Stereo, calibration: Path, surface: SurfacePlane) -> FaceCamera:
-    """Return the camera of a file before the stated surface of its pair, with both uncertainties."""
+    """Return the camera of a file before its stated surface.
+
+    With both uncertainties.
+    """
     camera, of_camera = read_camera(calibration)
     stated = np.square([surface.distance_uncertainty, surface.tilt_uncertainty, surface.tilt_uncertainty])
     covariance = np.pad(of_camera, (0, len(stated)))
@@ -545,7 +557,7 @@ def motion_lines(manifest: Manifest, base: TimeBase, motions: Sequence[StereoMot
         raise InputError(FREQUENCIES_UNSTATED, manifest.path, "excitation.frequencies", found="none", expected=expected)
     reasons: list[str] = []
     moving = [motion for motion in motions if motion.sight.pair.body != STATIONARY]
-    for first in moving or motions:  # whose frames tell a fundamental from zero, the Nyquist rate and the others
+    for first in moving or motions:  # the first whose frames resolve a fundamental
         usable, notices = usable_lines(first.sight.time_s, np.array(excitation.frequencies, dtype=np.float64))
         if usable.any():
             break

@@ -53,8 +53,8 @@ from shakercal._common.notices import Notice
 if TYPE_CHECKING:
     from photogram.epipolar import EpipolarCheck
 
-STEP, MIN_FREE_FRAMES = 20.0, 4  # of the noise: a step that no chance makes; frames beyond the unknowns of the lines
-ONE_BEAT = 1.1  # periods of a line's alias: in less, a slope looks like the line
+STEP, MIN_FREE_FRAMES = 20.0, 4  # step over noise that is not by chance; frames beyond the unknowns of the lines
+ONE_BEAT = 1.1  # periods of a line's alias: over fewer, a slope looks like the line
 NO_LINE = "its frame rate resolves no line of the recording"
 
 
@@ -131,10 +131,11 @@ def pairs_phasors(
     line_errors: Sequence[TimingError],
     strength: FloatArray | None,
 ) -> tuple[tuple[StereoPhasors, ...], tuple[Notice, ...], tuple[RejectedPair, ...]]:
-    """Fit the lines to the motion of every stereo pair, and reject pairs that resolve none.
+    """Fit the lines to the motion of every stereo pair.
 
-    The notices name rejected lines and pairs; the third result are pairs without a possible fit. `line_errors`: errors
-    of the lines. `strength` (K,): acceleration at each line relative to the strongest, as far as channels measure it.
+    Pairs that resolve none are rejected. The notices name rejected lines and pairs; the third result are pairs without
+    a possible fit. `line_errors`: errors of the lines. `strength` (K,): acceleration at each line relative to the
+    strongest, as far as channels measure it.
     """
     fitted: list[StereoPhasors] = []
     unfitted: list[RejectedPair] = []
@@ -232,7 +233,7 @@ def stereo_phasors(
 
 
 def _named(measured: StereoMotion, of_phasors: Sequence[Notice]) -> tuple[Notice, ...]:
-    """Return the notices of a motion and of its phasors with the name of the pair."""
+    """Return the notices of motion and phasors with the pair's name."""
     return tuple(
         notice.at(f"stereo pair {measured.sight.name}, {notice.where}") for notice in (*measured.notices, *of_phasors)
     )
@@ -417,9 +418,9 @@ def _step(name: str, time_s: FloatArray, position_m: FloatArray, frequency_hz: F
 def unresolved_fundamentals(
     seen: Sequence[Observation], lines: LineFrequencies, folded: Sequence[Notice]
 ) -> tuple[Notice, ...]:
-    """Return a notice for each driven line without an instrument; raise if there is no other line.
+    """Return a notice for each driven line without an instrument.
 
-    `folded`: notices of lines that frame rates do not resolve.
+    Raises if no other driven line is left. `folded`: notices of lines that frame rates do not resolve.
     """
     driven = lines.frequency_hz[lines.multiple == 1]
     lost = [f for f in driven if not any(np.isfinite(o.phasors.value[o.phasors.frequency_hz == f]).any() for o in seen)]

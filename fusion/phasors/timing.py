@@ -118,9 +118,10 @@ def combine_timing_errors(errors: Iterable[TimingError]) -> tuple[TimingError, .
 
 @dataclass(frozen=True)
 class _Straight:
-    """Uncertainty of a straight line from its covariance (2, 2) of value at 0 and slope.
+    """Uncertainty of a straight line.
 
-    `at`: argument at which value and slope are independent, with the standard uncertainty of either.
+    From its covariance (2, 2) of value at 0 and slope. `at`: argument at which value and slope are independent, with
+    the standard uncertainty of either.
     """
 
     at: float
@@ -139,10 +140,10 @@ _SAME_PERIOD = 1e-5
 
 @dataclass(frozen=True)
 class Grid:
-    """Positions of a trigger's edges between the samples of one block; they determine the sampling error.
+    """Positions of a trigger's edges between the samples of one block.
 
-    Seconds: first edge after the first sample, period, sampling interval, `offset_s` of the tie to the first block's
-    clock (0 for that), `width_s` of the pulses (NaN if not measurable).
+    They determine the sampling error. Seconds: first edge after the first sample, period, sampling interval, `offset_s`
+    of the tie to the first block's clock (0 for that), `width_s` of the pulses (NaN if not measurable).
     """
 
     start_s: float
@@ -186,7 +187,7 @@ class ClockResult:
 
 
 INVERTED = 0.02
-"""Of the period, by which pulses and pauses of two records of one trigger may differ for one to look inverted."""
+"""Largest difference of pulses and pauses of two records, over the period, for one to be inverted (chosen)."""
 
 
 @dataclass(frozen=True)
@@ -211,9 +212,10 @@ class TimeBase:
         return next((daq, fit) for (daq, name), fit in self.triggers.items() if name == trigger)
 
     def tie_errors(self, daq: str) -> tuple[TimingError, ...]:
-        """Return the errors of a block's tie to the first clock, none for the first block.
+        """Return the errors of a block's tie to the first clock.
 
-        Effects of an error of the first block's trigger have the name of that unknown, which the frames share.
+        None for the first block. Effects of an error of the first block's trigger have the name of that unknown, which
+        the frames share.
         """
         tie = self.ties[daq]
         if tie is None:
@@ -299,7 +301,10 @@ class TimeBase:
         return widths
 
     def inverted(self) -> Iterator[Notice]:
-        """Yield a warning of a trigger whose pulses are as long as its pauses in another block."""
+        """Yield a warning of a trigger that looks inverted.
+
+        Its pulses are as long as its pauses in another block.
+        """
         widths = self.pulses()
         for (one, name), (other, same) in combinations(widths, 2):
             if name != same or one == other:
@@ -331,9 +336,9 @@ class TimeBase:
 def _straight_errors(
     name: str, at_s: float, u_s: float, rate: float, edges: int, scope: Scope = "start"
 ) -> tuple[TimingError, ...]:
-    """Return the errors of a time base with `u_s` at the time `at_s` and an independent `rate`.
+    """Return the errors of a time base with independent offset and `rate`.
 
-    Both from as many `edges`, less two degrees of freedom of the line.
+    The offset has `u_s` at the time `at_s`. Both from as many `edges`, less two degrees of freedom of the line.
     """
     steady, dof = np.zeros(()), float(max(edges - 2, 1))
     both = (
@@ -344,7 +349,10 @@ def _straight_errors(
 
 
 def tie_daqs(manifest: Manifest, records: Sequence[DaqRecord]) -> TimeBase:
-    """Find the trigger edges of all blocks and tie every clock to the first one by a shared trigger."""
+    """Find the trigger edges of all blocks and tie their clocks.
+
+    Every clock is tied to the first one by a shared trigger.
+    """
     base, *others = records
     first = base.entry.name
     triggers: dict[tuple[str, str], TriggerFit] = {}
@@ -436,10 +444,11 @@ def frame_edges(
     cameras: Mapping[str, FrameNumbers | None],
     frames: int,
 ) -> tuple[IntArray, tuple[Notice, ...]]:
-    """Return the edge of each frame (F,) relative to the first one's, by the file numbers.
+    """Return the edge of each frame (F,) by the file numbers.
 
-    A number missing in all `cameras` is an edge without a frame, if it exists. Different numbers and too few edges are
-    refused. So are numbers in steps for which the existence of edges between is ambiguous without `edge_step`.
+    Relative to the first one's. A number missing in all `cameras` is an edge without a frame, if it exists. Different
+    numbers and too few edges are refused. So are numbers in steps for which the existence of edges between is ambiguous
+    without `edge_step`.
     """
     key = f"{'images' if isinstance(entry, Images) else 'points'}.{entry.stereo}"
     available = {side: numbers for side, numbers in cameras.items() if numbers is not None}

@@ -51,7 +51,7 @@ class TrackedBlocks:
     ) -> None:
         self.scene = scene
         self._device, self._checkpoints = device, checkpoints if len(scene.blocks) > 1 else None
-        pair = "\n".join([images.sight.name, *images.left.names[:1]])  # the first image tells it from that of a take
+        pair = "\n".join([images.sight.name, *images.left.names[:1]])  # the first image distinguishes takes
         self._sight, self._pair = images.sight.name, hashlib.sha256(pair.encode()).hexdigest()[:12]
         self._reset(None if checkpoints is None else str(checkpoints.disk))
 

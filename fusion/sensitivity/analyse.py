@@ -149,17 +149,14 @@ def _stretched(observation: Observation, parts: Sequence[ElasticPart], seen: Boo
 
 
 def _rows(design: ComplexArray, stretch: ComplexArray) -> ComplexArray:
-    """Return rows (K, M, 6) of the elastic motion relative to the foot."""
+    """Return rows (K, M, 6) of the elastic motion."""
     return np.asarray(np.einsum("kmj,kmji->kmi", design, stretch))
 
 
 def _stretched_positions(
     modes: NaturalModes, frequency_hz: FloatArray, positions: Sequence[InstrumentPosition], rows: int
 ) -> ComplexArray:
-    """Return the elastic motion (K, M, 6, 6) of M rows.
-
-    All at one position, or at separate ones.
-    """
+    """Return the elastic motion (K, M, 6, 6) of M rows, at one position or at separate ones."""
     each = np.stack([modes.stretch(frequency_hz, position) for position in positions], axis=1)
     return np.repeat(each, rows // len(positions), axis=1)
 
@@ -176,10 +173,7 @@ def _stretch(
 def _shifted_positions(
     parts: Sequence[ElasticPart], frequency_hz: FloatArray, inner: Geometry, positions: Sequence[InstrumentPosition]
 ) -> Iterator[tuple[tuple[str, ...], ComplexArray]]:
-    """Yield the unknowns of M uncertain positions, and the change of the stretch.
-
-    Axis by axis.
-    """
+    """Yield the unknowns of M uncertain positions, axis by axis, and the change of the stretch."""
     if not isinstance(inner, ChannelGeometry) or inner.transducer.rotational:
         return
     for unit, letter in zip(np.eye(3), "xyz", strict=True):
@@ -497,7 +491,6 @@ def missing_result(inputs: Inputs, analysis: Analysis) -> Iterator[Notice]:
 
 
 def _observed(acceleration: Acceleration, component: int | None) -> BoolArray:
-    """Return the lines (K,) at which a component of the acceleration, or any, is determined."""
     seen = acceleration.observed
     return np.asarray(seen.any(axis=1) if component is None else seen[:, component])
 

@@ -79,7 +79,7 @@ def _source(item: UncertainInput | None) -> tuple[str, str]:
 
 
 def _digest(manifest: Manifest, path: Path, hashes: Mapping[str, str]) -> str:
-    """SHA-256 of an input file by its path, empty where it is not known."""
+    """Return the SHA-256 of an input file, or an empty text."""
     whole = path.resolve()
     inside = whole.relative_to(manifest.root) if whole.is_relative_to(manifest.root) else whole
     return hashes.get(inside.as_posix(), "")

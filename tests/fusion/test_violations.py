@@ -20,7 +20,8 @@ from support import DOCS, RefusedCommand, folder_contents, truth_of
 
 from fusion.estimation.estimation_notices import SINGLE_ERROR_NOT_ASSESSED
 from fusion.instruments.channel import ChainUncertainty, ChannelReading
-from fusion.phasors.channel_phasors import ChannelResult, describe_folds, folding, folding_notices
+from fusion.phasors.channel_phasors import ChannelResult, describe_folds, folding
+from fusion.phasors.missing_filters import folding_notices
 from fusion.phasors.phasor_notices import (
     ALIASED_HARMONICS,
     CUBIC_DISTORTION,
