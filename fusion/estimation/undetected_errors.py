@@ -1,4 +1,4 @@
-"""Effects of undetected common errors, which would explain a contradiction, where no reading can contradict them."""
+"""Effects of undetected common errors where no reading can contradict them."""
 
 from __future__ import annotations
 

@@ -304,7 +304,7 @@ def _driven_lines(
         nominal_hz = [whole for f, whole in turns if abs(f - whole) <= rate_hz / len(time_s)]
     if not nominal_hz:
         raise ValueError(
-            f"band: expected lines between {low:g} and {high:g} Hz that stand out of the noise, found none"
+            f"band: expected lines between {low:g} and {high:g} Hz above the noise, found none"
         )
     listed = ", ".join(f"{f:.6g}" for f in nominal_hz)
     return nominal_hz, Notice(LINES_FROM_BAND, "excitation.band", count=len(nominal_hz), frequencies=listed)

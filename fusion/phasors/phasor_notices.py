@@ -428,5 +428,5 @@ TAKES_SCATTER = DeclaredNotice(
     "Readings of takes differ by {spread_percent:.2g} % at {frequency_hz:.6g} Hz (standard deviation beyond noise and "
     "drift).",
     effect="U includes the scatter.",
-    remedy="Check what changed between takes.",
+    remedy="Check for changes between takes.",
 )

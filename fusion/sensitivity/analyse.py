@@ -156,7 +156,7 @@ def _rows(design: ComplexArray, stretch: ComplexArray) -> ComplexArray:
 def _stretched_positions(
     modes: NaturalModes, frequency_hz: FloatArray, positions: Sequence[InstrumentPosition], rows: int
 ) -> ComplexArray:
-    """Return the elastic motion (K, M, 6, 6) of M rows, at one position or at separate ones."""
+    """Return the elastic motion (K, M, 6, 6) of M rows."""
     each = np.stack([modes.stretch(frequency_hz, position) for position in positions], axis=1)
     return np.repeat(each, rows // len(positions), axis=1)
 
@@ -173,7 +173,7 @@ def _stretch(
 def _shifted_positions(
     parts: Sequence[ElasticPart], frequency_hz: FloatArray, inner: Geometry, positions: Sequence[InstrumentPosition]
 ) -> Iterator[tuple[tuple[str, ...], ComplexArray]]:
-    """Yield the unknowns of M uncertain positions, axis by axis, and the change of the stretch."""
+    """Yield the unknowns of uncertain positions, and the change of the stretch."""
     if not isinstance(inner, ChannelGeometry) or inner.transducer.rotational:
         return
     for unit, letter in zip(np.eye(3), "xyz", strict=True):

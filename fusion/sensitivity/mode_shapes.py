@@ -146,7 +146,7 @@ class ModeShapes:
         return tuple(f"{part.table.name}: {label}" for part in self.parts for label in part.labels)
 
     def __call__(self, points_m: FloatArray) -> FloatArray:
-        """Return the displacement (S, N, 3) of points at rest per 1 m of each mode.
+        """Return the displacement (S, N, 3) of points per 1 m of each mode.
 
         `points_m` (N, 3).
         """

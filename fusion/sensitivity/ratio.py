@@ -530,8 +530,8 @@ def contradicting_outputs(
     )
 
 
-UNLIKE_REST, SOFTEST_HZ = 0.03, 500.0
-"""Relative change of the driven element since rest that a resonance has to explain, and where it is to be expected."""
+MIN_CHANGE_FROM_REST, MAX_RESONANCE_HZ = 0.03, 500.0
+"""Relative change of the driven element from rest that needs a resonance, and the highest such resonance (chosen)."""
 
 
 def mass_notices(element: str, ratio: complex, frequency_hz: float) -> Iterator[Notice]:
@@ -541,11 +541,11 @@ def mass_notices(element: str, ratio: complex, frequency_hz: float) -> Iterator[
     (f/f₀)²), never below one, in phase.
     """
     size, resonance = abs(ratio), "which no resonance above that explains"
-    if not UNLIKE_REST < abs(size - 1.0) <= CHANGED or abs(np.angle(ratio)) > CHANGED:
+    if not MIN_CHANGE_FROM_REST < abs(size - 1.0) <= CHANGED or abs(np.angle(ratio)) > CHANGED:
         return
     if size > 1.0:
         natural_hz = frequency_hz / np.sqrt(1.0 - 1.0 / size)
-        if natural_hz > SOFTEST_HZ:
+        if natural_hz > MAX_RESONANCE_HZ:
             return
         resonance = f"as with a resonance at {natural_hz:.3g} Hz"
     values: dict[str, Value] = {"factor": size, "frequency_hz": frequency_hz, "resonance": resonance}

@@ -1,4 +1,4 @@
-"""Notices and errors of the stage from acceleration to load and sensitivity, and of influences that it assesses."""
+"""Notices and errors of the stage from acceleration to load and sensitivity."""
 
 from shakercal._common.notices import DeclaredNotice
 
