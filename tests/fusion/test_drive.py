@@ -173,7 +173,7 @@ def test_cameras_alone_fail_in_one_sentence(tmp_path, capsys):
     error = refused("106[.]25 Hz", evaluated, place, error=ComputeError)
     assert (error.code, error.values["frequencies"]) == (LINES_UNRESOLVED.code, "106.25 Hz")
     assert main(["run", str(place), "--quiet"]) == 1
-    told = capsys.readouterr().err.strip()
-    assert told.count("\n") == 0
-    assert LINES_UNRESOLVED.code in told
-    assert "Traceback" not in told
+    reported = capsys.readouterr().err.strip()
+    assert reported.count("\n") == 0
+    assert LINES_UNRESOLVED.code in reported
+    assert "Traceback" not in reported

@@ -42,9 +42,9 @@ def test_arrays_say_what_the_tables_say(folder):
     results = read_results(str(folder))
     for table, of in (("sensitivity.csv", results.sensitivity), ("load.csv", results.load)):
         column = "channel" if table == "sensitivity.csv" else "body"
-        told = [row for row in rows(folder / table) if row.get("kind") != "element"]
-        assert len(told) == np.isfinite(of.value).sum()
-        for row in told:
+        reported = [row for row in rows(folder / table) if row.get("kind") != "element"]
+        assert len(reported) == np.isfinite(of.value).sum()
+        for row in reported:
             k = int(np.argmin(np.abs(of.frequency_hz - float(row["frequency_hz"]))))
             e = of.elements.index(f"{row[column]}/{row['component']}")
             assert of.value[k, e] == complex(float(row["re"]), float(row["im"]))
@@ -61,11 +61,11 @@ def test_arrays_say_what_the_tables_say(folder):
 def test_pandas_has_the_rows_of_the_tables(folder):
     pytest.importorskip("pandas")
     frame = read_results(folder / "result.h5").load.to_dataframe()
-    told = rows(folder / "load.csv")
-    assert len(frame) == len(told)
+    reported = rows(folder / "load.csv")
+    assert len(frame) == len(reported)
     for name in ("frequency_hz", "re", "im", "u_re", "u_im", "r", "dof", "u_phase_rad", "dof_phase"):
-        assert np.allclose(frame[name], [float(row[name]) for row in told], rtol=1e-9)
-    assert list(frame["component"]) == [row["component"] for row in told]
+        assert np.allclose(frame[name], [float(row[name]) for row in reported], rtol=1e-9)
+    assert list(frame["component"]) == [row["component"] for row in reported]
 
 
 def test_xarray_has_values_and_covariance_by_name(folder):
@@ -94,11 +94,11 @@ def test_a_campaign_has_curves_and_the_rest_is_refused(folder, tmp_path):
     write_campaign(tmp_path, "one", [folder], {})
     results = read_results(tmp_path)
     assert (results.name, results.load, results.acceleration) == ("one", None, {})
-    told = [row for row in rows(tmp_path / "curve.csv") if row["kind"] == "ratio"]
+    reported = [row for row in rows(tmp_path / "curve.csv") if row["kind"] == "ratio"]
     curve = next(curve for curve in results.curve if curve.kind[0] == "ratio")
-    assert sorted(set(curve.channel)) == sorted({row["channel"] for row in told})
+    assert sorted(set(curve.channel)) == sorted({row["channel"] for row in reported})
     assert curve.of("Fz", "Fz")[0].real == pytest.approx(
-        next(float(row["re"]) for row in told if row["channel"] == "Fz"), rel=1e-12
+        next(float(row["re"]) for row in reported if row["channel"] == "Fz"), rel=1e-12
     )
     refused("Mx", curve.of, "Fz", "Mx")
     refused("result.h5", read_results, tmp_path / "none", error=InputError)
@@ -119,8 +119,8 @@ def test_files_of_other_commands_say_units_and_axes_as_far_as_names_tell():
         fit["time_s"], fit["fitted"], fit["value"] = np.arange(4.0), np.arange(4.0), np.ones(3)
 
     with h5py.File(io.BytesIO(h5_content(fill))) as file:
-        told = {name: file[name].attrs.get("units") for name in ("figures/value", "figures/u", "figures/dof")}
-        assert told == {"figures/value": "[unit]", "figures/u": "[unit]", "figures/dof": "1"}
+        reported = {name: file[name].attrs.get("units") for name in ("figures/value", "figures/u", "figures/dof")}
+        assert reported == {"figures/value": "[unit]", "figures/u": "[unit]", "figures/dof": "1"}
         assert file["turned/reading"].attrs["units"] == "V/V"
         assert file["turned/load"].attrs["units"] == "[N, N, N, N.m, N.m, N.m]"
         assert "units" not in file["turned/loads"].attrs

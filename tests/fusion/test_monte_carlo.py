@@ -325,8 +325,8 @@ def test_report_and_result_file_hold_the_run(tmp_path):
 
 def test_settings_know_the_run_only_where_there_is_one(capsys):
     assert "seed" not in Settings().as_dict()
-    told = Settings(monte_carlo=5000, seed=3).as_dict()
-    assert (told["monte_carlo"], told["seed"]) == (5000, 3)
+    reported = Settings(monte_carlo=5000, seed=3).as_dict()
+    assert (reported["monte_carlo"], reported["seed"]) == (5000, 3)
     with pytest.raises(ValueError, match=r"^monte_carlo: .*1000 to 1000000"):
         Settings(monte_carlo=10)
     with pytest.raises(SystemExit, match="2"):

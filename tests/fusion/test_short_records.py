@@ -155,8 +155,8 @@ def test_errors_of_a_clock_act_through_the_fit():
 def test_short_records_err_as_they_state(beats):
     share, seen = held_over(beats, 40, 0.3, 1)
     assert share.min() >= binom.ppf(1e-3 / 12, 40, 0.95) / 40
-    told = [any(notice.code == SHORT_BEAT.code for notice in pair.notices) for pair in seen]
-    assert np.mean(told) > 0.5 if beats < 1.0 else not any(told)
+    reported = [any(notice.code == SHORT_BEAT.code for notice in pair.notices) for pair in seen]
+    assert np.mean(reported) > 0.5 if beats < 1.0 else not any(reported)
 
 
 def test_less_than_a_third_of_a_beat_is_left_out_with_its_harmonics():
@@ -241,8 +241,8 @@ def test_draws_of_a_short_record_spread_as_its_uncertainty_says():
     dof = observed.phasors.dof[0]
     for part, place in ((drawn.real, 2), (drawn.imag, 8)):
         own = noise[place, place] * dof / (dof - 2.0)
-        said = own + sum((e.real if place == 2 else e.imag) ** 2 for e in effects)
-        assert np.var(part) == pytest.approx(said, rel=0.15)
+        predicted = own + sum((e.real if place == 2 else e.imag) ** 2 for e in effects)
+        assert np.var(part) == pytest.approx(predicted, rel=0.15)
 
 
 def test_periodic_jitter_is_told_with_what_it_does() -> None:
@@ -250,17 +250,17 @@ def test_periodic_jitter_is_told_with_what_it_does() -> None:
     rng, frames, late_s = np.random.default_rng(8), 211, 2e-5
     even = 0.2 + np.arange(frames) / CAMERA_HZ
     truth = SIZE * np.array([[1.0], [0.0]])
-    told = {}
+    reported = {}
     for name, jitter in (
         ("periodic", late_s * np.cos(4.0 * np.pi * LINE_HZ * even)),
         ("quartz", 3e-8 * rng.normal(size=frames)),
     ):
         base = time_base({("daq", "camera"): latched(even + jitter, DAQ_HZ)})
         seen = stereo_phasors(base, seen_pair(base, recorded(truth, even + jitter, rng)), known_lines(LINE_HZ, 1e-6))
-        told[name] = [notice for notice in seen.notices if notice.code == PERIODIC_JITTER.code]
+        reported[name] = [notice for notice in seen.notices if notice.code == PERIODIC_JITTER.code]
         off = abs(seen.reading.phasors.value[0, 2] / truth[0, 2] - 1.0)
         if name == "periodic":
-            said = told[name][0].values["change_percent"] / 100.0
+            predicted = reported[name][0].values["change_percent"] / 100.0
             assert off == pytest.approx(np.pi * LINE_HZ * late_s, rel=0.6)  # some of it is seen of the edges
-            assert said == pytest.approx(np.pi * LINE_HZ * late_s, rel=0.3)
-    assert not told["quartz"]
+            assert predicted == pytest.approx(np.pi * LINE_HZ * late_s, rel=0.3)
+    assert not reported["quartz"]
