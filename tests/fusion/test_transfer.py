@@ -21,7 +21,7 @@ from fusion.errors import InputError
 from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.load import load_manifest
 from fusion.recording.manifest import ChannelEntry
-from fusion.sensor.transfer.transfer_evaluation import _silent, evaluate_transfer, find_resonances
+from fusion.sensor.transfer.transfer_evaluation import _unstated_scales, evaluate_transfer, find_resonances
 from fusion.sensor.transfer.transfer_records import ChannelChain, ReferenceResult, TransferSettings, uncertainty
 from fusion.sensor.transfer.transfer_report import TRANSFER, expanded
 from fusion.simulate.chirp import Chirp, Oscillator, write_chirp
@@ -253,7 +253,7 @@ def test_a_scale_is_stated_by_the_table_of_a_response_too(u, keys, silent):
     lines = np.array([100.0])
     response = ChainResponse(np.ones(1, complex), np.array([[u + 0j]]), ("magnitude of the table",))
     entry = ChannelEntry(name="a", quantity="voltage", **keys)
-    found = _silent([ChannelChain(entry, lines, response, "daq", 0.0)])
+    found = _unstated_scales([ChannelChain(entry, lines, response, "daq", 0.0)])
     assert [name for notice in found for name in ("a",) if f"stated for {name}:" in notice.text] == silent
 
 

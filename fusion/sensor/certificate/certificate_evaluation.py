@@ -1,4 +1,4 @@
-"""What a certificate states: results of a campaign or a recording beside the laboratory's own statements."""
+"""Content of a certificate: results of recordings, and statements of the laboratory."""
 
 from __future__ import annotations
 
@@ -46,10 +46,11 @@ UNCERTAINTY = (
 
 @dataclass(frozen=True)
 class CertifiedValue:
-    """One value of a certificate: frequency (Hz), the value as it came out, and U of magnitude and phase (rad).
+    """One value of a certificate: frequency (Hz), measured value, and U.
 
-    U is k·u, `k` and `k_phase` as the form asks for them, and no less than the laboratory may state. `has_phase`:
-    whether magnitude and phase are determined; else the complex value and its region are all there is.
+    U of the magnitude and of the phase (rad). U is k·u with `k` and `k_phase` of the form, and at least the stated
+    capability. `has_phase`: whether magnitude and phase are determined; otherwise only the complex value and its region
+    are.
     """
 
     frequency_hz: float
@@ -65,8 +66,12 @@ class CertifiedValue:
 class CertifiedElement:
     """An element of the sensor's sensitivity over frequency: output `channel` per load `component`.
 
-    `unit`: of the output; `kind`: element, matrix, or ratio (output over load, other loads not taken off); `main`: the
-    output that belongs to the load; `verdicts`: of every value, none without a limit or a static sensitivity.
+    Attributes
+    ----------
+    unit : of the output.
+    kind : element, matrix, or ratio (output over load, without correction for other loads).
+    main : whether the output belongs to the load.
+    deviation, verdicts : of every value; empty without a limit or a static sensitivity.
     """
 
     channel: str
@@ -80,7 +85,7 @@ class CertifiedElement:
 
     @property
     def name(self) -> str:
-        """Return what it is in words."""
+        """Return the name of the result."""
         if self.kind == "ratio":
             return f"Ratio of output {self.channel} to driven load {self.component}"
         return f"Sensitivity {self.channel} per {self.component}"
@@ -88,7 +93,7 @@ class CertifiedElement:
 
 @dataclass(frozen=True)
 class UnderlyingCertificate:
-    """Certificate that a result rests on: the inputs it was stated for, by file and key, its name, who issued it."""
+    """An underlying certificate: the inputs that refer to it, its number, laboratory and date."""
 
     inputs: tuple[str, ...]
     certificate: str
@@ -98,11 +103,16 @@ class UnderlyingCertificate:
 
 @dataclass(frozen=True)
 class Certificate:
-    """Everything that a certificate states, for XML and page alike.
+    """All content of a certificate, for XML and page.
 
-    `elements`: of the sensitivity, or `figures`: lists of single numbers; `begin`, `end`: days of the calibration;
-    `conditions`: name, D-SI unit, least and largest value; `warnings`: of the evaluation, which the authoriser has
-    reviewed; `not_assessed`: what no U holds; `versions`: of what computed the results.
+    Attributes
+    ----------
+    elements, numbers : sensitivities, or lists of single numbers.
+    begin, end : days of the calibration.
+    conditions : name, D-SI unit, smallest and largest value.
+    warnings : of the evaluation, reviewed by the authoriser.
+    not_assessed : influences not included in U.
+    versions : of the software that computed the results.
     """
 
     form: Form
@@ -122,7 +132,7 @@ class Certificate:
     versions: dict[str, str]
 
     def statements(self) -> Iterator[tuple[str, str]]:
-        """Yield name and text of everything that a certificate has to say in words."""
+        """Yield name and text of every statement."""
         own, least, limit = self.form.administration, self.form.laboratory.cmc, self.form.conformity
         yield "Scope", SCOPE
         yield (
@@ -155,12 +165,12 @@ class Certificate:
 def evaluate_certificate(
     path: Path, results: Path | None = None, form_path: Path | None = None, *, allow_outside: bool = False
 ) -> Certificate:
-    """Gather what a certificate of a campaign, or of a recording, states.
+    """Collect the content of a certificate of a campaign or a recording.
 
-    `results`: where `run`, `rotate`, `identify` or `step` left them, by default in the folder itself
-    (`figures_folder`); `form_path`: certificate.toml, by default beside them. Refused, each with all that is wrong of
-    its kind at once: results that are not there or not of these inputs, empty keys, recordings without a date, inputs
-    whose certificates had expired, warnings nobody has reviewed.
+    `results`: folder of results of `run`, `rotate`, `identify` or `step`, by default that of `find_results_folder`.
+    `form_path`: certificate.toml, by default in the same folder. Raises `InputError`, with all mistakes of one kind,
+    for missing or outdated results, empty keys, recordings without a date, expired certificates of inputs, and warnings
+    that are not reviewed.
     """
     recordings = find_recordings(path)
     alone = not path.is_dir() or (path / RECORDING_NAME).is_file()
@@ -206,7 +216,7 @@ def evaluate_certificate(
 
 
 class CertificateContent(NamedTuple):
-    """What results say: the title of their certificate, what was calibrated, values, warnings, what no U holds."""
+    """Content from the results: title, sensor, values, warnings, and influences not in U."""
 
     title: str
     sensor: SensorFacts
@@ -220,7 +230,7 @@ class CertificateContent(NamedTuple):
 def _sensitivities(
     name: str, manifests: Sequence[Manifest], folders: Sequence[Path], top: Path, form: Form
 ) -> CertificateContent:
-    """Return the sensitivities of a campaign `name`, or of a recording, that `run` left in some folders."""
+    """Return the sensitivities of a campaign `name`, or of a recording, from results of `run`."""
     recorded = [_results_of(manifest, folder) for manifest, folder in zip(manifests, folders, strict=True)]
     evaluation = evaluate_campaign(name, recorded, {})
     sensor = evaluation.sensor
@@ -249,7 +259,7 @@ def _sensitivities(
 
 
 def _figures(command: str, manifests: Sequence[Manifest], folder: Path, form: Form) -> CertificateContent:
-    """Return the numbers that another command left in a folder, which must be those of the files as they are now."""
+    """Return the numbers of another command's results, which must be those of the present files."""
     origin, notices, scopes = read_results_origin(folder, command)
     for name, digest in origin.input_hashes.items():
         path = manifests[0].root / name
@@ -278,7 +288,7 @@ def _no_sensor(manifests: Sequence[Manifest]) -> InputError:
 
 
 def _named(form: Form, manifest: Manifest) -> Form:
-    """Return the form with the laboratory that rig.toml names where it names none."""
+    """Return the form, with the laboratory of rig.toml if it names none."""
     known = manifest.rig.administration
     if form.laboratory.name or known is None or not known.laboratory:
         return form
@@ -286,7 +296,7 @@ def _named(form: Form, manifest: Manifest) -> Form:
 
 
 def _refuse_gaps(form: Form, path: Path, manifests: Sequence[Manifest]) -> None:
-    """Refuse what is missing, every gap in one list, and inputs whose certificates had expired."""
+    """Refuse missing entries, all in one error, and inputs with expired certificates."""
     gaps = list(form.missing())
     if not _days(form, manifests):
         gaps.append("administration.begun, or the date of every recording")
@@ -309,7 +319,10 @@ def _refuse_gaps(form: Form, path: Path, manifests: Sequence[Manifest]) -> None:
 
 
 def _days(form: Form, manifests: Sequence[Manifest]) -> list[Date]:
-    """Return days of the calibration, as the form states them or else as the recordings do; none where one lacks it."""
+    """Return the days of the calibration, of the form or of all recordings.
+
+    Empty if one recording has no date.
+    """
     own = form.administration
     if own.begun is not None:
         return [own.begun, own.ended or own.begun]
@@ -318,7 +331,7 @@ def _days(form: Form, manifests: Sequence[Manifest]) -> list[Date]:
 
 
 def _results_of(manifest: Manifest, folder: Path) -> RecordingResults:
-    """Read the results of a recording, which must be those of its files as they are now."""
+    """Read the results of a recording, which must be those of its present files."""
     recorded = read_recorded(folder)
     now, then = hash_files(manifest.files, manifest.root, manifest.file_identities).hashes, recorded.origin.input_hashes
     if now != then:
@@ -329,9 +342,9 @@ def _results_of(manifest: Manifest, folder: Path) -> RecordingResults:
 
 
 def _elements(points: Sequence[CurvePoint], mains: dict[str, str], unit: str, form: Form) -> Iterator[CertifiedElement]:
-    """Yield every element of which something is stated, the main ones first.
+    """Yield every element to be stated, the main ones first.
 
-    Of the outputs beside the main one only elements are sensitivities; their ratios are responses of one recording.
+    Of other outputs only elements are sensitivities; their ratios are responses of one recording.
     """
     names = list(dict.fromkeys((point.channel, point.component) for point in points))
     for channel, component in sorted(names, key=lambda name: name[0] != mains[name[1]]):
@@ -345,7 +358,7 @@ def _elements(points: Sequence[CurvePoint], mains: dict[str, str], unit: str, fo
 
 
 def _stated(point: CurvePoint, form: Form) -> CertifiedValue:
-    """Return a value with its U: k·u, and no less than the laboratory may state."""
+    """Return a value with U = k·u, at least the stated capability."""
     element, least = point.element, form.laboratory.cmc
     k, k_phase = (element.k, element.k_phase) if form.k == "effective" else (2.0, 2.0)
     return CertifiedValue(
@@ -362,7 +375,7 @@ def _stated(point: CurvePoint, form: Form) -> CertifiedValue:
 def _judged(
     points: Sequence[CurvePoint], limit: Conformity | None
 ) -> tuple[tuple[tuple[float, float], ...], tuple[Verdict, ...]]:
-    """Return the deviations from the static sensitivity with U, relative, and whether they are within the limit.
+    """Return relative deviations from the static sensitivity with U, and their conformity.
 
     ISO/IEC 17025:2017, 7.8.6; ILAC-G8:09/2019: "simple" accepts up to the limit, "guarded" up to the limit less U.
     """
@@ -375,14 +388,17 @@ def _judged(
 
 
 def _warnings(recorded: Iterable[RecordingResults], joint: Iterable[Notice]) -> Iterator[str]:
-    """Yield what evaluations of recordings and campaign warn of."""
+    """Yield the warnings of recordings and campaign."""
     for entry in recorded:
         yield from (f"{entry.name}: {notice.text}" for notice in entry.notices if notice.severity == "warning")
     yield from (notice.text for notice in joint if notice.severity == "warning")
 
 
 def _not_assessed(notices: Iterable[Notice]) -> list[str]:
-    """Return what evaluations say is in no U: of several that differ in numbers alone the first."""
+    """Return the influences not included in U.
+
+    Of texts that differ only in numbers the first.
+    """
     found: dict[str, str] = {}
     for text in (notice.text for notice in notices if "not assessed" in notice.text or "not in U" in notice.text):
         found.setdefault(re.sub(r"[\d.]+", "#", text), text)
@@ -390,7 +406,7 @@ def _not_assessed(notices: Iterable[Notice]) -> list[str]:
 
 
 def _conditions(manifests: Sequence[Manifest]) -> Iterator[tuple[str, str, float, float]]:
-    """Yield name, D-SI unit, least and largest value of what is stated of the surroundings."""
+    """Yield name, D-SI unit, smallest and largest value of the stated surroundings."""
     around = [manifest.rig.surroundings for manifest in manifests]
     for name, unit, values, factor in (
         ("Temperature of the air", r"\degreecelsius", [e.temperature for e in around], 1.0),
@@ -404,7 +420,7 @@ def _conditions(manifests: Sequence[Manifest]) -> Iterator[tuple[str, str, float
 
 
 def _sources(inputs: Sequence[UncertainInput]) -> tuple[UnderlyingCertificate, ...]:
-    """Return the certificates behind the inputs, each once with the inputs that it was named for."""
+    """Return the certificates of the inputs, each once with its inputs."""
     named: dict[tuple[str, str, str], dict[str, None]] = {}
     for item in inputs:
         own = item.stated

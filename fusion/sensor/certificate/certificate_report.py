@@ -1,4 +1,4 @@
-"""The certificate's page for people, and the command that writes page and XML."""
+"""The page of a certificate, and the command that writes page and XML."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def run_certificate(
     force: bool = False,
     allow_outside: bool = False,
 ) -> Certificate:
-    """Write certificate.xml and certificate.html of a campaign or a recording into a folder; print what they state."""
+    """Write certificate.xml and certificate.html of a campaign or a recording, and print a summary."""
     folder = (path if path.is_dir() else path.parent) / "certificate" if output is None else output
     for name in (XML_FILE, PAGE_FILE):
         if (folder / name).exists() and not force:
@@ -83,7 +83,7 @@ def run_certificate(
 
 
 def write_form(path: Path, results: Path | None = None) -> None:
-    """Write a new certificate.toml beside the recordings, its values still to be filled in."""
+    """Write a new certificate.toml to be filled in."""
     file = path / FORM_FILE if path.is_dir() else path
     check_new_file(file, force=False)
     command = find_command(find_results_folder(file.parent, results))
@@ -97,7 +97,7 @@ def write_form(path: Path, results: Path | None = None) -> None:
 
 
 def certificate_page(found: Certificate) -> str:
-    """Return the HTML text of the certificate; style is inside, nothing is fetched from elsewhere."""
+    """Return the certificate as HTML with its style and without external resources."""
     own = found.form
     context = {
         "name": f"Calibration certificate {own.administration.number}",
@@ -116,19 +116,19 @@ def certificate_page(found: Certificate) -> str:
 
 
 def _address(party: Party) -> list[str]:
-    """Lines of name and address."""
+    """Return the lines of name and address."""
     place = " ".join(filter(None, (party.post_code, party.city)))
     return [line for line in (party.name, party.street, f"{place}, {party.country}", party.email) if line]
 
 
 def _condition(name: str, unit: str, low: float, high: float) -> str:
-    """A condition in words."""
+    """Return a condition as text."""
     text = {r"\degreecelsius": "°C", r"\percent": "%", r"\hecto\pascal": "hPa"}[unit]
     return f"{name}: {low:g} {text}" if low == high else f"{name}: {low:g} {text} to {high:g} {text}"
 
 
 def _sources_table(found: Certificate) -> Table | None:
-    """Certificates behind the inputs."""
+    """Return the certificates of the inputs."""
     head = ("stated for", "certificate", "laboratory", "date")
     rows = tuple(
         ("; ".join(s.inputs), s.certificate or DASH, s.laboratory or DASH, s.day or DASH) for s in found.sources
@@ -137,7 +137,7 @@ def _sources_table(found: Certificate) -> Table | None:
 
 
 def _figures_table(own: NumberList) -> Table | None:
-    """One list of single numbers."""
+    """Return one list of single numbers."""
     columns: list[TableColumn[CertifiedNumber]] = [
         page_column("quantity", lambda figure: figure.name, "l"),
         page_column(
@@ -150,7 +150,7 @@ def _figures_table(own: NumberList) -> Table | None:
 
 
 def _element_table(element: CertifiedElement) -> Table | None:
-    """One element over frequency, magnitudes in units of a power of ten."""
+    """Return one element over frequency, magnitudes with a common power of ten."""
     unit = sensitivity_unit(element.unit, element.component)
     exponent = common_exponent(np.array([complex(value.element.re, value.element.im) for value in element.values]))
 

@@ -1,4 +1,4 @@
-"""The certificate as a Digital Calibration Certificate: XML of PTB's schema 3.3.0 with D-SI 2.2.1."""
+"""Digital Calibration Certificate: XML of PTB's schema 3.3.0 with D-SI 2.2.1."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def certificate_xml(found: Certificate) -> bytes:
 
 
 def _text(tag: str, *words: str) -> etree._Element:
-    """An element of texts in the one language of the certificate."""
+    """Return an element of texts in the language of the certificate."""
     return D(tag, *(D.content(word, lang=LANGUAGE) for word in words))
 
 
@@ -105,7 +105,7 @@ def _types(found: Certificate) -> dict[str, str]:
 
 
 def _declared(name: str, about: str) -> etree._Element:
-    """The declaration of a type of quantity."""
+    """Return the declaration of a type of quantity."""
     return D.refTypeDefinition(
         _text("name", name),
         _text("description", about),
@@ -121,7 +121,7 @@ def _software() -> etree._Element:
 
 
 def _party(tag: str, party: Party) -> etree._Element:
-    """Name and address."""
+    """Return name and address of a party."""
     address = (
         ("street", party.street),
         ("postCode", party.post_code),
@@ -150,7 +150,7 @@ def _measured(found: Certificate) -> etree._Element:
 
 
 def _source(source: UnderlyingCertificate) -> etree._Element:
-    """A certificate that results rest on, as the instrument or standard it is of."""
+    """Return an underlying certificate as the measuring equipment to which it belongs."""
     told = ", ".join(filter(None, (source.laboratory, source.day)))
     number = D.identification(D.issuer("calibrationLaboratory"), D.value(source.certificate or "unnumbered"))
     about = [_text("description", f"Certificate of {told}")] if told else []
@@ -158,7 +158,7 @@ def _source(source: UnderlyingCertificate) -> etree._Element:
 
 
 def _conditions(found: Certificate) -> Iterator[etree._Element]:
-    """Every condition, least and largest value where it differs; that none is stated is stated."""
+    """Yield every condition with its smallest and largest value, or that none is stated."""
     for name, unit, low, high in found.conditions:
         values = " ".join(repr(float(value)) for value in dict.fromkeys((low, high)))
         numbers = S.realListXMLList(S.valueXMLList(values), S.unitXMLList(unit))
@@ -168,7 +168,7 @@ def _conditions(found: Certificate) -> Iterator[etree._Element]:
 
 
 def _result(found: Certificate, element: CertifiedElement) -> etree._Element:
-    """One result: frequency, magnitude and phase where all are determined, and the complex value."""
+    """Return one result: frequency, magnitude and phase if determined, and complex value."""
     powers = PER_LOAD[element.component[0]]
     try:
         unit, squared = dsi_unit(element.unit, powers), dsi_unit(element.unit, powers, 2)
@@ -194,7 +194,7 @@ def _result(found: Certificate, element: CertifiedElement) -> etree._Element:
 
 
 def _listed(found: Certificate, own: NumberList) -> etree._Element:
-    """One result: a list of single numbers, each with its U."""
+    """Return one result: a list of single numbers with U."""
     quantities = []
     for figure in own.numbers:
         try:
@@ -215,7 +215,7 @@ def _listed(found: Certificate, own: NumberList) -> etree._Element:
 
 
 def _numbers(values: Iterable[float]) -> str:
-    """Numbers as in the tables: the shortest text that reads back to the same double."""
+    """Return numbers with full precision."""
     return " ".join(repr(float(value)) for value in values)
 
 
@@ -227,7 +227,7 @@ def _quantity(
     expanded: tuple[list[float], list[float]] | None = None,
     further: Sequence[etree._Element] = (),
 ) -> etree._Element:
-    """A list of real numbers with U and k, where it has them."""
+    """Return a list of real numbers with U and k, if any."""
     stated = []
     if expanded is not None:
         own = S.expandedMUXMLList(
@@ -241,7 +241,7 @@ def _quantity(
 
 
 def _limit(element: CertifiedElement) -> list[etree._Element]:
-    """Whether each value conforms, beside the list."""
+    """Return the conformity of each value of a list."""
     if not element.verdicts:
         return []
     judged = D.conformityXMLList(" ".join(element.verdicts))
@@ -249,7 +249,7 @@ def _limit(element: CertifiedElement) -> list[etree._Element]:
 
 
 def _complex(element: CertifiedElement, unit: str, squared: str) -> etree._Element:
-    """Real and imaginary part with the covariance matrix and the factor of their 95 % region."""
+    """Return complex values with their covariance matrices and the factor of the region."""
     values = element.values
     factors = [value.element.region_factor for value in values]
     matrices = [value.element.region_matrix / k**2 for value, k in zip(values, factors, strict=True)]

@@ -1,4 +1,4 @@
-"""Single numbers that a certificate states: what rotate, identify and step found, read from their tables and files."""
+"""Single numbers of a certificate, from the tables of rotate, identify and step."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LARGEST_TABLE = 20_000_000  # bytes
 
 @dataclass(frozen=True)
 class CertifiedNumber:
-    """A number of a certificate: name in words, type of quantity, value, U = k·u, and its unit."""
+    """A number of a certificate: name, type of quantity, value, U, k and unit."""
 
     name: str
     kind: str
@@ -35,7 +35,7 @@ class CertifiedNumber:
 
 @dataclass(frozen=True)
 class NumberList:
-    """What one list of a certificate holds: a component of the sensor, or the masses of a rotation test."""
+    """One list of a certificate: numbers of a component, or masses of a rotation test."""
 
     name: str
     numbers: tuple[CertifiedNumber, ...]
@@ -43,7 +43,7 @@ class NumberList:
 
 @dataclass(frozen=True)
 class CertifiedCommand:
-    """A command whose numbers are certified: its files, what its certificate is called, how it was measured."""
+    """A command with certified numbers: its files, and title and method of its certificate."""
 
     table: str
     file: str
@@ -91,7 +91,10 @@ CERTIFIED_BY_ROTATION = ("internal_mass", "internal_centre_of_mass", "load_mass"
 
 
 def find_results_folder(folder: Path, results: Path | None) -> Path:
-    """Return where results to be certified lie: as given, else what `run` left, else the first of other commands'."""
+    """Return the folder of results to certify.
+
+    As given, else that of `run`, else that of another command.
+    """
     if results is not None:
         return results
     candidates = (folder / name for name in ("results", *CERTIFIED_COMMANDS))
@@ -99,14 +102,16 @@ def find_results_folder(folder: Path, results: Path | None) -> Path:
 
 
 def find_command(folder: Path) -> str | None:
-    """Return the command that left numbers in a folder, None where none did."""
+    """Return the command that wrote numbers to a folder, None without one."""
     return next((command for command, source in CERTIFIED_COMMANDS.items() if (folder / source.file).is_file()), None)
 
 
 def read_certified_numbers(folder: Path, command: str, *, k: float | None) -> tuple[NumberList, ...]:
-    """Return what the table of a command states, list by list; `k`: instead of the table's own, where U = k·u.
+    """Return the numbers of a command's table, by list.
 
-    Raises `InputError` for a table that is not what the command wrote.
+    `k` replaces the table's k in U = k·u.
+
+    Raises `InputError` for a damaged table.
     """
     file = folder / CERTIFIED_COMMANDS[command].table
     _, rows = read_rows(file, LARGEST_TABLE, f"the table of shakercal {command}")
@@ -131,7 +136,7 @@ def read_certified_numbers(folder: Path, command: str, *, k: float | None) -> tu
 
 
 def _place(command: str, row: Mapping[str, str]) -> tuple[str, str]:
-    """Return list and name of a row; an empty name is none of the certificate."""
+    """Return list and name of a row; the name is empty if not certified."""
     name, component = row["name"], row["component"].lstrip("'")
     if command == "rotate":
         axis = f" {component}" if component in "xyz" else ""
@@ -144,7 +149,7 @@ def _place(command: str, row: Mapping[str, str]) -> tuple[str, str]:
 
 
 def _words(name: str, command: str) -> str:
-    """Return the name of a number in words."""
+    """Return the printed name of a number."""
     known = {"step": LABELS, "identify": CHAIN_LABELS}.get(command, {})
     text = known.get(name, name.replace("read_static_gain", "static gain as read from the records"))
     text = (
@@ -162,7 +167,7 @@ def _kind(name: str, unit: str) -> str:
 
 
 def select_recordings(recordings: Sequence[Path], folder: Path, command: str) -> list[Path]:
-    """Return those of the recordings of a campaign that the numbers in a folder rest on, all where none is named."""
+    """Return the recordings behind the numbers of a folder, all if none is named."""
     inputs = [f"/{name}" for name in read_results_origin(folder, command)[0].input_hashes]
     own = {path: f"/{path.resolve().parent.name}/{path.name}" for path in recordings}
     behind = [path for path, end in own.items() if any(end.endswith(name) or name.endswith(end) for name in inputs)]
@@ -170,13 +175,13 @@ def select_recordings(recordings: Sequence[Path], folder: Path, command: str) ->
 
 
 def read_results_origin(folder: Path, command: str) -> tuple[Provenance, tuple[Notice, ...], tuple[str, ...]]:
-    """Return where results come from, what they told, and what no U of them holds."""
+    """Return provenance, notices and coverage of the results in a folder."""
     with open_results(folder / CERTIFIED_COMMANDS[command].file) as file:
         return provenance_of(file), read_notices(file), tuple(_scopes(file))
 
 
 def _scopes(file: h5py.File) -> Iterator[str]:
-    """Yield for every component for what its U holds, where its results say so."""
+    """Yield the coverage of U of every component."""
     named: dict[tuple[str, str], list[str]] = {}
     for name, group in file.items():
         if group.attrs.get("scope"):
@@ -186,6 +191,6 @@ def _scopes(file: h5py.File) -> Iterator[str]:
 
 
 def quantity_types(lists: Sequence[NumberList]) -> dict[str, str]:
-    """Return the types of the numbers and what they are."""
+    """Return the types of quantities of the numbers, with descriptions."""
     used = dict.fromkeys(figure.kind for own in lists for figure in own.numbers)
     return {kind: QUANTITY_TYPES[kind] for kind in used}

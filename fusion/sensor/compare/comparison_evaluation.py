@@ -1,4 +1,4 @@
-"""Results side by side: which values belong together, their reference value, E_n and drift."""
+"""Evaluation of a comparison: groups of values, their reference value, E_n and drift."""
 
 from __future__ import annotations
 
@@ -38,12 +38,16 @@ from shakercal._common.notices import Notice
 
 @dataclass(frozen=True)
 class ComparedQuantity:
-    """One quantity (magnitude or phase) of an element at a frequency: of the results `names`, value, u and reference.
+    """Magnitude or phase of an element at one frequency, of the results `names`.
 
-    `covariance` (N, N) of the values; `shared`: the S inputs that correlate them, `effects` (S, N) for one u of each.
-    `normalised` (N, N): E_n of every pair; `complex_normalised` (N, N): of magnitudes, that of magnitude and phase
-    together, NaN where one has no phase. `year` (N,): when, NaN where not stated; `per_year` with `u_per_year`: drift,
-    None where a date is not stated.
+    Attributes
+    ----------
+    covariance : (N, N), of the values.
+    shared, effects : the S inputs that correlate the values, and their effects (S, N) for one u.
+    normalised : (N, N), E_n of every pair.
+    complex_normalised : (N, N), of magnitudes: E_n of magnitude and phase together, NaN without a phase.
+    year : (N,), date of each value, NaN if not stated.
+    per_year, u_per_year : drift, None if a date is not stated.
     """
 
     frequency_hz: float
@@ -66,19 +70,19 @@ class ComparedQuantity:
 
     @property
     def largest(self) -> float:
-        """Return the largest E_n of all pairs, in size."""
+        """Return the largest |E_n| of all pairs."""
         return float(np.abs(self.normalised).max())
 
     @property
     def centre(self) -> float:
-        """Return the reference value, the weighted mean of all where results contradict each other."""
+        """Return the reference value, or the weighted mean of all results if they are inconsistent."""
         used = bool(self.reference.used.any())
         return self.reference.value if used else weighted_mean(self.value, self.covariance)[0]
 
 
 @dataclass(frozen=True)
 class ComparisonEvaluation(CommandEvaluation):
-    """A comparison: what was compared, and values that no other result has a partner for."""
+    """A comparison: the compared quantities, and values without a partner."""
 
     results: tuple[ComparedResult, ...]
     shared: tuple[SharedInput, ...]
@@ -89,10 +93,10 @@ class ComparisonEvaluation(CommandEvaluation):
 def evaluate_comparison(
     results: Sequence[ComparedResult], dates: Mapping[str, Date], tolerance: float, hashes: dict[str, str]
 ) -> ComparisonEvaluation:
-    """Compare results by name; frequencies belong together within `tolerance`, relative, of the lowest of them.
+    """Compare results by name; frequencies match within the relative `tolerance` of the lowest.
 
-    Results are taken as independent but for what evidence shows as shared (`shared_inputs`). Raises `InputError` where
-    nothing can be compared, or units differ.
+    Results are independent except for shared inputs with evidence (`find_shared_inputs`). Raises `InputError` if no
+    value can be compared, or if units differ.
     """
     begun = time.perf_counter()
     if not 2 <= len(results) <= MAX_RESULTS:
@@ -134,7 +138,7 @@ def evaluate_comparison(
 
 
 def _groups(results: Sequence[ComparedResult], tolerance: float) -> list[list[tuple[str, ComparedValue]]]:
-    """Values of the same element and frequency, at most one of each result, by element and frequency."""
+    """Return values of the same element and frequency, at most one of each result."""
     entries = [(result.name, value) for result in results for value in result.values]
     entries.sort(key=lambda entry: (entry[1].channel, entry[1].component, entry[1].ratio, entry[1].frequency_hz))
     groups: list[list[tuple[str, ComparedValue]]] = []
@@ -156,7 +160,7 @@ def _groups(results: Sequence[ComparedResult], tolerance: float) -> list[list[tu
 def _in_one_unit(
     group: list[tuple[str, ComparedValue]], results: Sequence[ComparedResult]
 ) -> list[tuple[str, ComparedValue]]:
-    """Return values in the unit of the first of them that people write; `InputError` where one does not convert."""
+    """Return values in one unit; raise `InputError` for one that does not convert."""
     units = {value.unit for _, value in group}
     if len(units) == 1:
         return group
@@ -175,7 +179,10 @@ def _in_one_unit(
 def _compared(
     group: Sequence[tuple[str, ComparedValue]], quantity: str, dates: Mapping[str, Date], shared: Sequence[SharedInput]
 ) -> ComparedQuantity:
-    """Reference value, E_n and drift of one quantity; phases are taken on the branch of the first."""
+    """Return reference value, E_n and drift of one quantity.
+
+    Phases are unwrapped relative to the first.
+    """
     names, own = tuple(name for name, _ in group), [value for _, value in group]
     if quantity == "magnitude":
         value, u = np.array([v.magnitude for v in own]), np.array([v.u_magnitude for v in own])
@@ -227,7 +234,7 @@ def _notices(
     *,
     acting: bool,
 ) -> list[Notice]:
-    """What a reader has to know of the comparison."""
+    """Return the notices of the comparison."""
     beside = ", but for the inputs that certificates or files show as shared" if acting else ""
     text = (
         f"results are taken as independent{beside}: what two share without saying so, such as the mass of the same "
@@ -255,7 +262,7 @@ def _notices(
 def _about_kinds(
     results: Sequence[ComparedResult], alone: Sequence[tuple[str, ComparedValue]], tolerance: float
 ) -> Iterator[Notice]:
-    """Yield what a reader has to know of ratios, which hold more than the sensor's element."""
+    """Yield notices on ratios, which contain the effect of other loads."""
     if any(value.ratio for result in results for value in result.values):
         text = "ratios of outputs and driven load are compared with ratios only: other loads act in each as they did"
         left = ", ".join(f"{result.responses} of {result.name}" for result in results if result.responses)
@@ -270,7 +277,7 @@ def _about_kinds(
 
 
 def _kinds_apart(alone: Sequence[tuple[str, ComparedValue]], tolerance: float) -> Iterator[str]:
-    """Yield elements of which results state values at one frequency, but one an element and another a ratio."""
+    """Yield elements for which some results state elements of the sensor and others ratios."""
     named: dict[tuple[str, str], list[tuple[float, bool, str]]] = {}
     for name, value in alone:
         named.setdefault((value.channel, value.component), []).append((value.frequency_hz, value.ratio, name))
@@ -292,9 +299,9 @@ CONVENTION_RAD = 0.2
 
 
 def opposite_conventions(compared: Sequence[ComparedQuantity]) -> Iterator[Notice]:
-    """Yield pairs of results whose phases differ by half a turn, or by their sign, at all frequencies of an element.
+    """Yield notices of phases that differ by 180° or by sign at all frequencies.
 
-    Only contradictions count (|E_n| above 1), and opposite signs only where the phase is several times its deviation.
+    Only contradictions (|E_n| above 1) count, and opposite signs only if the phase is several times its deviation.
     """
     found: dict[tuple[str, ...], list[tuple[float, float, float]]] = {}
     for own in (own for own in compared if own.quantity == "phase"):

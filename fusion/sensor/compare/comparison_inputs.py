@@ -1,4 +1,4 @@
-"""What a comparison reads: a results folder of this program, or a CSV table or certificate of others."""
+"""Inputs of a comparison: folders of results, CSV tables, and certificates."""
 
 from __future__ import annotations
 
@@ -41,12 +41,17 @@ ELEMENT = re.compile(r"(?P<ratio>Ratio of output )?(\S+) (?(ratio)to driven load
 
 @dataclass(frozen=True)
 class ComparedValue:
-    """One value of one result: magnitude and phase (rad, None where not determined) with u, of which 2·u is U.
+    """One value of one result: magnitude and phase with u = U/2.
 
-    `ratio`: of one recording's output and driven load, not the sensor's own element. u = U/k, with k no larger than 2:
-    where few degrees of freedom make k larger, 2·u stays the stated U. `effects`: by name of the unknowns that
-    certificates and files state, relative change of the magnitude and change of the phase (rad) for one standard
-    uncertainty. `year`: mean day of the recordings behind it, NaN where one states none.
+    The phase (rad) is None if not determined.
+
+    Attributes
+    ----------
+    ratio : whether it is the ratio of one recording's output and load, otherwise an element of the sensor.
+    u_magnitude, u_phase_rad : U/k, with k at most 2, so that 2·u is the stated U even with few degrees of freedom.
+    effects : by unknown of certificates and files: relative change of the magnitude and change of the phase (rad) for
+        one standard uncertainty.
+    year : mean date of the recordings, NaN if one states none.
     """
 
     frequency_hz: float
@@ -64,10 +69,11 @@ class ComparedValue:
 
 @dataclass(frozen=True)
 class ComparedResult:
-    """What is compared: name, file and values, of a certificate its day and its signatures, what states the inputs.
+    """A result to be compared, with its values and their evidence.
 
-    `responses`: number of values left out, ratios of outputs that do not belong to the driven load. What the other
-    loads of a recording put into such an output is as large as the output itself, and of another size in every rig.
+    `date` and `signed` (signatures) of a certificate. `responses`: number of ratios left out because the output does
+    not belong to the driven load. The effect of other loads on such an output is as large as the output itself, and
+    differs between rigs.
     """
 
     name: str
@@ -80,7 +86,7 @@ class ComparedResult:
 
 
 def result_file(path: Path) -> Path:
-    """Return the table of a results folder, or the file itself; `InputError` where there is none."""
+    """Return the table of a folder of results, or the file itself; `InputError` without one."""
     if not path.is_dir():
         return path
     for folder in (path, path / "results"):
@@ -91,21 +97,21 @@ def result_file(path: Path) -> Path:
 
 
 def result_files(path: Path) -> list[Path]:
-    """Return everything that `read_result` reads of a path."""
+    """Return all files that `read_result` reads of a path."""
     file = result_file(path)
     beside = file.with_name(COMPANION_FILES.get(file.name, file.name))
     return [file, beside] if beside != file and beside.is_file() else [file]
 
 
 def read_result(name: str, path: Path) -> ComparedResult:
-    """Read one result: curve.csv or sensitivity.csv of a folder, a table, or a Digital Calibration Certificate.
+    """Read a folder of results, a table, or a Digital Calibration Certificate.
 
-    `InputError` for what cannot be compared.
+    Raises `InputError` if it cannot be compared.
 
-    Columns: frequency_hz, channel, component, magnitude, unit, and U_magnitude with k, or u_magnitude; optionally
-    phase_rad with U_phase_rad (k_phase, else k) or u_phase_rad, and kind (element where there is none). Of several
-    kinds of one value that counts which tells most of the sensor: matrix, element, ratio. Ratios of outputs that do not
-    belong to the driven load are left out.
+    Columns: frequency_hz, channel, component, magnitude, unit, and U_magnitude with k, or u_magnitude. Optional:
+    phase_rad with U_phase_rad (k_phase, otherwise k) or u_phase_rad, and kind (default element). Of several kinds of
+    one value, the first of matrix, element, ratio is used. Ratios of outputs that do not belong to the driven load are
+    left out.
     """
     file = result_file(path)
     if file.suffix.lower() == SUFFIX:
@@ -147,7 +153,7 @@ Key: TypeAlias = tuple[float, str, str, str]
 
 
 def _best(found: Collection[Key]) -> list[Key]:
-    """Return of all kinds of one value at one line the one that tells most of the sensor, in the order of the table."""
+    """Return the preferred kind of each value at each line, in table order."""
     better: dict[tuple[str, str], FloatArray] = {}
     dropped: set[Key] = set()
     for kind in KINDS:
@@ -164,9 +170,9 @@ def _best(found: Collection[Key]) -> list[Key]:
 
 
 def _without_responses(values: Sequence[ComparedValue]) -> tuple[tuple[ComparedValue, ...], int]:
-    """Return values without ratios of outputs that do not belong to their load, and how many these are.
+    """Return values without responses to other loads, and the number left out.
 
-    To a load belongs the output of its name, else the one with the largest value.
+    The output of a load is that of its name, otherwise the one with the largest value.
     """
     main: dict[str, str] = {}
     for value in sorted(values, key=lambda value: (value.channel != value.component, -value.magnitude)):
@@ -185,7 +191,7 @@ Known = dict[Key, tuple[dict[str, tuple[float, float]], float]]
 
 
 def _origin(path: Path) -> tuple[Known, tuple[InputEvidence, ...]]:
-    """Return what results say of the inputs that their values rest on, and of when they were recorded."""
+    """Return effects of inputs and years of all values, and the evidence."""
     found = read_results(path)
     parts = [part for part in (*found.curve, found.sensitivity, found.element) if part is not None]
     with open_results(path) as file:
@@ -202,7 +208,7 @@ def _origin(path: Path) -> tuple[Known, tuple[InputEvidence, ...]]:
 
 
 def _years_of_curves(file: h5py.File) -> Iterator[FloatArray]:
-    """Yield for every curve of a campaign the mean day of the recordings behind each frequency, NaN without one."""
+    """Yield the mean date of the recordings at each frequency, NaN without one."""
     told = file["recordings"]
     names = told["name"].asstr()[()].tolist() if len(told["name"]) else []
     days = told["date"].asstr()[()].tolist() if "date" in told and names else [""] * len(names)
@@ -214,7 +220,7 @@ def _years_of_curves(file: h5py.File) -> Iterator[FloatArray]:
 
 
 def _effects(part: LabelledPhasors, named: Collection[str], year: FloatArray) -> Known:
-    """Return effects of the unknowns `named`, and years (K,), of every value of a curve or recording."""
+    """Return effects of the unknowns `named`, and years (K,), of every value of a curve."""
     size, known = len(part.unit), Known()
     acting = [i for i in part.uncertainty.influences if i.name in named and i.scope == "rig"]
     for k, e in np.ndindex(part.value.shape):
@@ -228,7 +234,7 @@ def _effects(part: LabelledPhasors, named: Collection[str], year: FloatArray) ->
 
 
 def _certified(name: str, file: Path) -> ComparedResult:
-    """Read the results of a certificate that are named as `shakercal certificate` does, "… CHANNEL per COMPONENT"."""
+    """Read the results of a certificate with names "… CHANNEL per COMPONENT"."""
     certificate, values = read_dcc(file), list[ComparedValue]()
     for curve in curves(certificate):
         element = ELEMENT.search(curve.name)
@@ -263,7 +269,7 @@ def _certified(name: str, file: Path) -> ComparedResult:
 
 
 def _value(row: dict[str, str], file: Path, line: int, *, ratio: bool) -> ComparedValue:
-    """One row of a table."""
+    """Return the value of one row of a table."""
 
     def number(column: str, least: float = -np.inf) -> float:
         text = row.get(column) or ""

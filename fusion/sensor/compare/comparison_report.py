@@ -1,4 +1,4 @@
-"""The comparison's table, page and command."""
+"""Files, page and printed lines of a comparison, and the command."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def rows(evaluation: ComparisonEvaluation) -> Iterator[Row]:
 
 
 def _complex_largest(found: ComparedQuantity, place: int) -> float | None:
-    """Return the largest E_n of the complex values of a result's pairs, None where there is none."""
+    """Return the largest E_n of complex values of a result's pairs, None without any."""
     pairs = None if found.complex_normalised is None else np.delete(found.complex_normalised[place], place)
     return None if pairs is None or not np.isfinite(pairs).any() else float(np.nanmax(pairs))
 
@@ -82,7 +82,7 @@ def _main(evaluation: ComparisonEvaluation) -> list[ComparedQuantity]:
 
 
 def draw_normalised(evaluation: ComparisonEvaluation) -> Figure:
-    """E_n against the reference value over frequency, of every result."""
+    """Draw E_n of every result relative to the reference value over frequency."""
     drawn = empty_figure("normalised", 4.6, 2)
     ends = np.array([found.frequency_hz for found in _main(evaluation)])
     for panel, quantity in zip(drawn.panels, ("magnitude", "phase"), strict=True):
@@ -115,7 +115,7 @@ MOST_CHARTS, MOST_LINES = 6, 6
 
 
 def draw_charts(evaluation: ComparisonEvaluation) -> list[Figure]:
-    """Control charts, element by element: deviations from the reference values over the years, with U."""
+    """Draw control charts of every element: deviations over the years, with U."""
     dated: dict[tuple[str, str], list[ComparedQuantity]] = {}
     for found in _main(evaluation):
         if len(np.unique(found.year[np.isfinite(found.year)])) > 1:
@@ -124,7 +124,7 @@ def draw_charts(evaluation: ComparisonEvaluation) -> list[Figure]:
 
 
 def _chart(element: tuple[str, str], own: Sequence[ComparedQuantity]) -> Figure:
-    """Magnitude and phase of one element over the years."""
+    """Draw magnitude and phase of one element over the years."""
     channel, component = element
     span = float(np.ptp([year for found in own for year in found.year[np.isfinite(found.year)]]))
     drawn = empty_figure(f"chart-{channel}-{component}", 4.6, 2)
@@ -158,7 +158,7 @@ def _chart(element: tuple[str, str], own: Sequence[ComparedQuantity]) -> Figure:
 
 
 def largest_share(evaluation: ComparisonEvaluation, title: str) -> float:
-    """Return the largest share of a variance that shared inputs of a title have, of any value that is compared."""
+    """Return the largest share of a variance of the shared inputs of a title."""
     shares = [
         (found.effects[[item.title == title for item in found.shared]] / found.u) ** 2
         for found in evaluation.quantities
@@ -167,7 +167,10 @@ def largest_share(evaluation: ComparisonEvaluation, title: str) -> float:
 
 
 def _named(items: Sequence[SharedInput]) -> str:
-    """Return what results call an input, the first of several components and how many there are."""
+    """Return the names of an input in each result.
+
+    Of several components, the first and their number.
+    """
     told = "; ".join(f"{name}: {unknown}" for name, unknown in items[0].unknowns.items())
     return told if len(items) == 1 else f"{told} and {len(items) - 1} more"
 
@@ -227,7 +230,7 @@ def _context(evaluation: ComparisonEvaluation) -> dict[str, Any]:
 
 
 def printed(evaluation: ComparisonEvaluation) -> Iterator[str]:
-    """Lines for the terminal."""
+    """Yield the printed lines."""
     for quantity in ("magnitude", "phase"):
         own = [found for found in evaluation.quantities if found.quantity == quantity]
         if own:
@@ -242,7 +245,7 @@ def printed(evaluation: ComparisonEvaluation) -> Iterator[str]:
 
 
 def _fill(file: h5py.File, evaluation: ComparisonEvaluation) -> None:
-    """Every comparison with E_n of every pair."""
+    """Fill the HDF5 file with every comparison."""
     for number, found in enumerate(evaluation.quantities):
         group = file.create_group(f"comparison/{number}")
         for name in (*IN_FILE, "covariance", "normalised", "year"):

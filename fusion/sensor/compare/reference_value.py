@@ -21,10 +21,10 @@ MAX_RESULTS = 12
 
 @dataclass(frozen=True)
 class ReferenceValue:
-    """Weighted mean of the results `used` (N,), of all N the deviations from it and their expanded uncertainty, k = 2.
+    """Weighted mean of the results `used` (N,), and deviations of all results.
 
-    `p`: probability of a chi-square as large as `chi_squared` of those used. Where no two results are consistent none
-    is used, and all but `p` of all is NaN.
+    `deviation` (N,) with `expanded` U, k = 2. `p`: probability of a χ² at least as large as that of the used results.
+    If no two results are consistent, none is used, and all numbers but `p` are NaN.
     """
 
     value: float
@@ -38,13 +38,19 @@ class ReferenceValue:
 
     @property
     def normalised(self) -> FloatArray:
-        """Return E_n of every result against the reference value, NaN where a result is the reference by itself."""
+        """Return E_n of every result relative to the reference value.
+
+        NaN for a result that defines the reference value alone.
+        """
         known = self.expanded > 0.0
         return np.asarray(np.where(known, self.deviation / np.where(known, self.expanded, 1.0), np.nan))
 
 
 def normalised_error(value: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Return E_n (N, N) = (x_i - x_j) / U(x_i - x_j), k = 2, with the correlations; 0 on the diagonal."""
+    """Return E_n (N, N) of pairs of results, with their correlations.
+
+    (x_i - x_j) / U(x_i - x_j), k = 2; 0 on the diagonal.
+    """
     variance = np.diag(covariance)
     spread = variance[:, None] + variance[None, :] - 2.0 * covariance
     u = np.sqrt(np.maximum(spread, 0.0))
@@ -55,11 +61,12 @@ def normalised_error(value: FloatArray, covariance: FloatArray) -> FloatArray:
 def complex_normalised_error(
     value: ComplexArray, u_magnitude: FloatArray, u_phase_rad: FloatArray, shared: Sequence[FloatArray] = ()
 ) -> FloatArray:
-    """Return E_n (N, N) of complex values by magnitude and phase: 1 at the edge of the 95 % region.
+    """Return E_n (N, N) of complex values by magnitude and phase.
 
-    sqrt(d' V^-1 d / 5.99) of the difference d, real and imaginary part, and its covariance V = V_i + V_j - C_ij - C_ji;
-    5.99 is the 95 % quantile of chi-square with two degrees of freedom (JCGM 102, 6.5). 0 on the diagonal, NaN where a
-    value is. `shared`: effects (N, 2) of every shared input on magnitudes, relative to them, and phases, which make C.
+    It is 1 at the edge of the 95 % region. sqrt(d' V^-1 d / 5.99) of the difference d (real and imaginary part) with
+    covariance V = V_i + V_j - C_ij - C_ji. 5.99 is the 95 % quantile of χ² with two degrees of freedom (JCGM 102, 6.5).
+    0 on the diagonal, NaN for NaN values. `shared`: effects (N, 2) of every shared input on relative magnitudes and
+    phases, from which C follows.
     """
     found, frame = np.zeros((len(value), len(value))), along_and_across(value)
     roots = frame * np.stack([u_magnitude, np.abs(value) * u_phase_rad], axis=-1)[:, None, :]
@@ -77,7 +84,7 @@ def complex_normalised_error(
 
 
 def weighted_mean(value: FloatArray, covariance: FloatArray) -> tuple[float, float, FloatArray, float]:
-    """Return mean, its u, the weights (N,), and chi-square about it: generalised least squares of one constant."""
+    """Return mean, its u, weights (N,) and χ² by generalised least squares of one constant."""
     solved = np.linalg.solve(covariance, np.column_stack([np.ones(len(value)), value]))
     total = float(solved[:, 0].sum())
     weights = np.asarray(solved[:, 0] / total, dtype=np.float64)
@@ -89,8 +96,8 @@ def weighted_mean(value: FloatArray, covariance: FloatArray) -> tuple[float, flo
 def reference_value(value: FloatArray, covariance: FloatArray) -> ReferenceValue:
     """Return the reference value of N results with covariance (N, N).
 
-    Cox, Metrologia 39 (2002) 589, procedure A: the weighted mean where chi-square does not refute it at 5 %; else that
-    of the largest subset that is consistent, among equals of the least chi-square (Cox, Metrologia 44 (2007) 187).
+    Cox, Metrologia 39 (2002) 589, procedure A: the weighted mean if χ² does not reject it at 5 %. Otherwise that of the
+    largest consistent subset, among equal ones that of the smallest χ² (Cox, Metrologia 44 (2007) 187).
     """
     count = len(value)
     if not 2 <= count <= MAX_RESULTS:
@@ -120,7 +127,10 @@ def reference_value(value: FloatArray, covariance: FloatArray) -> ReferenceValue
 
 
 def drift(year: FloatArray, value: FloatArray, covariance: FloatArray) -> tuple[float, float]:
-    """Return the change per year and its u: a straight line by generalised least squares; `ValueError` on one date."""
+    """Return the change per year and its u, by generalised least squares.
+
+    Raises `ValueError` for a single date.
+    """
     if len(np.unique(year)) < 2:
         raise ValueError("year: expected two dates, found one")
     design = np.column_stack([np.ones(len(year)), year - year.mean()])

@@ -1,4 +1,4 @@
-"""What results share: inputs that the same certificate or the same file states, and the covariance that they make."""
+"""Inputs that results share by certificate or file, and the resulting covariance."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ NOTABLE = 0.1
 
 @dataclass(frozen=True)
 class SharedInput:
-    """An input that results share: what it is `of`, the evidence in words, the name of its unknown by result."""
+    """An input that results share: its quantity (`of`), evidence, and unknowns by result."""
 
     of: str
     evidence: str
@@ -28,21 +28,21 @@ class SharedInput:
 
     @property
     def title(self) -> str:
-        """Return what it is of, and the evidence; components that are only numbered are one in words."""
+        """Return quantity and evidence; numbered components have one title."""
         return f"{re.sub(r' [0-9]+$', '', self.of)} ({self.evidence})"
 
 
 def list_titles(shared: Iterable[SharedInput]) -> list[str]:
-    """Return inputs in words, each once."""
+    """Return the titles of inputs, each once."""
     return list(dict.fromkeys(item.title for item in shared))
 
 
 def find_shared_inputs(results: Sequence[ComparedResult]) -> tuple[SharedInput, ...]:
-    """Return every input that two results or more share by evidence, of each result no more than once.
+    """Return every input that at least two results share by evidence.
 
-    Unknowns are one where they are of the same, as uncertain, of the same value (unless they are relative), and every
-    certificate or file behind the one is behind the other. Of several that fit, that of the same name counts, then
-    that of the same value, then the only one; equal names alone say nothing.
+    Unknowns of different results are one if quantity, u and (unless relative) value are equal, and each certificate or
+    file behind one is also behind the other. Of several candidates the one of the same name is selected, then that of
+    the same value, then a single one. Equal names alone are no evidence.
     """
     groups: list[dict[str, tuple[InputEvidence, ...]]] = []
     for result in results:
@@ -56,7 +56,7 @@ def find_shared_inputs(results: Sequence[ComparedResult]) -> tuple[SharedInput, 
 def find_contradictory_claims(
     one: ComparedResult, other: ComparedResult, shared: Sequence[SharedInput]
 ) -> Iterator[str]:
-    """Yield inputs for which two results name the same certificate, but which are not taken as shared."""
+    """Yield inputs for which two results name the same certificate but which are not shared."""
     both = [found.unknowns for found in shared if {one.name, other.name} <= set(found.unknowns)]
     taken = [own[one.name] for own in both], [own[other.name] for own in both]
     mine, theirs = _unknowns(one), _unknowns(other)
@@ -68,7 +68,10 @@ def find_contradictory_claims(
 
 
 def _unknowns(result: ComparedResult) -> dict[str, tuple[InputEvidence, ...]]:
-    """Everything that a result says of each of its unknowns, of several recordings what those with evidence say."""
+    """Return the evidence of each unknown of a result.
+
+    Of several recordings, proven evidence is preferred.
+    """
     found: dict[str, tuple[InputEvidence, ...]] = {}
     for row in sorted(result.evidence, key=lambda row: not row.proven):
         if row.proven or row.unknown not in found:
@@ -77,9 +80,9 @@ def _unknowns(result: ComparedResult) -> dict[str, tuple[InputEvidence, ...]]:
 
 
 def find_possible_shared_inputs(one: ComparedResult, other: ComparedResult) -> Iterator[str]:
-    """Yield inputs that may be the same, by name, kind and u, where no result says by what they are stated.
+    """Yield inputs of equal name, kind and u for which no result states evidence.
 
-    Those that make a notable share of a variance alone.
+    Only inputs with a notable share of a variance.
     """
     mine, theirs = _unknowns(one), _unknowns(other)
     for name in (name for name in mine if name in theirs):
@@ -90,7 +93,7 @@ def find_possible_shared_inputs(one: ComparedResult, other: ComparedResult) -> I
 
 
 def _largest_share(result: ComparedResult, unknown: str) -> float:
-    """Largest share of a variance that an unknown has of any value of a result."""
+    """Return the largest share of an unknown in any variance of a result."""
     acting = ((value, *value.effects[unknown]) for value in result.values if unknown in value.effects)
     shares = ((along * v.magnitude / v.u_magnitude, across / v.u_phase_rad) for v, along, across in acting)
     return float(max((np.nanmax(np.square(pair)) for pair in shares), default=0.0))
@@ -99,7 +102,7 @@ def _largest_share(result: ComparedResult, unknown: str) -> float:
 def _paired(
     own: Mapping[str, tuple[InputEvidence, ...]], groups: Sequence[dict[str, tuple[InputEvidence, ...]]]
 ) -> list[tuple[str, dict[str, tuple[InputEvidence, ...]]]]:
-    """Return the unknowns of a result with the group of other results' unknowns that each of them is one with."""
+    """Return the unknowns of a result with their groups of unknowns of other results."""
     fitting = {
         name: [n for n, group in enumerate(groups) if all(_alike(rows, other) for other in group.values())]
         for name, rows in own.items()
@@ -107,7 +110,7 @@ def _paired(
     found: list[tuple[str, int]] = []
 
     def take(better: Callable[[tuple[InputEvidence, ...], tuple[InputEvidence, ...]], bool]) -> None:
-        """Take what fits and is `better` where it is the only such pair on either side."""
+        """Select candidates that are `better` and the only such pair."""
         free = {name: places for name, places in fitting.items() if name not in {known for known, _ in found}}
         gone = {place for _, place in found}
         best = {
@@ -124,14 +127,14 @@ def _paired(
 
 
 def _alike(rows: Sequence[InputEvidence], others: Sequence[InputEvidence]) -> bool:
-    """Whether two unknowns may be one: of one kind, as uncertain, of one value unless relative, from one source."""
+    """Return whether two unknowns may be one: equal quantity, u, value (unless relative) and source."""
     one, other = rows[0], others[0]
     what = (one.of, one.unit) == (other.of, other.unit) and _close(one.u, other.u)
     return what and (one.unit == "1" or _close(one.value, other.value)) and _same_source(rows, others)
 
 
 def _same_source(rows: Sequence[InputEvidence], others: Sequence[InputEvidence]) -> bool:
-    """Whether everything that states the one states the other, too."""
+    """Return whether the sources of two unknowns are equal."""
 
     def behind(row: InputEvidence, those: Sequence[InputEvidence]) -> bool:
         return any(
@@ -148,7 +151,7 @@ def _close(one: float, other: float) -> bool:
 
 
 def _told(group: Mapping[str, tuple[InputEvidence, ...]]) -> SharedInput:
-    """Return a shared input in words."""
+    """Return a shared input with its evidence in words."""
     rows = [row for own in group.values() for row in own]
     numbers = dict.fromkeys(f"certificate {row.certificate}" for row in rows if row.certificate)
     files = dict.fromkeys(f"file {row.sha256[:12]}" for row in rows if row.sha256)
@@ -161,9 +164,10 @@ def _told(group: Mapping[str, tuple[InputEvidence, ...]]) -> SharedInput:
 def select_acting_inputs(
     entries: Sequence[tuple[str, ComparedValue]], shared: Sequence[SharedInput]
 ) -> list[tuple[SharedInput, FloatArray]]:
-    """Return the inputs that two values or more share, each with its effects (N, 2) on magnitudes and phases.
+    """Return inputs that at least two values share, with effects (N, 2).
 
-    For one standard uncertainty: of magnitudes relative to them, of phases in rad; 0 of what does not rest on it.
+    On magnitudes and phases. For one standard uncertainty: relative change of magnitudes, change of phases in rad; 0 of
+    values that do not depend on it.
     """
     found = []
     for item in shared:
@@ -174,11 +178,12 @@ def select_acting_inputs(
 
 
 def covariance_of(effects: FloatArray, u: FloatArray, size: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
-    """Return the covariance (N, N) of results of standard uncertainties `u` (N,), and the effects (S, N) that make it.
+    """Return the covariance (N, N) of results, and absolute effects (S, N).
 
-    `effects` (S, N) of shared inputs are relative to the values `size` (N,), absolute where None. Relative ones act on
-    the weighted mean of the values, also in each variance: taken of every value by itself, the same relative error
-    would seem smaller in the smaller values and pull the mean below all of them (Peelle's puzzle).
+    `u` (N,) are the standard uncertainties of the results. `effects` (S, N) of shared inputs are relative to the values
+    `size` (N,), absolute if None. Relative effects are applied to the weighted mean of the values, also in each
+    variance. If each acted on its value, the same relative error would be smaller for smaller values and pull the mean
+    below all of them (Peelle's puzzle).
     """
     at = np.ones(len(u)) if size is None else np.full(len(u), np.average(size, weights=u**-2))
     own = at if size is None else size

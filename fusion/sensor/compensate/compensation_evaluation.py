@@ -1,4 +1,4 @@
-"""A model to a filter, and what it does."""
+"""Evaluation of compensation filters: design, effects, and filtered recordings."""
 
 from __future__ import annotations
 
@@ -64,9 +64,9 @@ BEYOND, HALF = 10.0, 0.5
 
 @dataclass(frozen=True)
 class HapticCase:
-    """One way to treat the sensor's signal: `largest_gain` of the force control at which the loop is stable.
+    """One treatment of the sensor's signal, with the `largest_gain` of stable force control.
 
-    `own_error`: tracking error at half of it; `run`: at the gain that all cases share.
+    `own_error`: tracking error at half of it. `run`: simulation at the gain that all cases share.
     """
 
     name: str
@@ -77,7 +77,10 @@ class HapticCase:
 
 @dataclass(frozen=True)
 class Haptics:
-    """The check of one channel with a load of `load_mass` in kg at the shared force gain `gain`."""
+    """The force-feedback check of one channel with one load.
+
+    `load_mass` in kg; `gain`: the force gain that all cases share.
+    """
 
     channel: str
     load_mass: float
@@ -87,7 +90,10 @@ class Haptics:
 
 
 def check_haptics(results: Sequence[SubjectResult], wish: CompensationSettings) -> Haptics | None:
-    """Run the check for the first force whose load is modelled, with its heaviest load; None where none is wanted."""
+    """Check the first force with a load model at its heaviest load.
+
+    None if no check is requested.
+    """
     if wish.ball_stiffness is None:
         return None
     force = next((one for one in results if one.subject.is_scheduled and one.subject.load_unit == "N"), None)
@@ -138,7 +144,7 @@ class OutputRecord:
 
 
 def read_outputs(path: Path, *, allow_outside: bool = False) -> OutputRecord:
-    """Read every output channel of one recording of any kind on one time base; raises `InputError`."""
+    """Read all output channels of one recording on one time base; raises `InputError`."""
     recordings = find_recordings(path)
     if len(recordings) != 1:
         raise InputError(path, "", found=f"{len(recordings)} recordings", expected="one recording for --apply")
@@ -157,10 +163,10 @@ def read_outputs(path: Path, *, allow_outside: bool = False) -> OutputRecord:
 def filter_recording(
     record: OutputRecord, results: Sequence[SubjectResult], settings: CompensationSettings
 ) -> tuple[CompensatedRecording, tuple[Notice, ...]]:
-    """Run every output through the filter of its channel; a stated sensor's filter is that of all outputs.
+    """Filter every output of a recording with the filter of its channel.
 
-    Each filter starts settled at the mean of the record's first target period. The noise of the output is read from its
-    third differences.
+    A stated sensor has one filter for all outputs. Each filter starts in the steady state at the mean of the record's
+    first target period. The noise of the output is estimated from its third differences.
     """
     filtered, skipped, notices = [], [], record.notices
     for name, values in zip(record.channels, record.values, strict=True):
@@ -182,7 +188,7 @@ def filter_recording(
 def _filtered(
     name: str, values: FloatArray, record: OutputRecord, made: LoadFilter, wish: CompensationSettings
 ) -> CompensatedChannel:
-    """One output after its filter."""
+    """Return one output after its filter."""
     subject, rate_hz, own_hz = made.subject, record.sample_rate_hz, made.sections.sample_rate_hz
     if subject.channel != STATED and subject.unit != record.unit:
         expected = f"{subject.unit}, the unit of the model of {name}"
@@ -200,7 +206,10 @@ def _filtered(
 
 
 def white_noise(values: FloatArray) -> float:
-    """Return the standard deviation of the noise of samples (N,) by their third differences, robust against steps."""
+    """Return the standard deviation of the noise of samples (N,).
+
+    It is estimated from third differences, robust against steps.
+    """
     if len(values) < 8:
         return 0.0
     return float(MEDIAN_TO_STD * np.median(np.abs(np.diff(values, 3))) / NOISE_FACTOR)
@@ -209,7 +218,7 @@ def white_noise(values: FloatArray) -> float:
 def add_recorded_load(
     settings: CompensationSettings, sources: CompensationSources, record: OutputRecord | None
 ) -> CompensationSettings:
-    """Return the wish with the load of the rig where a recording is filtered by models over the load."""
+    """Return the settings with the rig's load if the models depend on the load."""
     if record is None or not any(subject.is_scheduled for subject in sources.subjects):
         return settings
     if len(settings.load_masses) > 1:
@@ -233,7 +242,7 @@ BETTER = 1.05
 
 
 def remarks(result: SubjectResult, wish: CompensationSettings) -> Iterator[Notice]:
-    """Say what limits the filters of a channel."""
+    """Yield notices on the limits of the filters of a channel."""
     subject = result.subject
     if subject.scope:
         load = [] if subject.is_scheduled else [CAUSE_LABELS["load"]]
@@ -250,7 +259,7 @@ def remarks(result: SubjectResult, wish: CompensationSettings) -> Iterator[Notic
 
 
 def _of_design(made: LoadFilter, wish: CompensationSettings) -> Iterator[tuple[Severity, str]]:
-    """Whether the model is known well enough, the target the best for the permitted error, and a wanted band kept."""
+    """Yield notices on the certainty of the model, the target, and the requested band."""
     sensor, target, error = made.compensation.sensor, made.compensation.target, wish.permitted_error
     if wish.real_hz is not None and not len(sensor.real_hz):
         yield "note", "the model has no real pole that --real-pole could move"
@@ -275,7 +284,7 @@ def _of_design(made: LoadFilter, wish: CompensationSettings) -> Iterator[tuple[S
 
 
 def _of_effects(made: LoadFilter) -> Iterator[tuple[Severity, str]]:
-    """Which modes of the sensor the filter leaves, and what sampling and noise cost."""
+    """Yield notices on modes that are not compensated, sampling error and noise."""
     kept = made.compensation.system.poles
     for mode in made.after.indices.modes:
         share = mode.step_share
@@ -305,7 +314,7 @@ class CompensateEvaluation(CommandEvaluation):
 
     @property
     def filters(self) -> list[LoadFilter]:
-        """Those of all channels and loads."""
+        """Filters of all channels and loads."""
         return [made for result in self.subjects for made in result.filters]
 
 
@@ -322,8 +331,29 @@ BAND_POINTS = 200
 def evaluate_compensation(
     sources: CompensationSources, settings: CompensationSettings, record: OutputRecord | None, hashes: Mapping[str, str]
 ) -> CompensateEvaluation:
-    """Design all filters, and run them over a recording if one is given; raises `InputError` for impossible wishes.
+    """Design all filters, and apply them to a recording if one is given.
 
+    Parameters
+    ----------
+    sources
+        Models of the sensor, of `read_sources`.
+    settings
+        Target dynamics and options of the filters.
+    record
+        Recording to be filtered; None for filters only.
+    hashes
+        SHA-256 of the input files by name, for the results.
+
+    Returns
+    -------
+    CompensateEvaluation : filters with their effects, the filtered recording, and the force-feedback check.
+
+    Raises
+    ------
+    InputError : the settings cannot be realised with the models.
+
+    Examples
+    --------
     >>> from fusion import evaluate_compensation
     >>> from pathlib import Path
     >>> from fusion.sensor.compensate.compensation_subjects import Wish, read_sources  # doctest: +SKIP
@@ -356,7 +386,7 @@ def evaluate_compensation(
 
 
 def _subject(subject: CompensationSubject, wish: CompensationSettings, rate_hz: float | None) -> SubjectResult:
-    """The filters of one channel, one per load, all with one target."""
+    """Return the filters of one channel, one per load, all with one target."""
     if subject.is_scheduled and wish.real_hz is not None:
         expected = "no --real-pole: a model over the load has none"
         raise InputError(COMMAND, "--real-pole", found=f"{wish.real_hz:g} Hz", expected=expected)
@@ -384,7 +414,7 @@ def _filter(
     wish: CompensationSettings,
     samples: tuple[float, int],
 ) -> LoadFilter:
-    """One filter and what it does; `samples`: their rate in Hz, and how many sections the filter shall have."""
+    """Return one filter and its effects; `samples`: rate in Hz, and number of sections."""
     rate_hz, count = samples
     sections = pad_sections(discretise(design, rate_hz, wish.discretisation), count)
     gain = white_noise_gain(sections)
@@ -419,9 +449,10 @@ def _filter(
 
 
 def _figures(design: Compensation, subject: CompensationSubject, mass: float | None, *, alone: bool) -> IndexEstimates:
-    """Indices of the sensor alone or with its filter, with u from the whole covariance of the sensor's model.
+    """Return the indices of the sensor, alone or with its filter.
 
-    The filter stays while the model moves within its uncertainty, the poles and zeros that no filter cancels too.
+    Their u follows from the covariance of the model. The filter is constant while the model varies within its
+    uncertainty, including poles and zeros that no filter cancels.
     """
 
     def values(system: LinearSystem) -> FloatArray:

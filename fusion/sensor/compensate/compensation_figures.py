@@ -1,4 +1,4 @@
-"""Figures of a compensation: gain, phase and step before and after, noise, mismatch, and a filtered recording."""
+"""Figures of a compensation: responses before and after, noise, mismatch, and filtered recordings."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ DRAWN = 20_000
 
 
 def frequencies(made: LoadFilter) -> FloatArray:
-    """Frequencies (K,) in Hz of the curves of a filter: two decades below its modes to half the sampling rate."""
+    """Return the frequencies (K,) of a filter's curves, up to half the sampling rate."""
     known = [*made.compensation.sensor.frequency_hz, *made.compensation.sensor.real_hz]
     low, high = min(known) / 50.0, 0.5 * made.sections.sample_rate_hz
     even = np.geomspace(low, min(high, 40.0 * made.compensation.target.frequency_hz), POINTS)
@@ -34,7 +34,7 @@ def frequencies(made: LoadFilter) -> FloatArray:
 
 
 def expanded_gain(made: LoadFilter, hertz: FloatArray) -> FloatArray:
-    """Relative U (K,) for 95 % of the compensated gain at frequencies (K,), by the covariance of the model."""
+    """Return the relative U (K,) of the compensated gain by the model's covariance."""
     design, sensor = made.compensation, made.compensation.sensor
     u = gain_band(design, hertz).u_gain
     part = np.zeros_like(u)
@@ -44,7 +44,7 @@ def expanded_gain(made: LoadFilter, hertz: FloatArray) -> FloatArray:
 
 
 def draw_bode(name: str, made: LoadFilter, permitted_error: float) -> Figure:
-    """Gain and phase over the static gain before and after, the band of the permitted error, and the sampled filter."""
+    """Draw gain and phase before and after, with the permitted error and the sampled filter."""
     design, hertz, title = made.compensation, frequencies(made), made.name
     sensor = design.sensor.system.response(hertz) / design.sensor.static_gain
     after = sensor * design.system.response(hertz) / design.gain
@@ -75,7 +75,7 @@ def draw_bode(name: str, made: LoadFilter, permitted_error: float) -> Figure:
 
 
 def draw_step(name: str, made: LoadFilter) -> Figure:
-    """The response to a step over its final value before and after."""
+    """Draw the step response over its final value, before and after."""
     design, title = made.compensation, made.name
     time = np.linspace(0.0, STEP_PERIODS / design.target.frequency_hz, STEP_POINTS)
     before = design.sensor.system.step(time) / design.sensor.static_gain
@@ -91,7 +91,7 @@ def draw_step(name: str, made: LoadFilter) -> Figure:
 
 
 def draw_noise(evaluation: CompensateEvaluation) -> Figure:
-    """What every filter makes of noise over frequency."""
+    """Draw the gain of every filter for noise over frequency."""
     drawn = empty_figure("noise", 2.8)
     (panel,) = drawn.panels
     for place, made in enumerate(evaluation.filters):
@@ -106,7 +106,7 @@ def draw_noise(evaluation: CompensateEvaluation) -> Figure:
 
 
 def draw_mismatch(name: str, result: SubjectResult) -> Figure | None:
-    """Residual ringing of every filter over the load, or over an error of the frequency; None without either."""
+    """Draw the residual ringing of every filter over load or frequency error; None without either."""
     first, subject = result.filters[0], result.subject
     if len(first.off_load) > 1:
         scale, unit = (MILLI, "g") if subject.load_unit == "N" else (1.0, "(kg·m²)")
@@ -134,7 +134,7 @@ def draw_mismatch(name: str, result: SubjectResult) -> Figure | None:
 
 
 def draw_force_feedback(evaluation: CompensateEvaluation) -> Figure | None:
-    """Applied and fed-back force with the filter for no load and with the own one, at the same force gain."""
+    """Draw applied and fed-back force with the filters for no load and for the load."""
     check = evaluation.haptics
     if check is None:
         return None
@@ -151,7 +151,7 @@ def draw_force_feedback(evaluation: CompensateEvaluation) -> Figure | None:
 
 
 def draw_channel(recording: CompensatedRecording, channel: CompensatedChannel) -> Figure:
-    """A channel of the recording before and after, less its first value, and its uncertainty."""
+    """Draw a channel of the recording before and after, and its uncertainty."""
     keep = slice(None, None, max(1, -(-len(channel.value) // DRAWN)))
     time, u = recording.time_s[keep], channel.expanded[keep]
     raw, value = (channel.raw - channel.raw[0])[keep], (channel.value - channel.value[0])[keep]
@@ -170,6 +170,6 @@ def draw_channel(recording: CompensatedRecording, channel: CompensatedChannel) -
 
 
 def _unit(letter: str, unit: str) -> str:
-    """A unit with its prefix, in parentheses where it is made of several."""
+    """Return a unit with its prefix, in parentheses if it is a quotient or product."""
     nice = typeset(unit)
     return f"({letter}{nice})" if letter == "" and ("/" in nice or "·" in nice) else f"{letter}{nice}"

@@ -1,4 +1,4 @@
-"""What compensation filters leave: files for a program and in C, tables, page, and the lines of the terminal."""
+"""Files, page and printed lines of compensation filters, and the command."""
 
 from __future__ import annotations
 
@@ -107,7 +107,10 @@ LOOP = (
 
 @dataclass(frozen=True)
 class StoredFilter:
-    """A filter read back from compensation.json: for a channel and a load in kg, None where it is not modelled."""
+    """A filter of compensation.json for a channel and a load.
+
+    `load_mass` in kg, None without a load model.
+    """
 
     channel: str
     component: str
@@ -128,8 +131,23 @@ def json_text(evaluation: CompensateEvaluation) -> str:
 
 
 def read_compensation_filters(path: str | Path) -> tuple[StoredFilter, ...]:
-    """Read compensation.json, or the one in a folder, to the last bit; `InputError` names what cannot be read.
+    """Read the filters of compensation.json without loss of precision.
 
+    Parameters
+    ----------
+    path
+        The file, or a folder that contains it.
+
+    Returns
+    -------
+    tuple of StoredFilter : one per channel and load.
+
+    Raises
+    ------
+    InputError : the file is missing, or damaged at the named entry.
+
+    Examples
+    --------
     >>> from fusion import read_compensation_filters
     >>> filters = read_compensation_filters("my-steps/step/compensate")  # doctest: +SKIP
     """
@@ -147,7 +165,7 @@ def read_compensation_filters(path: str | Path) -> tuple[StoredFilter, ...]:
 
 
 def _entry(made: LoadFilter) -> dict[str, Any]:
-    """One filter as nested dictionaries."""
+    """Return one filter as nested dictionaries."""
     design, sections, subject = made.compensation, made.sections, made.subject
     sensor, target, system = design.sensor, design.target, design.system
     return {
@@ -176,7 +194,7 @@ def _entry(made: LoadFilter) -> dict[str, Any]:
 
 
 def header_text(evaluation: CompensateEvaluation) -> str:
-    """Return the C header: tables of all filters, and start, step and switch as the program runs them."""
+    """Return the C header with the tables of all filters and the functions."""
     most = max(len(result.filters[0].sections.sos) for result in evaluation.subjects)
     tables = "\n".join(line for result in evaluation.subjects for line in _table(result))
     program = f"shakercal {evaluation.versions.get('shakercal', '')}".strip()
@@ -185,7 +203,7 @@ def header_text(evaluation: CompensateEvaluation) -> str:
 
 
 def _table(result: SubjectResult) -> Iterator[str]:
-    """The coefficients of a channel, load by load."""
+    """Yield the coefficients of a channel, load by load."""
     first, subject, loads = result.filters[0], result.subject, result.filters
     name = "compensate_" + re.sub(r"\W", "_", subject.name.replace(" for ", "_"), flags=re.ASCII)
     count, rate, target = len(first.sections.sos), first.sections.sample_rate_hz, first.compensation.target
@@ -204,7 +222,7 @@ def _table(result: SubjectResult) -> Iterator[str]:
 
 
 def _array(name: str, values: Sequence[float], per_line: int) -> Iterator[str]:
-    """An array of doubles, each to the last bit, with its decimal form beside it."""
+    """Yield an array of exact doubles, with their decimal form as a comment."""
     yield f"static const double {name}[{len(values)}] = {{"
     for start in range(0, len(values), per_line):
         part = values[start : start + per_line]
@@ -217,7 +235,7 @@ def _array(name: str, values: Sequence[float], per_line: int) -> Iterator[str]:
 
 
 class NumberRow(NamedTuple):
-    """One number of one filter in compensate.csv; what does not apply is empty."""
+    """One number of one filter in compensate.csv; fields that do not apply are empty."""
 
     channel: str
     component: str
@@ -232,7 +250,7 @@ class NumberRow(NamedTuple):
 
 
 def over(top: str, bottom: str) -> str:
-    """One unit over another; 1 where they are the same."""
+    """Return the quotient of two units; 1 of equal ones."""
     if top == bottom:
         return "1"
     parts = [f"({unit})" if "/" in unit or "." in unit else unit for unit in (top, bottom)]
@@ -240,7 +258,7 @@ def over(top: str, bottom: str) -> str:
 
 
 def number_rows(made: LoadFilter) -> Iterator[NumberRow]:
-    """One row per number of one filter."""
+    """Yield one row per number of one filter."""
     sensor, target = made.compensation.sensor, made.compensation.target
 
     def row(name: str, value: float | None, unit: str, u: float | None = None, dof: float = np.inf) -> NumberRow:
@@ -272,7 +290,7 @@ def number_rows(made: LoadFilter) -> Iterator[NumberRow]:
 
 
 def headlines(evaluation: CompensateEvaluation) -> list[Headline]:
-    """Of the first filter: band, overshoot, settling, each before and after, and noise."""
+    """Return band, overshoot and settling of the first filter, before and after, and its noise."""
     made = evaluation.filters[0]
     labels = {
         "band_10_hz": "±10 % of the static gain up to",
@@ -288,7 +306,7 @@ def headlines(evaluation: CompensateEvaluation) -> list[Headline]:
 
 
 def cell(figures: IndexEstimates, name: str, *, plain: bool = False) -> str:
-    """A figure with U and unit, as HTML or as `plain` text for the terminal."""
+    """Return an index with U and unit, as HTML or as `plain` text."""
     value, u = figures.indices.figures()[name], figures.expanded(name)
     if value is None or not np.isfinite(value):
         return "no end" if value is not None else "none" if plain else DASH
@@ -300,7 +318,7 @@ def cell(figures: IndexEstimates, name: str, *, plain: bool = False) -> str:
 
 
 def index_table(made: LoadFilter) -> Table | None:
-    """Figures of one filter before and after."""
+    """Return the indices of one filter before and after."""
     columns: list[TableColumn[str]] = [
         page_column("figure", lambda name: capitalise(LABELS[name]), "l"),
         page_column("sensor", lambda name: cell(made.before, name)),
@@ -311,7 +329,7 @@ def index_table(made: LoadFilter) -> Table | None:
 
 
 def _poles(made: LoadFilter) -> Markup:
-    """Frequencies in Hz that a filter takes out of the sensor."""
+    """Return the frequencies in Hz that a filter cancels."""
     sensor = made.compensation.sensor
     told = zip(sensor.frequency_hz, sensor.u, made.sensor_dof, strict=False)
     modes = [quantity_html(hertz, 0.0 if np.isnan(u) else coverage_factor(float(dof)) * u) for hertz, u, dof in told]
@@ -333,7 +351,7 @@ FILTERS: list[TableColumn[LoadFilter]] = [
 
 
 def mismatch_tables(evaluation: CompensateEvaluation) -> list[Table]:
-    """Residual ringing with other loads, one row per filter; else with a frequency that is off."""
+    """Return the residual ringing of every filter with other loads or a frequency error."""
     tables = []
     for result in evaluation.subjects:
         first, subject = result.filters[0], result.subject
@@ -354,7 +372,7 @@ def mismatch_tables(evaluation: CompensateEvaluation) -> list[Table]:
 
 
 def haptics_table(evaluation: CompensateEvaluation) -> Table | None:
-    """How stiff the force feedback may be made with each treatment of the signal, and how well it then tracks."""
+    """Return largest stable gain and tracking error of the force feedback by treatment."""
     check = evaluation.haptics
     if check is None:
         return None
@@ -374,7 +392,7 @@ def haptics_table(evaluation: CompensateEvaluation) -> Table | None:
 
 
 def damping_table(evaluation: CompensateEvaluation) -> Table | None:
-    """The damping ratio with the widest band for a permitted error, and that band over the natural frequency."""
+    """Return the damping ratio with the widest band for each permitted error, and that band."""
     own = evaluation.filters[0].compensation.target.damping_ratio
     columns: list[TableColumn[float]] = [
         page_column("permitted error", lambda error: f"±{PERCENT * error:g} %", "l"),
@@ -387,7 +405,7 @@ def damping_table(evaluation: CompensateEvaluation) -> Table | None:
 
 
 def printed(evaluation: CompensateEvaluation) -> Iterator[str]:
-    """Lines for the terminal, with U (95 %) where it is known."""
+    """Yield the printed lines, with U (95 %) if it is known."""
     for made in evaluation.filters:
         target = made.compensation.target
         yield f"{made.name}{f', U {made.subject.scope}' if made.subject.scope else ''}"
@@ -399,7 +417,7 @@ def printed(evaluation: CompensateEvaluation) -> Iterator[str]:
 
 
 def _context(evaluation: CompensateEvaluation) -> dict[str, Any]:
-    """Everything the template shows."""
+    """Return the content of the page."""
     wish, applied, haptics = evaluation.target_settings, evaluation.applied, evaluation.haptics
     error, aim = wish.permitted_error, f"{wish.frequency_hz or 0.0:g} Hz"
     if wish.bandwidth_hz is not None:
@@ -445,7 +463,7 @@ def _fill(file: h5py.File, evaluation: CompensateEvaluation) -> None:
 
 
 def _stored(made: LoadFilter) -> dict[str, Any]:
-    """Coefficients, the sensor's parameters with covariance, and curves over frequency of one filter."""
+    """Return coefficients, sensor parameters with covariance, and curves of one filter."""
     design, sections, subject, hertz = made.compensation, made.sections, made.subject, frequencies(made)
     names = ("output_unit", "load_mass", "noise_gain", "noise", "band_hz", "discretisation_error", "after_s")
     curves = ("off_frequency", "off_ringing", "off_load", "load_ringing")
@@ -470,7 +488,7 @@ def _stored(made: LoadFilter) -> dict[str, Any]:
 
 
 def _texts(evaluation: CompensateEvaluation) -> dict[str, str | bytes]:
-    """Filters, numbers, and the filtered recording with U (95 %) of every sample."""
+    """Return filters, numbers, and the filtered recording with U (95 %) of every sample."""
     texts: dict[str, str | bytes] = {
         JSON_FILE: json_text(evaluation),
         HEADER_FILE: header_text(evaluation),
@@ -501,9 +519,10 @@ def run_compensate(
     force: bool = False,
     allow_outside: bool = False,
 ) -> None:
-    """Make the filters of some models or of a stated `sensor` (Hz, damping ratio), write them and print the summary.
+    """Design filters of models or of a stated sensor, write them and print the summary.
 
-    Results stand in folder `compensate` beside the first model, or in the working folder, or in `output`.
+    `sensor`: frequency in Hz and damping ratio of a stated sensor. Results are written to folder `compensate` next to
+    the first model, or in the working folder, or to `output`.
     """
     frequency, damping = sensor
     if models and sensor != (None, None):

@@ -1,4 +1,4 @@
-"""What a compensation filter is made from and for, and what it is."""
+"""Models and settings of a compensation, and its results."""
 
 from __future__ import annotations
 
@@ -63,14 +63,22 @@ STATED = "sensor"
 
 @dataclass(frozen=True)
 class CompensationSettings:
-    """The wanted dynamics and how the filter is made.
+    """Target dynamics and options of compensation filters.
 
-    Either `frequency_hz`, with `damping_ratio` or else that with the widest band for `permitted_error`, or
-    `bandwidth_hz`: up to where the gain stays within ± `permitted_error` of the static one. `modes` are compensated,
-    and the real poles if `real_hz` says where to; `low_pass_hz` is the corner of a low-pass in the filter.
-    `calibrated`: the filter also divides by the static gain. `load_masses` in kg, those of a sensor whose load is
-    modelled. `channels`: which, none for all. `ball_stiffness` in N/m: that of the virtual ball of a force-feedback
-    check, None for no check.
+    Attributes
+    ----------
+    frequency_hz, damping_ratio : target; without `damping_ratio` that with the widest band for `permitted_error`.
+    bandwidth_hz : alternatively, the band within which the gain stays within ± `permitted_error` of the static gain.
+    permitted_error : ratio. Default 0.1.
+    real_hz : target of the real poles; None (default) leaves them.
+    low_pass_hz : corner of a low-pass in the filter; None (default) for none.
+    modes : number of compensated modes. Default 1.
+    sample_rate_hz : None (default) uses that of the recording or of the model.
+    discretisation : "matched" (default) or "tustin".
+    calibrated : whether the filter also divides by the static gain.
+    load_masses : kg, of a sensor with a load model.
+    channels : selected channels, empty for all.
+    ball_stiffness : stiffness of the virtual ball of a force-feedback check, N/m; None (default) for no check.
     """
 
     frequency_hz: float | None = None
@@ -110,7 +118,7 @@ class CompensationSettings:
 
     @property
     def settings(self) -> dict[str, str | float | int]:
-        """What was chosen, for the origin of the results."""
+        """The settings for the results."""
         given = {name: getattr(self, name) for name in ("permitted_error", "modes", "discretisation")}
         optional = ("frequency_hz", "damping_ratio", "bandwidth_hz", "real_hz", "low_pass_hz", "sample_rate_hz")
         stated = {name: getattr(self, name) for name in (*optional, "ball_stiffness")}
@@ -128,12 +136,17 @@ class CompensationSettings:
 
 @dataclass(frozen=True)
 class CompensationSubject:
-    """An output channel for a load component (Fx … Mz), in output `unit`, with what is known of its dynamics.
+    """An output channel for a load component (Fx … Mz) with its model.
 
-    `component`: empty of a sensor that is stated. `model`: fitted to releases, over the load, or stated. `noise`:
-    standard deviation of the output at `sample_rate_hz`, None where they are not known. `source`: in words; `rests`:
-    what its U rests on, with `scatter` (P, P) the part of the covariance that has these degrees of freedom, None: all.
-    `file`: that holds the model, None of a sensor stated by numbers.
+    Attributes
+    ----------
+    component : empty of a stated sensor.
+    model : fitted to releases, over the load, or stated.
+    source : origin of the model, in words.
+    sample_rate_hz, noise : rate of the records, and standard deviation of the output at it; None if not known.
+    basis : basis of the model's U.
+    scatter : (P, P), part of the covariance with the degrees of freedom of the basis; None: all of it.
+    file : file of the model, None of a stated sensor.
     """
 
     channel: str
@@ -149,12 +162,12 @@ class CompensationSubject:
 
     @property
     def scope(self) -> str:
-        """Over what U of the model holds, in words."""
+        """The use that U of the model covers, in words."""
         return self.basis.scope
 
     @property
     def name(self) -> str:
-        """Channel, and the component where that is another."""
+        """Channel, with the component if it differs."""
         return self.channel if self.component in (self.channel, "") else f"{self.channel} for {self.component}"
 
     @property
@@ -175,14 +188,17 @@ class CompensationSubject:
 
     @property
     def scatter_covariance(self) -> FloatArray | None:
-        """The part of the model's covariance (P, P) that rests on what records scatter by, None without."""
+        """Part of the model's covariance (P, P) by the scatter of records, None without scatter."""
         if isinstance(self.model, SensorDynamics) or not np.isfinite(self.basis.dof):
             return None
         whole = self.model.total_covariance if isinstance(self.model, LoadModel) else self.model.covariance
         return whole if self.scatter is None else self.scatter
 
     def factors(self, u: FloatArray, u_scatter: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return degrees of freedom and k for 95 % (Q,) of numbers of u (Q,), of which `u_scatter` (Q,) is scatter."""
+        """Return degrees of freedom and k (95 %), (Q,) each, of numbers with u (Q,).
+
+        `u_scatter` (Q,) is the part of u by scatter.
+        """
         from scipy.special import stdtrit
 
         if not np.isfinite(self.basis.dof):
@@ -192,7 +208,7 @@ class CompensationSubject:
         return dof, np.asarray(np.where(dof < MOST_DOF, stdtrit(dof, 0.975), coverage_factor(np.inf)))
 
     def dynamics(self, load_mass: float | None, modes: int, real_poles: bool) -> SensorDynamics:
-        """Return what a filter takes out of the sensor with a load."""
+        """Return the dynamics of the sensor with a load, which a filter cancels."""
         if isinstance(self.model, LoadModel):
             made = loaded_dynamics(self.model, load_mass or 0.0, modes=modes)
             return replace(made, scatter=made.covariance if np.isfinite(self.basis.dof) else None)
@@ -211,7 +227,7 @@ class CompensationSubject:
 
 @dataclass(frozen=True)
 class CompensationSources:
-    """All subjects with the files they come from, and what is to be said of them."""
+    """All models with their files and notices."""
 
     name: str
     subjects: tuple[CompensationSubject, ...]
@@ -220,7 +236,10 @@ class CompensationSources:
 
 
 def read_sources(paths: Sequence[Path]) -> CompensationSources:
-    """Read models.json, load.json, or the one that a folder of results holds; of both in a folder load.json."""
+    """Read models.json or load.json, or the one in a folder of results.
+
+    If a folder contains both, load.json is read.
+    """
     sources = [_read(path) for path in paths]
     subjects = tuple(subject for one in sources for subject in one.subjects)
     twice = repeated_name([subject.name for subject in subjects])
@@ -243,7 +262,7 @@ def stated_sensor(frequency_hz: float, damping_ratio: float) -> CompensationSour
 
 
 def select_subjects(sources: CompensationSources, channels: Sequence[str]) -> tuple[CompensationSubject, ...]:
-    """Return the subjects of some channels, of all where none is named; unknown names raise `InputError`."""
+    """Return the subjects of some channels, or all; `InputError` for an unknown channel."""
     known = [subject.channel for subject in sources.subjects]
     for name in channels:
         if name not in known:
@@ -252,7 +271,7 @@ def select_subjects(sources: CompensationSources, channels: Sequence[str]) -> tu
 
 
 def _read(path: Path) -> CompensationSources:
-    """The subjects of one file or folder."""
+    """Return the subjects of one file or folder."""
     file = path
     if path.is_dir():
         file = next((path / name for name in (LOAD_MODEL_FILE, MODELS_FILE) if (path / name).is_file()), path)
@@ -267,7 +286,7 @@ def _read(path: Path) -> CompensationSources:
 
 
 def _of_steps(file: Path) -> CompensationSources:
-    """One subject per channel: its own component, or else the one it answers to most."""
+    """Return one subject per channel: for the component of its name, else the largest gain."""
     models = read_models(file)
     if not models.entries:
         raise InputError(file, "models", found="none", expected="at least one model")
@@ -283,7 +302,7 @@ def _of_steps(file: Path) -> CompensationSources:
 
 
 def _of_loads(file: Path) -> CompensationSources:
-    """One subject per component; of solutions that the data cannot tell apart the first, told in a notice."""
+    """Return one subject per component, of several solutions the first, with a notice."""
     subjects, notices = [], []
     for model, rests in read_loads(file):
         if model.solution > 1:
@@ -308,9 +327,9 @@ def _of_loads(file: Path) -> CompensationSources:
 
 @dataclass(frozen=True)
 class IndexEstimates:
-    """Indices of a system with their standard uncertainties and degrees of freedom by name, None where not known.
+    """Indices of a system with u and degrees of freedom by name.
 
-    `notices`: of which of them first order does not hold.
+    u is None if not known. `notices`: indices for which first order is not sufficient.
     """
 
     indices: Indices
@@ -319,20 +338,24 @@ class IndexEstimates:
     notices: tuple[Notice, ...] = ()
 
     def expanded(self, name: str) -> float | None:
-        """Return U for 95 % of an index, None where it is not known."""
+        """Return U (95 %) of an index, None if not known."""
         u = self.u[name]
         return None if u is None else coverage_factor(self.dof[name]) * u
 
 
 @dataclass(frozen=True)
 class LoadFilter:
-    """The filter of a `subject` with one load: continuous, for samples, and what it does.
+    """The filter of a `subject` with one load, continuous and sampled, with its effects.
 
-    `load_mass` in kg, None where the load is not modelled. `noise_gain`: of white noise at the sampling rate;
-    `noise`: standard deviation after the filter in the filter's output unit, None where that of the output is not
-    known. `discretisation_error`: largest |G_d/G_c - 1| up to `band_hz`. `off_frequency` (K,) relative, `off_ringing`
-    (K,): residual ringing where the sensor's frequency is off by so much; `off_load` (L,) kg and `load_ringing` (L,)
-    likewise with other loads, empty where the load is not modelled. Ringing from `after_s` on.
+    Attributes
+    ----------
+    load_mass : kg, None without a load model.
+    noise_gain : gain for white noise at the sampling rate.
+    noise : standard deviation after the filter in its output unit, None if that of the output is not known.
+    discretisation_error : largest |G_d/G_c - 1| up to `band_hz`.
+    off_frequency, off_ringing : (K,), relative error of the sensor's frequency, and residual ringing with it.
+    off_load, load_ringing : (L,), other loads in kg, and residual ringing with them; empty without a load model.
+    after_s : time after the step from which ringing is evaluated.
     """
 
     subject: CompensationSubject
@@ -359,19 +382,19 @@ class LoadFilter:
 
     @property
     def sensor_dof(self) -> FloatArray:
-        """Degrees of freedom (P,) of the standard uncertainties of what the filter cancels."""
+        """Degrees of freedom (P,) of the standard uncertainties of the cancelled dynamics."""
         sensor = self.compensation.sensor
         part = np.zeros_like(sensor.u) if sensor.scatter is None else np.sqrt(np.diag(sensor.scatter))
         return self.subject.factors(sensor.u, part)[0]
 
     @property
     def output_unit(self) -> str:
-        """Unit of what the filter puts out: that of the load where it is calibrated."""
+        """Unit of the filter's output: that of the load if it is calibrated."""
         return self.subject.load_unit if self.compensation.calibrated else self.subject.unit
 
     @property
     def noise_factor(self) -> float:
-        """Standard deviation of white noise out over in, for a filter of static gain 1."""
+        """Standard deviation of white noise behind the filter over that before, at static gain 1."""
         return self.noise_gain / abs(self.sections.gain)
 
 
@@ -385,9 +408,10 @@ class SubjectResult:
 
 @dataclass(frozen=True)
 class CompensatedChannel:
-    """A channel of a recording after its filter: `value`, standard uncertainty `u` (N,), and `u_noise` in it.
+    """A channel of a recording after its filter: `value` with u (N,).
 
-    `raw` (N,): before it, times the static gain of the filter. `k` (N,): coverage factors for 95 %.
+    `u_noise` is the part of u by noise. `raw` (N,): before the filter, times its static gain. `k` (N,): coverage
+    factors (95 %).
     """
 
     channel: str

@@ -1,4 +1,4 @@
-"""Several outputs at once: dynamic cross-talk, and the filter that undoes it."""
+"""Evaluation of dynamic cross-talk of several outputs, and the decoupling filter."""
 
 from __future__ import annotations
 
@@ -38,9 +38,16 @@ from shakercal._common.notices import Notice
 
 @dataclass(frozen=True)
 class DecoupleSettings:
-    """Choices that change results: wanted frequency in Hz (None: half that of the lowest mode) and damping ratio of the
-    loads behind the filter; `seed` of what is drawn.
+    """Choices of a decoupling filter.
 
+    Attributes
+    ----------
+    frequency_hz : target frequency of the loads behind the filter in Hz; None: half that of the lowest mode.
+    damping_ratio : target damping ratio. Default 0.6.
+    seed : seed of the random draws. Default 1.
+
+    Examples
+    --------
     >>> from fusion import DecoupleSettings
     >>> DecoupleSettings(frequency_hz=400.0).damping_ratio
     0.6
@@ -58,12 +65,15 @@ class DecoupleSettings:
 
 @dataclass(frozen=True)
 class DecoupleEvaluation(CommandEvaluation):
-    """Records of all loads, the model of all outputs, the filter, and cross-talk at every stage.
+    """Model of all outputs, decoupling filter, and cross-talk at every stage.
 
-    `capacity` (D,): rated loads of the model's components, None where rig.toml states none; `noise_gain` (D,): noise of
-    each load behind the filter over that with the static matrix alone, `noise` (D,) behind the filter in N or N·m;
-    `beside`: what is known of the model beside the records, in its covariance;
-    `deviation` (K,): largest |D·H - T| over all elements, in rated loads, at the frequencies of the cross-talk.
+    Attributes
+    ----------
+    capacity : (D,), rated loads of the model's components, None if not stated.
+    noise_gain : (D,), noise of each load behind the filter over that with the static matrix.
+    noise : (D,), noise behind the filter in N or N·m.
+    influences : influences on the model that the records do not show, included in its covariance.
+    deviation : (K,), largest |D·H - T| over all elements, in rated loads, at the frequencies of the cross-talk.
     """
 
     manifests: tuple[Manifest, ...]
@@ -83,13 +93,15 @@ class DecoupleEvaluation(CommandEvaluation):
 
     @property
     def scale(self) -> FloatArray:
-        """Return what loads (D,) are compared in: rated loads, without them 1 N and 1 N·m."""
+        """Return the reference of loads (D,): rated loads, otherwise 1 N and 1 N·m."""
         return np.ones(len(self.fit.model.components)) if self.capacity is None else self.capacity
 
     @property
     def ratio(self) -> FloatArray:
-        """Return what turns readings over loads (D, D) into shares of these; NaN of those without rated loads that have
-        different units."""
+        """Return the factors (D, D) from readings over loads to ratios of rated loads.
+
+        Without rated loads, NaN for pairs of different units.
+        """
         kind = np.array([name[0] for name in self.fit.model.components])
         apart = (self.capacity is None) & (kind[:, None] != kind)
         return np.where(apart, np.nan, self.scale / self.scale[:, None])
@@ -107,10 +119,30 @@ DEVIATES = 0.05
 def evaluate_decoupling(
     name: str, manifests: Sequence[Manifest], settings: DecoupleSettings, input_hashes: dict[str, str]
 ) -> DecoupleEvaluation:
-    """Return model, filter and cross-talk of one sensor: records of releases → fit → filter → before and after.
+    """Design the decoupling filter of one sensor: releases → model → filter → cross-talk.
 
-    Raises `InputError` for what the user can mend in the files, such as a load that no recording releases.
+    Parameters
+    ----------
+    name
+        Name of the evaluation in the results.
+    manifests
+        Recordings of kind step that release every load the sensor measures.
+    settings
+        Target dynamics and seed.
+    input_hashes
+        SHA-256 of the input files by name, for the results.
 
+    Returns
+    -------
+    DecoupleEvaluation : model, filter, and cross-talk at every stage.
+
+    Raises
+    ------
+    InputError : a file or key that the user has to correct, such as a load that no recording releases.
+    ComputeError : no model or no filter was found.
+
+    Examples
+    --------
     >>> from fusion import DecoupleSettings, evaluate_decoupling, load_for_command
     >>> releases = load_for_command(["steps"], "step")  # doctest: +SKIP
     >>> evaluation = evaluate_decoupling("steps", releases, DecoupleSettings(), {})  # doctest: +SKIP
@@ -166,7 +198,7 @@ def evaluate_decoupling(
 
 
 def _read(manifests: Sequence[Manifest]) -> list[StepInput]:
-    """All records, of one rig, with the same outputs at one rate, and of every load that the sensor measures."""
+    """Return all records, with the same outputs at one rate, and releases of every load."""
     first = manifests[0]
     check_one_rig(manifests)
     inputs = [read_step(manifest) for manifest in manifests]
@@ -189,7 +221,10 @@ def _read(manifests: Sequence[Manifest]) -> list[StepInput]:
 
 
 def _unexplained(error: ValueError, manifest: Manifest) -> InputError | ComputeError:
-    """What is told where there is no model; what the loads do not tell apart is a matter of the files."""
+    """Return the error of a failed fit.
+
+    Loads that cannot be separated are an error of the files.
+    """
     key, _, rest = str(error).partition(": ")
     if key not in ("channels", "components"):
         return ComputeError(f"no model of the releases was found: {error}")
@@ -198,7 +233,7 @@ def _unexplained(error: ValueError, manifest: Manifest) -> InputError | ComputeE
 
 
 def _target(fit: MultiFit, settings: DecoupleSettings) -> DecouplingTarget:
-    """The wanted dynamics, alike for all loads."""
+    """Return the target dynamics, equal for all loads."""
     count = len(fit.model.components)
     wanted = 0.5 * float(fit.model.frequency_hz.min()) if settings.frequency_hz is None else settings.frequency_hz
     if wanted >= 0.25 * fit.sample_rate_hz:
@@ -215,7 +250,7 @@ def _notices(
     frequency_hz: FloatArray,
     capacity: FloatArray | None,
 ) -> list[Notice]:
-    """What the user should know of target and comparison."""
+    """Return the notices of target and comparison."""
     found = []
     within = frequency_hz <= target.frequency_hz.max()
     if deviation[within].max() > DEVIATES:
@@ -246,7 +281,7 @@ RECURSION = (
 
 
 def filter_text(decoupler: DecouplingFilter, model: MultiModel) -> str:
-    """Return the text of decoupling.json, with the model and its standard uncertainties where they are known."""
+    """Return the text of decoupling.json, with the model and its standard uncertainties."""
     names = ("frequency_hz", "damping_ratio", "real_hz", "real_residue")
     known = {**{name: getattr(model, name).tolist() for name in names}, "residue": _pairs(model.residue)}
     u: dict[str, Any] = {}
@@ -276,8 +311,23 @@ def filter_text(decoupler: DecouplingFilter, model: MultiModel) -> str:
 
 
 def read_decoupling_filter(path: str | Path) -> DecouplingFilter:
-    """Return the filter of a decoupling.json, or of the one in a folder, to the last bit; raises `InputError`.
+    """Read the decoupling filter of decoupling.json without loss of precision.
 
+    Parameters
+    ----------
+    path
+        The file, or a folder that contains it.
+
+    Returns
+    -------
+    DecouplingFilter : the filter.
+
+    Raises
+    ------
+    InputError : the file is missing, or damaged at the named entry.
+
+    Examples
+    --------
     >>> from fusion import read_decoupling_filter
     >>> decoupler = read_decoupling_filter("my-steps/decouple/decoupling.json")  # doctest: +SKIP
     """
@@ -303,11 +353,11 @@ def read_decoupling_filter(path: str | Path) -> DecouplingFilter:
 
 
 def _pairs(values: NDArray[np.complex128]) -> Any:
-    """Complex numbers as [re, im]."""
+    """Return complex numbers as [re, im]."""
     return np.stack([values.real, values.imag], axis=-1).tolist()
 
 
 def _complex(pairs: Any) -> NDArray[np.complex128]:
-    """Complex numbers of [re, im]."""
+    """Return the complex numbers of [re, im]."""
     both = np.array(pairs, dtype=np.float64)
     return np.asarray(both[..., 0] + 1j * both[..., 1])

@@ -1,4 +1,4 @@
-"""What a decoupling leaves: filter, tables, figures, HDF5 file, page, and the lines of the terminal."""
+"""Files, page and printed lines of a decoupling, and the command."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ SHOWN_S = 5e-3
 
 
 class ModelRow(NamedTuple):
-    """One number of model.csv; what does not apply is empty."""
+    """One number of model.csv; fields that do not apply are empty."""
 
     quantity: str
     number: int | str
@@ -72,7 +72,7 @@ class ModelRow(NamedTuple):
 
 
 class CrosstalkRow(NamedTuple):
-    """One reading of one load in crosstalk.csv, in a step or at a frequency; `rated`: in rated loads."""
+    """One reading of one load in crosstalk.csv; `rated` is in rated loads."""
 
     stage: str
     quantity: str
@@ -89,7 +89,7 @@ class CrosstalkRow(NamedTuple):
 
 
 def model_rows(evaluation: DecoupleEvaluation) -> Iterator[ModelRow]:
-    """Rows of model.csv: poles, ranks, static gains, residues."""
+    """Yield the rows of model.csv: poles, ranks, static gains and residues."""
     model, u = evaluation.fit.model, evaluation.fit.model.u
 
     def row(name: str, place: int | str, outputs: tuple[str, str], value: Any, spread: Any, unit: str) -> ModelRow:
@@ -127,7 +127,7 @@ def static_u(evaluation: DecoupleEvaluation) -> FloatArray:
 
 
 def crosstalk_rows(evaluation: DecoupleEvaluation) -> Iterator[CrosstalkRow]:
-    """Rows of crosstalk.csv: every reading of every load at every stage, in a step and over frequency."""
+    """Yield the rows of crosstalk.csv: every reading of every load at every stage."""
     for stage in evaluation.stages:
         frequency = ["", *stage.frequency_hz.tolist()]
         quantity = ["step_peak", *["response"] * len(stage.frequency_hz)]
@@ -143,7 +143,10 @@ def crosstalk_rows(evaluation: DecoupleEvaluation) -> Iterator[CrosstalkRow]:
 
 
 def largest(evaluation: DecoupleEvaluation) -> Iterator[tuple[str, float, float, str]]:
-    """Yield for every stage the cross-talk in a step that may be largest, with U in % of rated loads, and which."""
+    """Yield the largest cross-talk in a step of every stage, with U.
+
+    In % of rated loads.
+    """
     ratio = 100 * np.where(np.eye(len(evaluation.scale), dtype=np.bool_), np.nan, evaluation.ratio)
     for stage in evaluation.stages:
         size, U = stage.peak * ratio, K2 * stage.u_peak * ratio
@@ -154,7 +157,7 @@ def largest(evaluation: DecoupleEvaluation) -> Iterator[tuple[str, float, float,
 
 
 def headlines(evaluation: DecoupleEvaluation) -> list[Headline]:
-    """Return the largest cross-talk at every stage and what the filter makes of the sensor."""
+    """Return the largest cross-talk at every stage, and the dynamics behind the filter."""
     told = [
         Headline(capitalise(what), quantity_html(value, U, "%"), which) for what, value, U, which in largest(evaluation)
     ]
@@ -166,7 +169,7 @@ def headlines(evaluation: DecoupleEvaluation) -> list[Headline]:
 
 
 def modes_table(evaluation: DecoupleEvaluation) -> Table:
-    """Return the common poles, and what each moves."""
+    """Return the common poles with their ranks."""
     model, u = evaluation.fit.model, evaluation.fit.model.u
     rows: list[tuple[str, ...]] = []
     scale = evaluation.fit.amplitude / evaluation.fit.noise[:, None]
@@ -192,7 +195,7 @@ def modes_table(evaluation: DecoupleEvaluation) -> Table:
 
 
 def modes_budgets(evaluation: DecoupleEvaluation) -> list[Table]:
-    """What makes the u of the modes' frequencies and damping ratios, and what nobody states."""
+    """Return the budgets of frequencies and damping ratios of the modes, with influences not assessed."""
     model, known = evaluation.fit.model, evaluation.influences
     effects, whole = known.effects(lambda *part: model.altered(*part).vector), np.diag(np.asarray(model.covariance))
     tables, count = [], len(model.frequency_hz)
@@ -206,7 +209,10 @@ def modes_budgets(evaluation: DecoupleEvaluation) -> list[Table]:
 
 
 def peak_tables(evaluation: DecoupleEvaluation) -> list[Table]:
-    """Return for every stage what each load reads while each makes a step, in per cent of rated loads."""
+    """Return the reading of each load while each makes a step, by stage.
+
+    In % of rated loads.
+    """
     names, ratio, tables = evaluation.fit.model.components, 100 * evaluation.ratio, []
     unit = "rated load" if evaluation.capacity is not None else "the step"
     for stage in evaluation.stages:
@@ -269,7 +275,7 @@ TRIALS: list[TableColumn[PoleCountTrial]] = [
 
 
 def draw_crosstalk(evaluation: DecoupleEvaluation) -> Figure:
-    """The largest reading of any other load while one oscillates, over frequency, before and after."""
+    """Draw the largest reading of any other load over frequency, before and after the filter."""
     names, ratio = evaluation.fit.model.components, 100 * evaluation.ratio
     others = {j: [i for i in range(len(names)) if i != j and np.isfinite(ratio[i, j])] for j in range(len(names))}
     loads = [j for j in others if others[j]]
@@ -306,9 +312,9 @@ def draw_crosstalk(evaluation: DecoupleEvaluation) -> Figure:
 
 
 def draw_step(evaluation: DecoupleEvaluation) -> Figure:
-    """Readings of the other loads while the load steps that shows most with the static matrix alone, by stage.
+    """Draw the readings of other loads during the step with the largest cross-talk.
 
-    Without rated loads only those of the unit of the load that steps can be compared with it.
+    Without rated loads, only loads of the same unit are compared.
     """
     model, ratio = evaluation.fit.model, 100 * evaluation.ratio
     static = next(stage for stage in evaluation.stages if stage.stage == "static")
@@ -338,7 +344,7 @@ def draw_step(evaluation: DecoupleEvaluation) -> Figure:
 
 
 def printed(evaluation: DecoupleEvaluation) -> Iterator[str]:
-    """Lines for the terminal."""
+    """Yield the printed lines."""
     model, u = evaluation.fit.model, evaluation.fit.model.u
     told = []
     for i in np.argsort(model.frequency_hz):
@@ -355,7 +361,7 @@ def printed(evaluation: DecoupleEvaluation) -> Iterator[str]:
 
 
 def _context(evaluation: DecoupleEvaluation) -> dict[str, Any]:
-    """Everything the template shows."""
+    """Return the content of the page."""
     fit, names = evaluation.fit, evaluation.fit.model.components
     counts = [f"{name} {sum(release.component == name for release in fit.releases)}" for name in names]
     outputs = f"{', '.join(fit.model.channels)} at {fit.sample_rate_hz:g} Hz"
@@ -429,8 +435,8 @@ def run_decouple(
 ) -> None:
     """Evaluate all releases of a campaign together, write the results and print the summary.
 
-    Results stand in the campaign's folder `decouple` or in `output`. A place that cannot take them is refused before
-    anything is computed.
+    Results are written to the campaign's folder `decouple`, or to `output`. A folder that cannot be used is refused
+    before the computation.
     """
     manifests = load_for_command([path], DECOUPLE.name, allow_outside=allow_outside)
 

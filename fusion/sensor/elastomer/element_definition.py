@@ -1,4 +1,4 @@
-"""What a user states of an elastic element: GEOMETRY.toml as checked values (docs/elastomer.md)."""
+"""The definition of an elastic element: GEOMETRY.toml as checked values (docs/elastomer.md)."""
 
 from __future__ import annotations
 
@@ -106,7 +106,10 @@ class CompliantBeams(ManifestBlock):
 
 
 class ElementPlatform(ManifestBlock):
-    """The central platform, in m, kg, kg·m²: a block of the element's material, or its data."""
+    """The central platform: a block of the element's material, or stated data.
+
+    In m, kg, kg·m².
+    """
 
     half_size: Size
     thickness: Size | None = None
@@ -162,7 +165,7 @@ class Frequencies(ManifestBlock):
 
     @property
     def values_hz(self) -> dict[str, float]:
-        """Those that are stated."""
+        """The stated frequencies by mode."""
         return {name: value for name in MODE_NAMES if (value := getattr(self, name)) is not None}
 
 
@@ -173,14 +176,17 @@ class StatedFrequencies(Frequencies):
 
 
 class PlatformFitOptions(ManifestBlock):
-    """Platform data sought from frequencies."""
+    """Platform data to be estimated from frequencies."""
 
     half_sizes: Sizes
     frequencies: Frequencies
 
 
 class ElementMounting(ManifestBlock):
-    """Hand and pedestal in a row with the sensor along one direction, in kg, N/m, N·s/m (turns: kg·m², N·m/rad, …)."""
+    """Hand, sensor and pedestal in series along one direction, in kg, N/m, N·s/m.
+
+    Along a rotation in kg·m², N·m/rad and N·m·s/rad.
+    """
 
     direction: Literal["Tx", "Ty", "Tz", "Rx", "Ry", "Rz"]
     hand_mass: NotNegative
@@ -234,7 +240,7 @@ class ElementFile(ManifestBlock):
 
 @dataclass(frozen=True)
 class ElementDefinition:
-    """An element as stated: the checked file and what it means to the models."""
+    """An element as stated: the checked file, and its meaning for the models."""
 
     path: Path
     file: ElementFile
@@ -258,7 +264,7 @@ class ElementDefinition:
 
     @cached_property
     def bare(self) -> RigidPart:
-        """The platform without further parts."""
+        """The platform without attached parts."""
         told = self.file.platform
         if told.mass is not None and told.inertia is not None:
             return RigidPart(told.mass, told.centre_of_mass, np.array(told.inertia))
@@ -268,12 +274,12 @@ class ElementDefinition:
 
     @cached_property
     def platform(self) -> RigidPart:
-        """The platform with everything on it."""
+        """The platform with all attached parts."""
         return join_bodies([self.bare, *self._parts])
 
     @property
     def solid_block(self) -> SolidBlock | None:
-        """The platform of the solid model, None where no thickness is stated."""
+        """The platform of the solid model, None without a stated thickness."""
         told = self.file.platform
         if told.thickness is None:
             return None
@@ -301,7 +307,8 @@ class ElementDefinition:
 def read_definition(path: Path, *, allow_outside: bool = False) -> ElementDefinition:
     """Read and check GEOMETRY.toml; `InputError` names file and key.
 
-    Paths in it count from its folder and stay in the folder above it, where results of other commands lie beside.
+    Relative paths start at its folder. They must be in the folder above it, which also contains results of other
+    commands.
     """
     text = read_toml(path)
     folder = path.parent.resolve()

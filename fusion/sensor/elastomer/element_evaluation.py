@@ -1,4 +1,4 @@
-"""Geometry to natural frequencies and mode shapes."""
+"""Evaluation of an elastic element: natural frequencies and mode shapes from its geometry."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ from shakercal._common.notices import Notice
 
 
 class StaticsFact(NamedTuple):
-    """A number of the beam formulas: `printed` by the publication's formula, `right` by what stands in its place.
+    """A number of the beam formulas, `printed` in the publication and `right` by mechanics.
 
-    NaN where there is none.
+    NaN without a value.
     """
 
     name: str
@@ -50,9 +50,9 @@ class StaticsFact(NamedTuple):
 
 @dataclass(frozen=True)
 class ComparedColumn:
-    """Natural frequencies by one model or measurement: `frequency_hz`, `u_hz` (6,), NaN where there is none.
+    """Natural frequencies by one model or measurement: `frequency_hz`, `u_hz` (6,), NaN without a value.
 
-    `kind`: "formula", "frame", "solid", "measured" or "stated". `u_hz` 0 of what is computed or given without it.
+    `kind`: "formula", "frame", "solid", "measured" or "stated". `u_hz` is 0 of computed and stated frequencies.
     """
 
     name: str
@@ -63,7 +63,10 @@ class ComparedColumn:
 
 @dataclass(frozen=True)
 class SolidStudy:
-    """The solid on meshes of growing refinement, and on the last but one of them with a platform that does not bend."""
+    """The solid on meshes of increasing refinement, and with a rigid platform.
+
+    The latter on the second-finest mesh.
+    """
 
     refinements: tuple[int, ...]
     meshes: tuple[SolidModel, ...]
@@ -71,15 +74,15 @@ class SolidStudy:
 
     @property
     def finest(self) -> SolidModel:
-        """The solution that counts."""
+        """The solution on the finest mesh."""
         return self.meshes[-1]
 
 
 @dataclass(frozen=True)
 class MountedElement:
-    """Sensor between hand and pedestal: modes (N,) of the chain, and over the hand's mass (H,) joined without spring.
+    """Sensor between hand and pedestal: modes (N,) of the chain.
 
-    `stiffness`, `mass`: of the sensor along the direction, as the frame has them.
+    `stiffness`, `mass`: of the sensor along the direction, by the frame. `mounted_hz` (H,): with a rigidly joined hand.
     """
 
     direction: str
@@ -93,7 +96,10 @@ class MountedElement:
 
 @dataclass(frozen=True)
 class ElementEvaluation(CommandEvaluation):
-    """An element with its models side by side; `sensitivity`: relative change of the six frequencies per change."""
+    """All models of an element, with their comparison.
+
+    `sensitivity`: relative change of the frequencies per relative change of a dimension.
+    """
 
     definition: ElementDefinition
     facts: tuple[StaticsFact, ...]
@@ -106,7 +112,10 @@ class ElementEvaluation(CommandEvaluation):
 
 
 def spread(columns: Sequence[ComparedColumn]) -> FloatArray:
-    """Return (max - min)/max (6,) over columns, NaN where fewer than two have a value: as the paper's Table 6."""
+    """Return (max - min)/max (6,) over columns, as in the paper's Table 6.
+
+    NaN with fewer than two values.
+    """
     values = np.stack([column.frequency_hz for column in columns])
     filled = np.isfinite(values)
     highest = np.max(np.where(filled, values, -np.inf), axis=0)
@@ -122,7 +131,7 @@ MODE_OF = dict(zip(LOAD_COMPONENTS, MODE_NAMES, strict=True))
 
 
 def measured_column(definition: ElementDefinition) -> tuple[ComparedColumn | None, list[Notice]]:
-    """Return the mode of every measured model that swings most after a step, with its standard uncertainty."""
+    """Return the dominant mode of every measured model with its standard uncertainty."""
     path = definition.file.measured
     if path is None:
         return None, []
@@ -143,7 +152,10 @@ def measured_column(definition: ElementDefinition) -> tuple[ComparedColumn | Non
 
 
 def dominant(model: ModalModel) -> tuple[float, float]:
-    """Return frequency in Hz and u of the oscillating mode with the largest |r/p|; u is NaN without covariance."""
+    """Return frequency (Hz) and u of the oscillating mode with the largest |r/p|.
+
+    u is NaN without covariance.
+    """
     count = len(model.frequency_hz)
     place = int(np.argmax(np.abs(model.residue / model.poles[:count])))
     u = np.nan if model.covariance is None else float(np.sqrt(model.covariance[place, place]))
@@ -151,7 +163,7 @@ def dominant(model: ModalModel) -> tuple[float, float]:
 
 
 def _exact(name: str, kind: str, frequency_hz: FloatArray | Mapping[str, float]) -> ComparedColumn:
-    """A column of numbers (6,), or by the name of their mode, without uncertainty."""
+    """Return a column of numbers (6,), or by mode, without uncertainty."""
     if isinstance(frequency_hz, Mapping):
         frequency_hz = np.array([frequency_hz.get(mode, np.nan) for mode in MODE_NAMES])
     return ComparedColumn(name, kind, frequency_hz, np.zeros(6))
@@ -164,7 +176,7 @@ PRINTED_SHARE = 0.4
 
 
 def statics_facts(definition: ElementDefinition, frame: FrameModel) -> tuple[StaticsFact, ...]:
-    """Return shear modulus, force shares, stiffnesses and frequencies, printed formula beside the right one."""
+    """Return shear modulus, force shares, stiffnesses and frequencies, by printed and correct formulas."""
     beams, mass = definition.beams, definition.platform.mass_kg
     printed, closed = PublishedStatics(beams), beam_stiffness(beams, definition.file.platform.half_size)
     point, first = guided_stiffness(beams), float(frame.modes.frequency_hz[0])
@@ -197,7 +209,7 @@ def statics_facts(definition: ElementDefinition, frame: FrameModel) -> tuple[Sta
 
 
 def mounted_chain(definition: ElementDefinition, frame: FrameModel) -> MountedElement | None:
-    """Return the sensor between hand and pedestal, with the frame's stiffness and the mass that its frequency means."""
+    """Return the sensor between hand and pedestal, with stiffness and effective mass of the frame."""
     told = definition.file.mounting
     if told is None:
         return None
@@ -230,7 +242,10 @@ REVERSED_X, REVERSED_Y = ("Tx", "Ry", "Rz"), ("Ty", "Rx", "Rz")
 
 @dataclass(frozen=True)
 class DrawnShape:
-    """One mode: `rest_m`, `motion` (P, 4, 3) of the corners of all faces, motion in arbitrary units."""
+    """One mode: corners `rest_m` (P, 4, 3) of all faces and their `motion`.
+
+    The motion has arbitrary units.
+    """
 
     name: str
     frequency_hz: float
@@ -239,7 +254,10 @@ class DrawnShape:
 
 
 def frame_shapes(definition: ElementDefinition, model: FrameModel) -> list[DrawnShape]:
-    """Return the six modes of the frame, beams with their sections, the platform as a block."""
+    """Return the six modes of the frame, with sections of the beams.
+
+    The platform is a block.
+    """
     frame, platform = model.frame, definition.file.platform
     thickness = platform.thickness or definition.beams.beam_height_m
     centre = np.array([0.0, 0.0, platform.height])
@@ -257,7 +275,7 @@ def frame_shapes(definition: ElementDefinition, model: FrameModel) -> list[Drawn
 
 
 def solid_shapes(drawn: SolidModel, finest: SolidModel) -> list[DrawnShape]:
-    """Return the six modes on the outside of one mesh, in all quarters, with the finest mesh's frequencies."""
+    """Return the six modes on the surface of one mesh, with the finest mesh's frequencies."""
     faces, shapes = _outside(drawn), []
     for mode, name in enumerate(MODE_NAMES):
         rest, motion = [], []
@@ -271,7 +289,10 @@ def solid_shapes(drawn: SolidModel, finest: SolidModel) -> list[DrawnShape]:
 
 
 def _beam(ends: FloatArray, motion: FloatArray, section: Section) -> tuple[FloatArray, FloatArray]:
-    """Corners (8, 3) of a beam of a section between two nodes (2, 3), and how they move with the nodes (2, 6)."""
+    """Return corners (8, 3) of a beam between two nodes, and their motion.
+
+    `motion` (2, 6) is that of the nodes.
+    """
     along = ends[1] - ends[0]
     across = np.cross([0.0, 0.0, 1.0], along / np.linalg.norm(along))
     box = _box(1.0, 0.5 * section.width_m, 0.5 * section.height_m)
@@ -282,13 +303,13 @@ def _beam(ends: FloatArray, motion: FloatArray, section: Section) -> tuple[Float
 
 
 def _box(x: float, y: float, z: float) -> FloatArray:
-    """Corners (8, 3) of a box about the origin."""
+    """Return the corners (8, 3) of a box about the origin."""
     bits = np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)])
     return np.asarray((2.0 * bits - 1.0) * np.array([x, y, z]))
 
 
 def _outside(model: SolidModel) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
-    """Vertex numbers (P, 4) of the faces that belong to one cell only, those in the planes of symmetry left out."""
+    """Return vertex numbers (P, 4) of the outer faces, without those in planes of symmetry."""
     corners = model.vertex_m[model.cell]
     bits = (corners > corners.mean(axis=1, keepdims=True)).astype(np.int64) @ np.array([1, 2, 4])
     ordered = np.take_along_axis(model.cell, np.argsort(bits, axis=1), axis=1)
@@ -317,8 +338,29 @@ CONVERGED, FAR = 0.02, 0.10
 def evaluate_element(
     definition: ElementDefinition, hashes: dict[str, str], *, solid: bool, progress: ProgressCallback = no_progress
 ) -> ElementEvaluation:
-    """Return everything that GEOMETRY.toml asks for; the solid model only where wanted, since it takes a minute.
+    """Evaluate all models of an elastic element: formulas, frame, solid, and comparison.
 
+    Parameters
+    ----------
+    definition
+        The element, of `read_definition`.
+    hashes
+        SHA-256 of the input files by name, for the results.
+    solid
+        Whether the solid model is computed, which takes about a minute.
+    progress
+        Callback (stage, done, total). Default: none.
+
+    Returns
+    -------
+    ElementEvaluation : natural frequencies by every model, with their comparison.
+
+    Raises
+    ------
+    InputError : a key that the user has to correct, or a missing package for the solid model.
+
+    Examples
+    --------
     >>> from fusion import evaluate_element
     >>> from fusion.sensor.elastomer.element_definition import read_definition
     >>> definition = read_definition("elastomer.toml")  # doctest: +SKIP
@@ -364,7 +406,7 @@ def evaluate_element(
 
 
 def _solid(definition: ElementDefinition, progress: ProgressCallback) -> SolidStudy:
-    """The solid on all meshes; `InputError` where a key, or scikit-fem, is missing."""
+    """Return the solid on all meshes; raise `InputError` for a missing key or scikit-fem."""
     block, refinements = definition.solid_block, definition.file.solid.refinements
     if block is None:
         expected = "the thickness of the block that --solid models"
@@ -387,7 +429,7 @@ def _solid(definition: ElementDefinition, progress: ProgressCallback) -> SolidSt
 
 
 def _of_frame(definition: ElementDefinition, frame: FrameModel) -> list[Notice]:
-    """Names that fit badly, modes between, and what rules the result."""
+    """Return notices on mixed modes, further modes, and stated platform data."""
     found = []
     for name, share, highest in zip(
         MODE_NAMES, np.diag(frame.modes.participation), frame.modes.participation.max(axis=0), strict=True
@@ -405,7 +447,7 @@ def _of_frame(definition: ElementDefinition, frame: FrameModel) -> list[Notice]:
 
 
 def _of_solid(frame: FrameModel, study: SolidStudy | None) -> list[Notice]:
-    """Whether the mesh suffices, and where frame and solid are far apart and why."""
+    """Return notices on convergence of the mesh, and deviations of the frame."""
     if study is None:
         return []
     found, change = [], mesh_change(study.meshes)

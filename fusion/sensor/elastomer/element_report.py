@@ -1,4 +1,4 @@
-"""What the models of an elastic element leave: tables, figures of shapes, HDF5 file, page, lines of the terminal."""
+"""Files, page and printed lines of models of an elastic element, and the command."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class ModeRow(NamedTuple):
 
 
 def _participation(place: int) -> TableColumn[ModeRow]:
-    """Share of one rigid motion in a mode."""
+    """Return the column of the share of one rigid motion in a mode."""
     return TableColumn(f"participation_{MODE_NAMES[place]}", lambda row: float(row.participation[place]))
 
 
@@ -80,7 +80,7 @@ MODES: list[TableColumn[ModeRow]] = [*columns_of(ModeRow)[:-1], *map(_participat
 
 
 class StiffnessRow(NamedTuple):
-    """Load per displacement of the platform in its own direction, by one model."""
+    """Load per displacement of the platform in the same direction, by one model."""
 
     model: str
     component: str
@@ -89,7 +89,7 @@ class StiffnessRow(NamedTuple):
 
 
 class ComparisonRow(NamedTuple):
-    """One mode by one model or measurement, or its spread over all of them: (max - min)/max, a ratio."""
+    """One mode by one model or measurement, or its relative range over all."""
 
     column: str
     kind: str
@@ -99,14 +99,14 @@ class ComparisonRow(NamedTuple):
 
 
 def _number(fact: StaticsFact, value: float) -> str:
-    """A number of the beam formulas."""
+    """Return a number of the beam formulas as text."""
     if np.isnan(value):
         return DASH
     return _plain(value) if fact.unit in ("N/m", "Pa") else f"{value:.4g}"
 
 
 def _plain(value: float) -> str:
-    """Four significant digits with a power of ten, as HTML."""
+    """Return four significant digits with a power of ten, as HTML."""
     return quantity_html(float(f"{value:.4g}"), 0.0)
 
 
@@ -121,7 +121,7 @@ STATICS: list[TableColumn[StaticsFact]] = [
 
 
 def _in_milli(name: str, head: str, value: Callable[[RigidPart], float]) -> TableColumn[PlatformFit]:
-    """A number of the fitted platform, on pages in thousandths of its unit."""
+    """Return a column of the fitted platform, on pages in thousandths of its unit."""
     return TableColumn(
         name, lambda fit: float(value(fit.platform)), head, lambda fit: f"{MILLI * value(fit.platform):.2f}"
     )
@@ -145,7 +145,7 @@ PLATFORM: list[TableColumn[PlatformFit]] = [
 
 
 def mode_rows(evaluation: ElementEvaluation) -> Iterator[ModeRow]:
-    """One row per mode of the frame, then of the solid on every mesh, and with a platform that does not bend."""
+    """Yield one row per mode of the frame and of the solid on every mesh."""
     modes, study = evaluation.frame.modes, evaluation.solid
     for place, name in enumerate(MODE_NAMES):
         frequency = float(modes.frequency_hz[place])
@@ -158,14 +158,14 @@ def mode_rows(evaluation: ElementEvaluation) -> Iterator[ModeRow]:
 
 
 def stiffnesses(evaluation: ElementEvaluation) -> dict[str, FloatArray]:
-    """Stiffness (6,) of every model."""
+    """Return the stiffness (6,) of every model."""
     solid = evaluation.solid
     models = {} if solid is None else {"solid": solid.finest, "solid, rigid platform": solid.rigid}
     return {"frame": evaluation.frame.stiffness, **{name: model.stiffness for name, model in models.items()}}
 
 
 def comparison_rows(evaluation: ElementEvaluation) -> Iterator[ComparisonRow]:
-    """One row per column and mode, then the spread of every mode."""
+    """Yield one row per column and mode, then the relative range of every mode."""
     for column in evaluation.columns:
         for name, frequency, u in zip(MODE_NAMES, column.frequency_hz.tolist(), column.u_hz.tolist(), strict=True):
             if np.isfinite(frequency):
@@ -175,7 +175,7 @@ def comparison_rows(evaluation: ElementEvaluation) -> Iterator[ComparisonRow]:
 
 
 def headlines(evaluation: ElementEvaluation) -> list[Headline]:
-    """Frequencies of the frame, those of the solid below."""
+    """Return the frequencies of the frame, with those of the solid."""
     frame, solid = evaluation.frame.modes.frequency_hz, evaluation.solid
     told = (
         [""] * len(MODE_NAMES) if solid is None else [f"solid: {value:.0f} Hz" for value in solid.finest.frequency_hz]
@@ -185,12 +185,12 @@ def headlines(evaluation: ElementEvaluation) -> list[Headline]:
 
 
 def _by_mode(caption: str, head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> Table:
-    """A table whose last columns are the modes."""
+    """Return a table whose last columns are the modes."""
     return Table(caption, (*head, *MODE_NAMES), "l" + "r" * (len(head) + 5), tuple(rows))
 
 
 def comparison_table(evaluation: ElementEvaluation) -> Table:
-    """Natural frequencies by every model and measurement, and how far they are apart."""
+    """Return the natural frequencies by every model and measurement, with their relative range."""
     rows = []
     for column in evaluation.columns:
         values, expanded = zip(*(_with_u(column, place) for place in range(6)), strict=True)
@@ -202,7 +202,7 @@ def comparison_table(evaluation: ElementEvaluation) -> Table:
 
 
 def stiffness_table(evaluation: ElementEvaluation) -> Table:
-    """Static stiffness of the platform by model."""
+    """Return the static stiffness of the platform by model."""
     rows = tuple((label, *map(_plain, values.tolist())) for label, values in stiffnesses(evaluation).items())
     head = (
         "model",
@@ -214,7 +214,7 @@ def stiffness_table(evaluation: ElementEvaluation) -> Table:
 
 
 def participation_table(evaluation: ElementEvaluation) -> Table:
-    """What each mode of the frame consists of."""
+    """Return the shares of the rigid motions in each mode of the frame."""
     modes = evaluation.frame.modes
     rows = [
         (name, f"{modes.frequency_hz[place]:.1f}", *(f"{100.0 * share:.1f}" for share in modes.participation[place]))
@@ -224,7 +224,7 @@ def participation_table(evaluation: ElementEvaluation) -> Table:
 
 
 def convergence_table(evaluation: ElementEvaluation) -> Table | None:
-    """The solid on every mesh."""
+    """Return the frequencies of the solid on every mesh."""
     study, frame = evaluation.solid, evaluation.frame.modes.frequency_hz
     if study is None:
         return None
@@ -246,13 +246,13 @@ def convergence_table(evaluation: ElementEvaluation) -> Table | None:
 
 
 def sensitivity_table(evaluation: ElementEvaluation) -> Table:
-    """Percent of frequency per percent of a dimension."""
+    """Return the relative change of frequency per relative change of a dimension."""
     rows = [(DIMENSION_LABELS[name], *map(signed_text, values)) for name, values in evaluation.sensitivity.items()]
     return _by_mode("What tolerances do: change of the frame's frequencies in % per % of", ("dimension",), rows)
 
 
 def mounted_table(evaluation: ElementEvaluation) -> Table | None:
-    """Modes of the chain of hand, sensor and pedestal."""
+    """Return the modes of the chain of hand, sensor and pedestal."""
     mounted = evaluation.mounted
     if mounted is None:
         return None
@@ -274,7 +274,10 @@ MARKERS = ("circle", "square", "diamond", "triangle", "inverted_triangle", "cros
 
 
 def draw_shapes(name: str, title: str, shapes: Sequence[DrawnShape]) -> tuple[PrintedFigure, bytes]:
-    """Six modes in space, at rest as lines and deformed as faces coloured by displacement; picture and png file."""
+    """Draw six modes in space; return figure and PNG file.
+
+    Lines are at rest, coloured faces are deformed.
+    """
     with drawing(name):
         figure = new_figure(4.6)
         for place, shape in enumerate(shapes):
@@ -288,7 +291,7 @@ def draw_shapes(name: str, title: str, shapes: Sequence[DrawnShape]) -> tuple[Pr
 
 
 def draw_compared(evaluation: ElementEvaluation) -> Drawing:
-    """Every column's frequencies as departure from those of the frame."""
+    """Draw the deviation of every column's frequencies from those of the frame."""
     columns = evaluation.columns
     frame = next(column for column in columns if column.kind == "frame")
     places, width = np.arange(len(MODE_NAMES)), 0.7 / len(columns)
@@ -308,7 +311,10 @@ def draw_compared(evaluation: ElementEvaluation) -> Drawing:
 
 
 def draw_hand(evaluation: ElementEvaluation) -> Drawing | None:
-    """The resonance over the mass of a hand joined without a spring, and the modes of the chain with springs."""
+    """Draw the resonance over the mass of a rigidly joined hand.
+
+    With the modes of the chain of springs.
+    """
     mounted, stated = evaluation.mounted, evaluation.definition.file.mounting
     if mounted is None or stated is None:
         return None
@@ -327,7 +333,7 @@ def draw_hand(evaluation: ElementEvaluation) -> Drawing | None:
 
 
 def _panel(figure: Figure, place: int, shape: DrawnShape) -> None:
-    """One mode."""
+    """Draw one mode."""
     from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
     axes: Any = figure.add_subplot(2, 3, place + 1, projection="3d", computed_zorder=False)
@@ -362,7 +368,7 @@ def _panel(figure: Figure, place: int, shape: DrawnShape) -> None:
 
 
 def printed(evaluation: ElementEvaluation) -> Iterator[str]:
-    """Lines for the terminal."""
+    """Yield the printed lines."""
     lines: list[tuple[str, ...]] = [("", *MODE_NAMES)]
     for column in evaluation.columns:
         pairs = [_with_u(column, place) for place in range(6)]
@@ -384,7 +390,7 @@ def printed(evaluation: ElementEvaluation) -> Iterator[str]:
 
 
 def _with_u(column: ComparedColumn, place: int) -> tuple[str, str]:
-    """One frequency and its U, which is empty of what is not measured."""
+    """Return one frequency and its U, empty if not measured."""
     value, u = float(column.frequency_hz[place]), float(column.u_hz[place])
     if not np.isfinite(value):
         return DASH, ""
@@ -395,7 +401,7 @@ def _with_u(column: ComparedColumn, place: int) -> tuple[str, str]:
 
 
 def _context(evaluation: ElementEvaluation) -> dict[str, Any]:
-    """Everything the template shows."""
+    """Return the content of the page."""
     return {
         "subject": _subject(evaluation),
         "comparison": comparison_table(evaluation),
@@ -415,7 +421,7 @@ def _context(evaluation: ElementEvaluation) -> dict[str, Any]:
 
 
 def _subject(evaluation: ElementEvaluation) -> list[tuple[str, str]]:
-    """What the element is made of."""
+    """Return material and dimensions of the element."""
     beams, part = evaluation.definition.beams, evaluation.definition.platform
     size = evaluation.definition.file.platform.half_size
     material = beams.material
@@ -435,7 +441,7 @@ def _subject(evaluation: ElementEvaluation) -> list[tuple[str, str]]:
 
 
 def mode_shape_figures(evaluation: ElementEvaluation) -> dict[str, tuple[PrintedFigure, bytes]]:
-    """Return the pictures of the shapes by the name of their file."""
+    """Return the figures of the mode shapes by file name."""
     shapes = {"frame": frame_shapes(evaluation.definition, evaluation.frame)}
     if evaluation.solid is not None:
         shapes["solid"] = solid_shapes(evaluation.solid.meshes[0], evaluation.solid.finest)
@@ -470,7 +476,7 @@ def _fill(file: h5py.File, evaluation: ElementEvaluation) -> None:
 
 
 def _files(evaluation: ElementEvaluation) -> dict[str, str | bytes]:
-    """Tables and pictures."""
+    """Return tables and figures."""
     stiffness = (
         StiffnessRow(label, f"k{name}", value, "N/m" if name.startswith("T") else "N.m/rad")
         for label, values in stiffnesses(evaluation).items()
@@ -508,9 +514,10 @@ def run_elastomer(
     allow_outside: bool = False,
     progress: ProgressCallback = no_progress,
 ) -> None:
-    """Model the element that a file (or elastomer.toml in a folder) states, write the results, print the comparison.
+    """Model the element of GEOMETRY.toml, write the results and print the comparison.
 
-    Results stand in the folder `elastomer` beside the file, or in `output`.
+    `path`: the file, or a folder with elastomer.toml. Results are written to the folder `elastomer` next to the file,
+    or to `output`.
     """
     file = path / "elastomer.toml" if path.is_dir() else path
     read = {file.resolve(): seen} if (seen := FileIdentity.of(file)) else None

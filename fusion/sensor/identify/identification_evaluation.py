@@ -1,4 +1,4 @@
-"""A campaign of several loads to the mechanics of the sensor."""
+"""Evaluation of a campaign of several loads: the mechanics of the sensor."""
 
 from __future__ import annotations
 
@@ -58,10 +58,10 @@ relative change for one standard uncertainty of that mass."""
 def sensitivities(
     recordings: Sequence[RecordingResults], changes: Mapping[int, Mapping[str, OtherMass]]
 ) -> tuple[MeasuredSensitivity, ...]:
-    """Return the sensitivity of the output of every driven component over frequency, all recordings together.
+    """Return the sensitivity of every driven component over frequency, of all recordings together.
 
-    Of the sensor's own element where its matrix is stated, as campaigns give it, else of the ratio. `changes`: of the
-    load components whose internal mass was found what it makes of a sensitivity, by recording.
+    If the sensor's matrix is stated, it is the element of the matrix, as in campaigns, otherwise the ratio. `changes`:
+    correction for the fitted internal mass, by load component and recording.
     """
     sensor = next((recorded.sensor for recorded in recordings if recorded.sensor is not None), None)
     if sensor is None:
@@ -106,7 +106,7 @@ def _sensitivity(
 
 
 def main_output(sensor: SensorFacts, component: int, drives: Sequence[ExcitedLine]) -> str:
-    """Return which output belongs to a load component: that of its name, else the largest, static or as found."""
+    """Return the output of a load component: that of its name, otherwise the largest."""
     channels = drives[0].channels
     if LOAD_COMPONENTS[component] in channels:
         return LOAD_COMPONENTS[component]
@@ -137,10 +137,10 @@ LABELS = {
 
 @dataclass(frozen=True)
 class CurveReading:
-    """One method's reading of one curve, and the stiffness and damping that follow with the mass that moves.
+    """The reading of one curve by one method, with the resulting stiffness and damping.
 
-    `width_hz`: the width the method reads, or 2ζf₀; k = (2πf₀)²m and b = 2ζ√(km) with m = load + internal mass;
-    standard uncertainties of the curve's noise, of `oscillator` and `joint` of all that is stated; NaN: not told.
+    `width_hz`: width of the method, or 2ζf₀. k = (2πf₀)²m and b = 2ζ√(km) with m = load + internal mass. Standard
+    uncertainties are those of the curve's noise, of `oscillator` and `joint` of all stated causes. NaN: not determined.
     """
 
     recording: str
@@ -158,9 +158,9 @@ class CurveReading:
 
 
 def read_curves(fit: JointFit, internal_mass: float) -> tuple[tuple[CurveReading, ...], tuple[Notice, ...]]:
-    """Return all readings of all curves of a joint fit, and why some could not be read.
+    """Return the readings of all curves of a joint fit, with notices of failures.
 
-    Stiffness and damping by equations 9 and 10 of Nitsche et al. 2018 with the mass that moves.
+    Stiffness and damping by equations 9 and 10 of Nitsche et al. 2018 with the moving mass.
     """
     readings: list[CurveReading] = []
     notices: list[Notice] = []
@@ -183,7 +183,7 @@ def read_curves(fit: JointFit, internal_mass: float) -> tuple[tuple[CurveReading
 
 
 def _peak_readings(fit: JointFit, item: PreparedTransfer, response: str) -> Iterator[PeakReading]:
-    """What the methods that look at one curve read, then what the joint fit says of the modes of its recording."""
+    """Yield the readings of one curve by each method, and by the joint fit."""
     measured = item.measured
     ratio = measured.ratio.select([response])
     correlation = measured.line_correlation
@@ -204,7 +204,10 @@ def _peak_readings(fit: JointFit, item: PreparedTransfer, response: str) -> Iter
 
 
 def _mode_reading(method: str, f0: float, u_f0: float, zeta: float, u_zeta: float, note: str = "") -> PeakReading:
-    """Frequency f₀ (Hz) and damping ratio of a mode as a reading, whose width is 2ζf₀."""
+    """Return f₀ (Hz) and damping ratio of a mode as a reading.
+
+    Its width is 2ζf₀.
+    """
     return PeakReading(method, f0, u_f0, 2.0 * zeta * f0, 2.0 * u_zeta * f0, zeta, u_zeta, note)
 
 
@@ -213,11 +216,14 @@ def _mode_reading(method: str, f0: float, u_f0: float, zeta: float, u_zeta: floa
 
 @dataclass(frozen=True)
 class IdentifiedComponent:
-    """Everything found of one component of the sensor.
+    """All results of one component of the sensor.
 
-    `internal_mass`: value, u and unit of what moves with the load inside the sensor; `sensitivity`: None without
-    evaluated sines of this component; `model`: what a correction needs, supported by data in `range_hz`; `bands`: one
-    per load mass `loads`.
+    Attributes
+    ----------
+    internal_mass : value, u and unit of the mass that moves with the load inside the sensor.
+    sensitivity : None without evaluated sines of this component.
+    model : the model for corrections, supported by data in `range_hz`.
+    bands : one per load mass of `loads`.
     """
 
     fit: JointFit
@@ -247,10 +253,26 @@ class IdentifyEvaluation(CommandEvaluation):
 
 
 def evaluate_identification(campaign: IdentificationInputs, settings: IdentifySettings) -> IdentifyEvaluation:
-    """Return what all recordings of a campaign say of the sensor together.
+    """Evaluate all recordings of a campaign together: stiffness, damping and internal mass of the sensor.
 
-    Raises `InputError` for what the user can mend in the files.
+    Parameters
+    ----------
+    campaign
+        Recordings of `read_campaign`.
+    settings
+        Choices of the identification.
 
+    Returns
+    -------
+    IdentifyEvaluation : one result per driven component.
+
+    Raises
+    ------
+    InputError : a file or key that the user has to correct.
+    ComputeError : the recordings do not determine a model.
+
+    Examples
+    --------
     >>> from fusion import evaluate_identification
     >>> from fusion.sensor.identify.identification_inputs import IdentifySettings, read_campaign
     >>> evaluation = evaluate_identification(read_campaign("masses"), IdentifySettings())  # doctest: +SKIP
@@ -294,11 +316,11 @@ def evaluate_identification(campaign: IdentificationInputs, settings: IdentifySe
 
 
 def _by_found_mass(fit: JointFit, sines: Sequence[EvaluatedSines], names: Mapping[Path, str]) -> dict[str, OtherMass]:
-    """Return by recording what the internal mass found, in place of the one stated, makes of a sensitivity.
+    """Return the correction of a sensitivity for the fitted internal mass, by recording.
 
-    Its factor, (m + m_i stated)/(m + m_i found) with the mass m of what is mounted on the sensor, and its relative
-    change for one standard uncertainty of the internal mass, -u(m_i)/(m + m_i found). On a joint m is over the motion
-    below it; of what bends it is the mass that its foot feels.
+    Its factor is (m + m_i stated)/(m + m_i fitted) with the mass m on the sensor. Its relative change for one standard
+    uncertainty of the internal mass is -u(m_i)/(m + m_i fitted). On a joint, m is relative to the motion below it. Of
+    an elastic load, it is the effective mass at its foot.
     """
     found, place = fit.identification[mass_name(fit.component)], fit.component
 
@@ -319,7 +341,7 @@ def _by_found_mass(fit: JointFit, sines: Sequence[EvaluatedSines], names: Mappin
 def _component(
     fit: JointFit, measured: MeasuredSensitivity | None, sensor: Sensor | None, settings: IdentifySettings
 ) -> tuple[IdentifiedComponent, list[Notice]]:
-    """Return everything of one component, and what is to be said of it."""
+    """Return all results of one component with their notices."""
     mass = fit.identification[mass_name(fit.component)]
     readings, unread = read_curves(fit, mass.value)
     found = model_sensitivity(fit, measured, sensor)

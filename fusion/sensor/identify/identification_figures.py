@@ -1,4 +1,4 @@
-"""Figures of an identification: curves with model and residual, circles, sensitivity with its explanations, bands."""
+"""Figures of an identification: fitted curves, circles, sensitivity, and usable bands."""
 
 from __future__ import annotations
 
@@ -60,14 +60,14 @@ class FittedCurve:
     modes: tuple[tuple[float, float], ...]
 
     def near(self, widths: float) -> BoolArray:
-        """Lines (K,) within some half-power widths of the resonances."""
+        """Return the lines (K,) within some half-power widths of the resonances."""
         low = min(f - widths * width for f, width in self.modes)
         high = max(f + widths * width for f, width in self.modes)
         return np.asarray((self.frequency_hz >= low) & (self.frequency_hz <= high))
 
 
 def curve_figures(component: IdentifiedComponent) -> list[Figure]:
-    """Curve, model and residual of every recording with lines enough to be drawn, then all circles."""
+    """Return figures of every recording with enough lines, then all circles."""
     recordings = [
         [_curve(component, place, name) for name in item.measured.ratio.channels]
         for place, item in enumerate(component.fit.prepared)
@@ -93,7 +93,7 @@ def _curve(component: IdentifiedComponent, place: int, response: str) -> FittedC
 
 
 def draw_fit(name: str, curves: Sequence[FittedCurve]) -> Figure:
-    """All responses of one recording: magnitude, phase and residual, the whole band left and the resonance right."""
+    """Draw all responses of one recording: magnitude, phase and residual, whole band and resonance."""
     drawn = empty_figure(name, 5.8, (1.7, 1.1, 1.0), 2)
     for column, zoom in enumerate((False, True)):
         upper, middle, lower = drawn.panels[column::2]
@@ -119,7 +119,7 @@ def draw_fit(name: str, curves: Sequence[FittedCurve]) -> Figure:
 
 
 def draw_circles(name: str, curves: Sequence[FittedCurve]) -> Figure:
-    """Every curve in the complex plane around its resonances, with the model."""
+    """Draw every curve in the complex plane around its resonances, with the model."""
     across = 2 if len(curves) in (2, 4) else min(len(curves), PANELS_ACROSS)
     down = -(-len(curves) // across)
     drawn = empty_figure(name, 0.75 + 3.0 * down, down, across, shared_x=False)
@@ -154,13 +154,13 @@ def _draw_circle(panel: Panel, curve: FittedCurve) -> None:
 
 
 def sensitivity_figures(component: IdentifiedComponent) -> list[Figure]:
-    """Sensitivity with its explanations, and the output over force of every load."""
+    """Return figures of the sensitivity with its explanations, and of the output over force."""
     explained = [] if component.sensitivity is None else [draw_explained(component, component.sensitivity)]
     return [*explained, *([draw_outputs_over_load(component)] if component.bands else [])]
 
 
 def draw_explained(component: IdentifiedComponent, item: SensitivityResult) -> Figure:
-    """Magnitude and phase of the sensitivity with U (k = 2), and what spring, chain and both would make of it."""
+    """Draw the sensitivity with U (k = 2), and the curves of spring and chain."""
     measured, best = item.measured, item.comparison.best
     covariance = measured.covariance
     if measured.errors:
@@ -201,7 +201,7 @@ def draw_explained(component: IdentifiedComponent, item: SensitivityResult) -> F
 
 
 def draw_outputs_over_load(component: IdentifiedComponent) -> Figure:
-    """Output over force of several load masses, and how far it stays within the error permitted."""
+    """Draw the output over force of several load masses with the permitted error."""
     model, permitted = component.model, component.bands[0].permitted
     highest = max(model.resonance_hz(Load(kg, "force")) for kg in component.loads)
     hertz, unit = np.linspace(0.0, highest, POINTS), mass_unit(component.fit.component)

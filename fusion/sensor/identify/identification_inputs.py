@@ -1,4 +1,4 @@
-"""What an identification is fitted to: transfer functions of several loads and where transducers sit."""
+"""Inputs of an identification: transfer functions of several loads, and positions of transducers."""
 
 from __future__ import annotations
 
@@ -88,16 +88,16 @@ class IdentifySettings:
 
 
 def transducer_placement(entry: ChannelEntry) -> Placement:
-    """Return where and along what a channel measures, of an angular velocity about what."""
+    """Return position and direction of a channel, of an angular velocity its axis."""
     turning = TRANSDUCERS[entry.quantity].rotational
     return Placement(np.zeros(3) if turning else measuring_point(entry), unit_direction(entry), turning)
 
 
 def placement_errors(base: ChannelEntry, tops: Sequence[ChannelEntry], mounting: str) -> tuple[PlacementError, ...]:
-    """Return what is uncertain of the places and directions of reference and responses.
+    """Return the errors of positions and directions of reference and responses.
 
-    An unknown keeps its value as long as nothing is mounted anew: until then it is one in all recordings and, under its
-    name, in the results of sines.
+    An unknown has the same value until the transducer is mounted again. It is one unknown in all recordings of a
+    mounting, and has the same name in the results of sines.
     """
     beams = LaserBeams.of([base, *tops])
     placed = [(base, REFERENCE_INDEX), *((entry, place) for place, entry in enumerate(tops))]
@@ -124,9 +124,9 @@ class EvaluatedSines:
 
 @dataclass(frozen=True)
 class IdentificationInputs:
-    """What is there to be read: recordings with transfer functions, evaluated sines, and what is said of the others.
+    """Recordings with transfer functions, evaluated sines, and notices of recordings that are not used.
 
-    `inputs`: every file that is used, by its path seen from `folder`.
+    `inputs`: every input file by its path relative to `folder`.
     """
 
     name: str
@@ -138,10 +138,10 @@ class IdentificationInputs:
 
 
 def read_campaign(path: Path, *, allow_outside: bool = False) -> IdentificationInputs:
-    """Read the manifests of a campaign folder, or of one recording, and check that they tell of one sensor.
+    """Read the manifests of a campaign folder, or of one recording.
 
-    Sines count where they have results of these very files. Raises `InputError` where no recording has transfer
-    functions.
+    All must be of one sensor. Sines are used if they have results of the same input files. Raises `InputError` without
+    any transfer function.
     """
     folder = (path.parent if path.is_file() else path).resolve()
     manifests = [load_manifest(recording, allow_outside=allow_outside) for recording in find_recordings(path)]
@@ -180,7 +180,7 @@ def check_sensor(manifests: Sequence[Manifest]) -> None:
 
 
 def _results(manifest: Manifest) -> Path | None:
-    """Return the folder with results of a recording, its own or the campaign's; results of other files are refused."""
+    """Return the folder with results of a recording, None without any; outdated results are refused."""
     places = (manifest.folder / RESULTS, manifest.folder.parent / RESULTS / manifest.folder.name)
     found = [(place, read_provenance(place)) for place in places]
     there = [(place, origin) for place, origin in found if origin is not None]
@@ -206,9 +206,9 @@ _ALONG = 1e-3  # share of the drive that the reference must see
 
 @dataclass(frozen=True)
 class PreparedTransfer:
-    """A curve to be fitted, the recording it comes from, and the `resonances` found in its responses one by one.
+    """A curve to be fitted, with its recording and the resonances of its single responses.
 
-    `grids`: where trigger edges fall between the samples of every block, none where no clocks had to be tied.
+    `grids`: positions of trigger edges between the samples of every block, empty if no clocks were tied.
     """
 
     manifest: Manifest
@@ -218,17 +218,17 @@ class PreparedTransfer:
 
     @property
     def component(self) -> int:
-        """Which of the six components is driven most."""
+        """Index of the component that is driven most."""
         return component_of(self.measured.drive)
 
     @property
     def load_kg(self) -> float:
-        """Mass, or moment of inertia, along the driven component of what is mounted on the sensor."""
+        """Mass, or moment of inertia, on the sensor along the driven component."""
         return float(self.measured.mass_matrix[self.component, self.component])
 
     @property
     def u_load_kg(self) -> float:
-        """Its standard uncertainty."""
+        """Standard uncertainty of `load_kg`."""
         changes = [error.change[self.component, self.component] for error in self.measured.inertia_errors]
         return float(np.sqrt(np.sum(np.square(changes))))
 
@@ -240,11 +240,11 @@ class PreparedTransfer:
 def prepare(
     manifest: Manifest, name: str, band_hz: tuple[float, float] | None
 ) -> tuple[PreparedTransfer, tuple[Notice, ...]]:
-    """Evaluate a recording and return its curves of load over base by the `name` that tells it from the others.
+    """Evaluate a recording, and return its curves of load over base under a unique `name`.
 
-    Of several references on the base the first is used; responses that are no translation of the load, or turn of one
-    that is turned, are left out.
-    What is said of one oscillator fitted to one response is left to the readings. Raises `InputError`.
+    Of several references on the base the first is used. Responses that measure no translation of the load (or no
+    rotation of a rotating rig) are left out. Notices of single oscillators are left to the readings. Raises
+    `InputError`.
     """
     entries = {entry.name: entry for daq in manifest.daq for entry in daq.channel if entry.quantity != "trigger"}
     drive, body = drive_of(manifest), rigid_load(manifest)
@@ -297,7 +297,7 @@ def prepare(
 
 
 def add_clock_errors(item: PreparedTransfer, start: str) -> PreparedTransfer:
-    """Return a curve whose clock ties are unknowns of all recordings of one `start` (`fusion.campaign.excited_line`)."""
+    """Return a curve whose clock errors are common to all recordings of one `start` (`fusion.campaign.drive`)."""
     own, measured = f" [{item.measured.name}]", item.measured
     errors = tuple(
         replace(error, name=f"{error.name.removesuffix(own)} [{start}]") if error.name.startswith(CLOCK) else error
@@ -307,7 +307,7 @@ def add_clock_errors(item: PreparedTransfer, start: str) -> PreparedTransfer:
 
 
 def _on_load(manifest: Manifest, tops: Sequence[ChannelEntry]) -> list[InstrumentPosition]:
-    """Return where channels sit on a load that bends; of a rigid one where they sit does not matter."""
+    """Return the positions of channels on an elastic load; empty for a rigid one."""
     if manifest.rig.load is None or not manifest.rig.load.elastic:
         return []
     for entry in tops:
@@ -319,10 +319,10 @@ def _on_load(manifest: Manifest, tops: Sequence[ChannelEntry]) -> list[Instrumen
 
 @dataclass(frozen=True)
 class FlexibleLoad:
-    """Load and parts of a recording, not all rigid and free, at K lines, without what moves inside the sensor.
+    """Elastic, jointed or cabled load and parts of a recording at K lines.
 
-    `inertia` (K, 6, 6): wrench that moves them, per acceleration of the foot of what bends, above the joint; `follow`
-    (K, 6): motion of what lies below the joint over that.
+    Without the internal mass of the sensor. `inertia` (K, 6, 6): wrench per acceleration of the foot of the elastic
+    part, above the joint. `follow` (K, 6): motion above the joint over that below.
     """
 
     body: Body
@@ -332,7 +332,7 @@ class FlexibleLoad:
 
     @classmethod
     def of(cls, manifest: Manifest, frequency_hz: FloatArray) -> FlexibleLoad | None:
-        """Return None of a load of which modes, joint, first natural frequency and cables are not stated."""
+        """Return None if modes, joint, first natural frequency and cables are not stated."""
         body = load_body(manifest.rig.model_copy(update={"sensor": None}), manifest.part)
         if body is None:
             return None
@@ -344,7 +344,7 @@ class FlexibleLoad:
 
     @property
     def stated(self) -> str:
-        """Words for what is stated."""
+        """Names of the stated properties."""
         body = self.body
         cables = np.any(body.cable_npm) or np.any(body.u_cable_npm)
         first = body.first_frequency_hz is not None
@@ -352,9 +352,9 @@ class FlexibleLoad:
         return ", ".join(word for word, there in known.items() if there)
 
     def bending(self, tops: Sequence[Placement], mounting: str, places: Sequence[InstrumentPosition] = ()) -> Bending:
-        """Return what responses read and what pulls, per motion of what lies below the joint.
+        """Return the readings of responses and the wrench per motion below the joint.
 
-        `places`: theirs on what bends, none where they tell the motion of its foot.
+        `places`: positions of the responses on the elastic part, empty if they measure the motion of its foot.
         """
         body, frequency, rows = self.body, self.frequency_hz, np.stack([top.row for top in tops])
         nothing = np.zeros((len(frequency), *rows.shape), np.complex128)
@@ -395,17 +395,17 @@ def component_of(drive: FloatArray) -> int:
 
 
 def load_along(manifest: Manifest, component: int) -> float:
-    """Return the mass, or moment of inertia, along a component of what is mounted on the sensor."""
+    """Return the mass, or moment of inertia, on the sensor along a component."""
     return float(rigid_load(manifest).mass_matrix[component, component])
 
 
 def mass_unit(component: int) -> str:
-    """Return the printed unit of what resists an acceleration component."""
+    """Return the printed unit of the mass, or moment of inertia, of a component."""
     return typeset(mechanical_units(LOAD_COMPONENTS[component]).inertia)
 
 
 def _base_entry(manifest: Manifest, entries: dict[str, ChannelEntry], drive: FloatArray) -> ChannelEntry:
-    """Return the first reference that measures the base; the others are refused where there is none."""
+    """Return the first reference that measures the base; raise `InputError` without one."""
     named = [entries[name] for name in manifest.excitation.reference if name in entries]
     for entry in named:
         if entry.body == "base" and _shows_motion(entry, drive):
@@ -419,13 +419,13 @@ def _base_entry(manifest: Manifest, entries: dict[str, ChannelEntry], drive: Flo
 
 
 def _shows_motion(entry: ChannelEntry, drive: FloatArray) -> bool:
-    """Whether a channel measures a translation, or the turning of a rig that is turned."""
+    """Return whether a channel measures a translation, or the rotation of a rotating rig."""
     seen = TRANSDUCERS.get(entry.quantity)
     return seen is not None and (not seen.rotational or bool(np.any(drive[3:] != 0.0)))
 
 
 def _wanted(drive: FloatArray) -> str:
-    """Words for the quantities that show the motion of a rig driven along `drive`."""
+    """Return the quantities that measure the motion of a rig driven along `drive`, in words."""
     shown = [t.quantity.replace("_", " ") for t in TRANSDUCERS.values() if not t.rotational or np.any(drive[3:] != 0.0)]
     return f"{', '.join(shown[:-1])} or {shown[-1]}"
 
@@ -437,10 +437,10 @@ def _load_over_base(
     recording: str,
     band_hz: tuple[float, float] | None,
 ) -> tuple[Phasors, tuple[CurveError, ...]]:
-    """Return the ratios of some responses in the band with the covariance of their noise, and their common errors.
+    """Return ratios of some responses in the band, and their common errors.
 
-    A delay has the sign it has in a run (a signal that is later than stated), and a clock's tie is the recording's own
-    (`with_clocks_of`).
+    The covariance of the ratios is that of their noise. A delay has the same sign as in a run: positive for a signal
+    later than stated. Clock errors are those of the recording (`add_clock_errors`).
     """
     ratio = replace(result.transfer.ratio, covariance=result.random_covariance).select(channels)
     frequency, chosen = ratio.frequency_hz, np.ones(len(ratio.frequency_hz), dtype=np.bool_)

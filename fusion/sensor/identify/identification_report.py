@@ -1,4 +1,4 @@
-"""What an identification leaves: parameters.csv, readings.csv, model.json, identify.h5, the page and printed lines."""
+"""Files, page and printed lines of an identification, and the command."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ NUMBERS: list[TableColumn[Found]] = [
 
 
 def numbers(component: IdentifiedComponent) -> Iterator[Found]:
-    """Yield every number found of a component."""
+    """Yield every number of a component."""
     fit, own = component.fit, component.name
     how = f"joint fit, {fit.model}"
     for estimate in fit.identification.estimates:
@@ -104,7 +104,7 @@ _LARGEST_CAUSES = 12
 
 
 def parameters_table(component: IdentifiedComponent) -> Table | None:
-    """Parameters, lags and modes of a component with U."""
+    """Return parameters, lags and modes of a component with U."""
     columns: list[TableColumn[Found]] = [
         page_column("parameter", lambda row: _label(row[1].label), "l"),
         page_column("value ± U", lambda row: _with_u(row[1])),
@@ -116,7 +116,7 @@ def parameters_table(component: IdentifiedComponent) -> Table | None:
 
 
 def correlation_table(component: IdentifiedComponent) -> Table:
-    """Correlation of the parameters of the joint fit."""
+    """Return the correlation of the parameters of the joint fit."""
     found = component.fit.identification
     labels = [_label(estimate.label) for estimate in found.estimates]
     cells = [[f"{value:+.3f}".replace("-", "\N{MINUS SIGN}") for value in row] for row in found.correlation.tolist()]
@@ -125,7 +125,7 @@ def correlation_table(component: IdentifiedComponent) -> Table:
 
 
 def budget_table(component: IdentifiedComponent) -> Table:
-    """What every cause adds to the uncertainty of the parameters, largest first, what is far below only bounded."""
+    """Return the contribution of every cause to the parameters, the largest first."""
     estimates = component.fit.identification.estimates
     size = np.abs([estimate.value for estimate in estimates])
     share = {cause: np.abs(change) / size for cause, change in component.fit.identification.budget.items()}
@@ -141,7 +141,7 @@ def budget_table(component: IdentifiedComponent) -> Table:
 
 
 def readings_tables(component: IdentifiedComponent) -> list[Table]:
-    """What every method reads from every curve, stiffness in units of a power of ten."""
+    """Return the readings of every curve by every method."""
     units = mechanical_units(LOAD_COMPONENTS[component.fit.component])
     below, shown = Markup('{}<br><span class="below">{}</span>'), []
     for (recording, response), group in groupby(component.readings, attrgetter("recording", "response")):
@@ -165,7 +165,7 @@ def readings_tables(component: IdentifiedComponent) -> list[Table]:
 
 
 def explanations_table(component: IdentifiedComponent) -> Table | None:
-    """The explanations of the sensitivity side by side."""
+    """Return the explanations of the sensitivity."""
     if component.sensitivity is None:
         return None
     comparison = component.sensitivity.comparison
@@ -187,7 +187,7 @@ def explanations_table(component: IdentifiedComponent) -> Table | None:
 
 
 def bands_table(component: IdentifiedComponent) -> Table | None:
-    """Usable band without correction for each load mass, None where there is none."""
+    """Return the usable band without correction for each load mass, None without any."""
 
     def edge(band: UsableBand) -> str:
         return quantity_html(band.upper_hz, K * band.u_upper_hz, "Hz") if np.isfinite(band.upper_hz) else "no limit"
@@ -204,7 +204,7 @@ def bands_table(component: IdentifiedComponent) -> Table | None:
 
 
 def recordings_table(component: IdentifiedComponent) -> Table | None:
-    """The recordings behind the joint fit."""
+    """Return the recordings of the joint fit."""
 
     def band(item: PreparedTransfer) -> str:
         frequency = item.measured.ratio.frequency_hz
@@ -223,7 +223,7 @@ def recordings_table(component: IdentifiedComponent) -> Table | None:
 
 
 def headlines(evaluation: IdentifyEvaluation) -> list[Headline]:
-    """Stiffness, damping and internal mass along each component, and delay or lag of the chain where S(f) has one."""
+    """Return stiffness, damping, internal mass, and delay or lag of each component."""
     shown = []
     for component in evaluation.components:
         main = (f"stiffness_{component.name}", f"damping_{component.name}", component.internal_mass.name)
@@ -241,7 +241,7 @@ def headlines(evaluation: IdentifyEvaluation) -> list[Headline]:
 
 
 def printed(evaluation: IdentifyEvaluation) -> Iterator[str]:
-    """Lines for the terminal: parameters with U at 95 %, then bands."""
+    """Yield the printed lines: parameters with U at 95 %, then bands."""
     for component in evaluation.components:
         fit = component.fit
         yield f"{component.name}: {fit.model} ({fit.reason}), {len(fit.prepared)} recordings"
@@ -249,14 +249,15 @@ def printed(evaluation: IdentifyEvaluation) -> Iterator[str]:
         if component.sensitivity is not None:
             estimates += [e for e in component.sensitivity.comparison.best.estimates if e.name != "spring_time_s"]
         for estimate in estimates:
-            yield f"  {estimate.label}: {round_to_uncertainty(estimate.value, K * estimate.u).text} {typeset(estimate.unit)}"
+            text = round_to_uncertainty(estimate.value, K * estimate.u).text
+            yield f"  {estimate.label}: {text} {typeset(estimate.unit)}"
         for load, band in zip(component.loads, component.bands, strict=True):
-            text = round_to_uncertainty(band.upper_hz, K * band.u_upper_hz, 0)
-            yield f"  usable up to ({band.permitted:.2%}, load {load:.6g}): {text.value} ± {text.expanded} Hz"
+            limit = round_to_uncertainty(band.upper_hz, K * band.u_upper_hz, 0)
+            yield f"  usable up to ({band.permitted:.2%}, load {load:.6g}): {limit.value} ± {limit.expanded} Hz"
 
 
 def _in_microseconds(estimate: ParameterEstimate) -> Markup:
-    """Value with U and unit, of a time in µs."""
+    """Return a value with U and unit; times in µs."""
     scale, unit = (1e6, "µs") if estimate.unit == "s" else (1.0, estimate.unit)
     return quantity_html(scale * estimate.value, scale * K * estimate.u, unit)
 
@@ -266,18 +267,18 @@ def _with_u(estimate: ParameterEstimate) -> str:
 
 
 def _relative(value: float, u: float) -> str:
-    """Relative U in per cent, a dash where there is none."""
+    """Return the relative U in %, a dash if not determined."""
     share = K * u / abs(value) if value and np.isfinite(value) else np.nan
     return small(100.0 * share) if np.isfinite(share) else DASH
 
 
 def _label(text: str) -> Markup:
-    """A label with its index typeset."""
+    """Return a label with its index typeset."""
     return Markup("{}m<sub>i</sub>{}").format(*text.split("m_i", 1)) if "m_i" in text else Markup("{}").format(text)
 
 
 def page_context(evaluation: IdentifyEvaluation) -> dict[str, Any]:
-    """Everything the template shows."""
+    """Return the content of the page."""
     sensor = evaluation.sensor
     subject = []
     if sensor is not None:
@@ -318,10 +319,14 @@ MODEL_FILE = "model.json"
 
 @dataclass(frozen=True)
 class ComponentModel:
-    """The model of one component: output `channel` for the load `component` (Fx … Mz), from data in `range_hz`.
+    """The model of one component: output `channel` for the load `component` (Fx … Mz).
 
-    `structure`: what the resonances were explained by. `sensitivity_measured`: whether S(f) was evaluated, without
-    which the chain is unknown and the static sensitivity that of the rig, or one.
+    Attributes
+    ----------
+    structure : the model that explains the resonances.
+    range_hz : frequency range of the data.
+    sensitivity_measured : whether S(f) was evaluated. Without it the chain is not known, and the static sensitivity is
+        that of the rig, or one.
     """
 
     component: str
@@ -364,8 +369,23 @@ def model_text(evaluation: IdentifyEvaluation) -> str:
 
 
 def read_sensor_models(path: str | Path) -> SensorFile:
-    """Read model.json, or the one in a folder of results; `InputError` names what cannot be read.
+    """Read the models of a sensor from model.json.
 
+    Parameters
+    ----------
+    path
+        The file, or a folder of results that contains it.
+
+    Returns
+    -------
+    SensorFile : the models by component, such as `["Fz"]`.
+
+    Raises
+    ------
+    InputError : the file is missing, or damaged at the named entry.
+
+    Examples
+    --------
     >>> from fusion import read_sensor_models
     >>> sensor = read_sensor_models("my-masses/identify")["Fz"].sensor  # doctest: +SKIP
     """
@@ -378,7 +398,7 @@ def read_sensor_models(path: str | Path) -> SensorFile:
 
 
 def _model_of(component: IdentifiedComponent) -> dict[str, Any]:
-    """One component as nested dictionaries; numbers are SI, the covariance in the order of its parameters."""
+    """Return one component as nested dictionaries in SI units."""
     model, seen, identified = component.model, component.sensitivity, component.fit.identification
     values = [model.sensitivity, model.stiffness, model.damping, model.internal_mass, *model.chain.parameters.tolist()]
     damper = next(e for e in identified.estimates if e.name.startswith(f"damping_{component.name}"))
@@ -431,7 +451,7 @@ def _read_component(item: dict[str, Any]) -> ComponentModel:
 
 
 def _fill(file: h5py.File, evaluation: IdentifyEvaluation) -> None:
-    """Fill the HDF5 file: of each component why which model, what was fitted, curves with model and residual, S(f)."""
+    """Fill the HDF5 file with model, fit, curves and sensitivity of each component."""
     file.attrs["campaign"] = evaluation.name
     file.attrs["phasors"] = "x(t) = Re{X exp(+j omega t)}; covariances of [all Re, all Im]; k = 1"
     write_value(file, "notices", evaluation.notices)
@@ -482,9 +502,10 @@ IDENTIFY = CommandReport(
 def run_identify(
     path: Path, output: Path | None, settings: IdentifySettings, *, force: bool = False, allow_outside: bool = False
 ) -> None:
-    """Identify the sensor of a campaign folder, write the results to `output` (default CAMPAIGN/identify), and print.
+    """Identify the sensor of a campaign, write the results and print the summary.
 
-    A place that cannot take the results is refused before anything is computed.
+    `output`: folder of the results, by default CAMPAIGN/identify. A folder that cannot be used is refused before the
+    computation.
     """
     campaign = read_campaign(path, allow_outside=allow_outside)
 

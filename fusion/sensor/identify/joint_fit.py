@@ -1,4 +1,4 @@
-"""The sensor's mechanics and chain from what was measured."""
+"""Joint fits of all curves, and models of the sensor with its measuring chain."""
 
 from __future__ import annotations
 
@@ -54,9 +54,9 @@ _PITCHES_WITH = {0: 4, 1: 3, 3: 1, 4: 0}
 
 @dataclass(frozen=True)
 class JointFit:
-    """The model fitted to all curves of one driven component, why this one, and what it found.
+    """The model fitted to all curves of one driven component, with its reason.
 
-    `mass_is_free`: the internal mass was fitted instead of stated.
+    `mass_is_free`: the internal mass was fitted, otherwise it is stated.
     """
 
     component: int
@@ -76,7 +76,7 @@ class JointFit:
 def joint_fits(prepared: Sequence[PreparedTransfer], settings: IdentifySettings) -> tuple[JointFit, ...]:
     """Return one fit per driven component, each over all recordings that drive it.
 
-    What moves with the load inside the sensor can differ between axes, so that components share no parameter.
+    The internal mass can differ between axes, so that components share no parameter.
     """
     groups: dict[int, list[PreparedTransfer]] = {}
     for item in prepared:
@@ -85,7 +85,10 @@ def joint_fits(prepared: Sequence[PreparedTransfer], settings: IdentifySettings)
 
 
 def _joint_fit(component: int, group: Sequence[PreparedTransfer], settings: IdentifySettings) -> JointFit:
-    """Fit one component by the model wanted: "auto" is translation, unless a second peak asks for pitching."""
+    """Fit one component by the selected model.
+
+    "auto" is translation, unless a second peak indicates pitching.
+    """
     free = _mass_is_free(component, group, settings)
     peaks = max((item.peaks_hz(name) for item in group for name in item.measured.ratio.channels), key=len)
 
@@ -104,9 +107,9 @@ def _joint_fit(component: int, group: Sequence[PreparedTransfer], settings: Iden
 
 
 def _chosen(peaks_hz: Sequence[float], fitted: Callable[[str], Identification]) -> tuple[str, str, Identification]:
-    """Return a model, why it was taken, and its fit.
+    """Return the selected model, the reason, and its fit.
 
-    Two peaks that pitching explains need no other fit; what it does not explain is compared with one translation.
+    If pitching explains two peaks, no other model is fitted. Otherwise it is compared with one translation.
     """
     pitching, reason = None, ""
     if len(peaks_hz) > 1:
@@ -128,7 +131,7 @@ def _chosen(peaks_hz: Sequence[float], fitted: Callable[[str], Identification]) 
 def _fitted(
     model: str, component: int, group: Sequence[PreparedTransfer], settings: IdentifySettings, *, free: bool
 ) -> Identification:
-    """Fit a model to all curves of a group; what is `free` inside the sensor is fitted, else as stated."""
+    """Fit a model to all curves of a group; `free` fits the internal mass."""
     structure: MechanicalStructure = ChainStructure(component) if model == "adapter" else SpringSuspension((component,))
     if model == "pitching":
         if component not in _PITCHES_WITH:
@@ -156,10 +159,10 @@ def _fitted(
 
 
 def _with_unseen(found: Identification, group: Sequence[PreparedTransfer]) -> Identification:
-    """Return a fit with what the rig states that no recording shows (`fusion.sensor.unmodelled_effects`).
+    """Return a fit whose uncertainty includes the stated influences (`fusion.sensor.unmodelled_effects`).
 
-    Springs move frequencies, k by twice as much, and the damping ratio b/(2√(km)) moves b. Several loads are in the fit
-    and show themselves what another one changes.
+    A relative change of frequencies changes k by twice as much, and the damping ratio b/(2√(km)) changes b. Several
+    loads in the fit show the influence of the load themselves.
     """
     rig = next((item.manifest.rig for item in group if item.manifest.rig.model is not None), None)
     if rig is None:
@@ -169,7 +172,7 @@ def _with_unseen(found: Identification, group: Sequence[PreparedTransfer]) -> Id
     known = stated_influences(rig, mountings, ("load",) if several else (), mounting_scatter=False)
 
     def moved(item: ParameterEstimate) -> FloatArray:
-        """Change (E,) by each unknown, of b/k that of its parts."""
+        """Return the change (E,) by each unknown; of b/k that of its parts."""
         kind = item.name.partition("_")[0]
         by = {"stiffness": (2.0, 0.0), "damping": (1.0, 1.0)}.get(kind, (0.0, 0.0))
         by = (-1.0, 1.0) if item in found.derived else by
@@ -200,7 +203,7 @@ def _with_unseen(found: Identification, group: Sequence[PreparedTransfer]) -> Id
 
 
 def _mass_is_free(component: int, group: Sequence[PreparedTransfer], settings: IdentifySettings) -> bool:
-    """Whether the internal mass is fitted; refused where the loads are alike."""
+    """Return whether the internal mass is fitted; refuse it for equal loads."""
     loads = [item.load_kg for item in group]
     differ = max(loads) > (1.0 + _DIFFERENT) * min(loads)
     if settings.internal_mass == "free" and not differ:
@@ -214,7 +217,7 @@ def _mass_is_free(component: int, group: Sequence[PreparedTransfer], settings: I
 
 
 def mass_name(component: int) -> str:
-    """Name of the parameter that moves with the load inside the sensor."""
+    """Return the name of the parameter of the internal mass."""
     return "internal_mass" if component < 3 else f"internal_inertia_{MOTION_COMPONENTS[component]}"
 
 
@@ -232,10 +235,10 @@ def sine_transfers(
     starts: Mapping[str, str],
     band_hz: tuple[float, float] | None,
 ) -> tuple[PreparedTransfer, ...]:
-    """Return load over base along the drive where both were measured, recordings of one load and mounting as one curve.
+    """Return load over base along the drive, of recordings of sines.
 
-    `names`: those that tell recordings apart, by the path of their manifest; `starts`: those of their starts by these,
-    where they are not the recording's own.
+    Recordings of one load and mounting are one curve. `names`: unique names of the recordings by the path of their
+    manifest. `starts`: names of their starts, if several recordings have a common start.
     """
     groups: dict[tuple[object, ...], list[PreparedTransfer]] = {}
     for item in items:
@@ -257,13 +260,16 @@ def sine_transfers(
 
 
 def _bent(manifest: Manifest, measured: MeasuredTransfer) -> MeasuredTransfer:
-    """Return a curve of the motion of a load's foot with what is not rigid of that load."""
+    """Return a curve with the elastic properties of its load."""
     bent = FlexibleLoad.of(manifest, measured.ratio.frequency_hz)
     return measured if bent is None else replace(measured, bending=bent.bending(measured.tops, manifest.mounting))
 
 
 def _joined(group: Sequence[PreparedTransfer]) -> MeasuredTransfer:
-    """Return the lines of several recordings as one curve, ascending in frequency; equal names are one unknown."""
+    """Return the lines of several recordings as one curve, ascending in frequency.
+
+    Equal names of errors are one unknown.
+    """
     records = [item.measured for item in group]
     ratios = [record.ratio for record in records]
     frequency = np.concatenate([ratio.frequency_hz for ratio in ratios])
@@ -287,7 +293,7 @@ def _joined(group: Sequence[PreparedTransfer]) -> MeasuredTransfer:
 
 
 def relative_errors(uncertainty: Uncertainty, value: ComplexArray) -> tuple[CurveError, ...]:
-    """Return the named unknowns of values (K, C) as complex relative deviations for one standard uncertainty."""
+    """Return named unknowns of values (K, C) as complex relative deviations for one standard uncertainty."""
     count = value.shape[1]
     return tuple(
         CurveError(influence.name, (influence.effect[:, :count] + 1j * influence.effect[:, count:]) / value)
@@ -299,7 +305,7 @@ def relative_errors(uncertainty: Uncertainty, value: ComplexArray) -> tuple[Curv
 def _transfer(
     item: EvaluatedSines, name: str, start: str, band_hz: tuple[float, float] | None
 ) -> MeasuredTransfer | None:
-    """Return load over base acceleration along the drive at the driven lines, None where one is not known."""
+    """Return load over base acceleration along the drive at the driven lines, None without both."""
     manifest = item.manifest
     drive = drive_of(manifest)
     component = component_of(drive)
@@ -365,7 +371,7 @@ class SensitivityResult:
 
 @dataclass(frozen=True)
 class ModelledSensitivity:
-    """The model of one component, the frequencies from data of which it comes, and its sensitivity where measured."""
+    """The model of one component, its frequency range, and its sensitivity if measured."""
 
     model: SensorModel
     range_hz: tuple[float, float]
@@ -376,7 +382,7 @@ class ModelledSensitivity:
 def model_sensitivity(
     fit: JointFit, measured: MeasuredSensitivity | None, sensor: Sensor | None
 ) -> ModelledSensitivity:
-    """Return the model of a component with the chain that its sensitivity supports, or with none."""
+    """Return the model of a component, with a measuring chain if its sensitivity supports one."""
     found, covariance = mechanics(fit)
     if measured is None or len(measured.frequency_hz) < _FEWEST_LINES:
         return _without_sensitivity(fit, found, covariance, sensor)
@@ -405,7 +411,7 @@ def model_sensitivity(
 def mechanics(fit: JointFit) -> tuple[FloatArray, FloatArray]:
     """Return [k, b, m_i] (3,) of a joint fit and their covariance (3, 3).
 
-    Of a damping for each recording it is the mean, as uncertain as the dampings scatter.
+    Of one damping per recording it is the mean, with the scatter of the dampings as uncertainty.
     """
     found, axis = fit.identification, fit.axis
     dampers = [i for i, name in enumerate(found.names) if name.partition(": ")[0] == f"damping_{axis}"]
@@ -427,7 +433,10 @@ def mechanics(fit: JointFit) -> tuple[FloatArray, FloatArray]:
 def _without_sensitivity(
     fit: JointFit, found: FloatArray, covariance: FloatArray, sensor: Sensor | None
 ) -> ModelledSensitivity:
-    """Return a model without a chain, its sensitivity the static one that is stated, else one output per force."""
+    """Return a model without a chain, with the stated static sensitivity.
+
+    Without a stated one, one output per force.
+    """
     component = LOAD_COMPONENTS[fit.component]
     static, u_static, unit, which = 1.0, 0.0, "1", "an output of one per force"
     if sensor is not None and sensor.static_sensitivity is not None:
