@@ -15,9 +15,20 @@ from numpy.typing import NDArray
 from fusion.base import CommandEvaluation
 from fusion.errors import ComputeError, InputError
 from fusion.recording.load import Manifest, check_one_rig
+from fusion.sensor.decouple.decoupling_notices import (
+    DIFFERENT_RECORDS,
+    LOADS_NOT_SEPARABLE,
+    MISSING_RELEASES,
+    NO_COMMON_MODEL,
+    NO_DECOUPLING_FILTER,
+    NO_RATED_LOADS,
+    RELEASED_LOADS_EXACT,
+    TARGET_ABOVE_LIMIT,
+    TARGET_NOT_REACHED,
+)
 from fusion.sensor.model_files import FORMAT, read_model_file
 from fusion.sensor.step.step_records import StepInput, read_step
-from fusion.sensor.unmodelled_effects import ModelInfluences, describe_coverage, stated_influences
+from fusion.sensor.unmodelled_effects import ModelInfluences, coverage_notice, stated_influences
 from shaker.arrays import FloatArray
 from shaker.decoupling.common_pole_fit import MultiFit, fit_steps
 from shaker.decoupling.filter import (
@@ -33,7 +44,7 @@ from shaker.decoupling.model import MultiModel, missing_loads
 from shaker.labels import LOAD_COMPONENTS
 from shakercal._common.notices import Notice
 
-# What an evaluated decoupling consists of, and what a user may choose about it.
+# Choices of a decoupling, and parts of its evaluation.
 
 
 @dataclass(frozen=True)
@@ -59,8 +70,8 @@ class DecoupleSettings:
 
     def as_dict(self) -> dict[str, str | float | int]:
         """Return the settings as plain values for the result files."""
-        wanted = "half that of the lowest mode" if self.frequency_hz is None else self.frequency_hz
-        return {"frequency_hz": wanted, "damping_ratio": self.damping_ratio, "seed": self.seed}
+        target = "half that of the lowest mode" if self.frequency_hz is None else self.frequency_hz
+        return {"frequency_hz": target, "damping_ratio": self.damping_ratio, "seed": self.seed}
 
 
 @dataclass(frozen=True)
@@ -103,17 +114,17 @@ class DecoupleEvaluation(CommandEvaluation):
         Without rated loads, NaN for pairs of different units.
         """
         kind = np.array([name[0] for name in self.fit.model.components])
-        apart = (self.capacity is None) & (kind[:, None] != kind)
-        return np.where(apart, np.nan, self.scale / self.scale[:, None])
+        different = (self.capacity is None) & (kind[:, None] != kind)
+        return np.where(different, np.nan, self.scale / self.scale[:, None])
 
 
 # From releases of several loads to a model of all outputs and a filter against cross-talk.
 
-DRAWS = 30
-LINES = 150
-FARTHEST = 1.5
+DRAWS = 30  # Monte Carlo draws of the peak cross-talk in a step
+LINES = 150  # frequencies of the cross-talk, in addition to the modes
+FREQUENCY_MARGIN = 1.5
 """Cross-talk is shown up to this multiple of the highest mode or of the target, whichever is higher."""
-DEVIATES = 0.05
+MAX_DEVIATION = 0.05
 
 
 def evaluate_decoupling(
@@ -153,16 +164,20 @@ def evaluate_decoupling(
         fit = fit_steps([item.record for item in inputs])
     except ValueError as error:
         raise _unexplained(error, manifests[0]) from error
-    known = stated_influences(manifests[0].rig, [manifest.mounting for manifest in manifests], mounting_scatter=False)
-    fit = replace(fit, model=known.on_outputs(fit.model))
+    influences = stated_influences(
+        manifests[0].rig, [manifest.mounting for manifest in manifests], mounting_scatter=False
+    )
+    fit = replace(fit, model=influences.on_outputs(fit.model))
     target = _target(fit, settings)
     try:
         decoupler = design_decoupling(fit.model, target, SignalLevels(fit.sample_rate_hz, fit.noise, fit.amplitude))
     except (ValueError, np.linalg.LinAlgError) as error:
-        raise ComputeError(f"no filter was found: {error}") from error
+        raise ComputeError(NO_DECOUPLING_FILTER, reason=str(error)) from error
     modes_hz = fit.model.frequency_hz
     highest = max(float(modes_hz.max()), float(target.frequency_hz.max()))
-    spaced = np.geomspace(float(modes_hz.min()) / 100.0, min(FARTHEST * highest, 0.45 * fit.sample_rate_hz), LINES)
+    spaced = np.geomspace(
+        float(modes_hz.min()) / 100.0, min(FREQUENCY_MARGIN * highest, 0.45 * fit.sample_rate_hz), LINES
+    )
     frequency_hz = np.unique(np.concatenate([spaced, modes_hz]))
     stages = crosstalks(fit.model, decoupler, fit.noise, frequency_hz, np.random.default_rng(settings.seed), DRAWS)
     sensor, names = manifests[0].rig.sensor, fit.model.components
@@ -177,13 +192,13 @@ def evaluate_decoupling(
     static = np.sqrt(static_inverse(fit.model, fit.noise) ** 2 @ fit.noise**2)
     noise = decoupler.noise(fit.noise)
     notices = [notice for item in inputs for notice in item.notices]
-    notices.append(Notice("note", describe_coverage(known.scope, known.outside), "models"))
+    notices.append(coverage_notice(influences.scope, influences.outside, "models"))
     notices += [*fit.notices, *_notices(fit, target, deviation, frequency_hz, capacity)]
     return DecoupleEvaluation(
         name=name,
         manifests=tuple(manifests),
         fit=fit,
-        influences=known,
+        influences=influences,
         decoupler=decoupler,
         stages=stages,
         capacity=capacity,
@@ -207,16 +222,21 @@ def _read(manifests: Sequence[Manifest]) -> list[StepInput]:
         for key in ("channels", "unit", "sample_rate_hz"):
             found, expected = getattr(item.record, key), getattr(record, key)
             if found != expected:
-                told = f"{expected} as in {first.folder.name}"
-                raise InputError(item.manifest.path, f"daq.channel ({key})", found=str(found), expected=told)
+                raise InputError(
+                    DIFFERENT_RECORDS,
+                    item.manifest.path,
+                    f"daq.channel ({key})",
+                    expected=str(expected),
+                    recording=first.folder.name,
+                    found=str(found),
+                )
     stated = None if first.rig.sensor is None else first.rig.sensor.static_sensitivity
     static = None if stated is None else np.asarray(stated, dtype=np.float64)
     released = list(dict.fromkeys(item.record.component for item in inputs))
     missing = missing_loads(record.channels, released, static)
     if missing:
-        expected = f"a release of every load that the sensor measures; missing: {', '.join(missing)}"
-        where = first.rig_path.parent
-        raise InputError(where, "excitation.component", found=", ".join(released), expected=expected)
+        folder, found = first.rig_path.parent, ", ".join(released)
+        raise InputError(MISSING_RELEASES, folder, "excitation.component", missing=", ".join(missing), found=found)
     return inputs
 
 
@@ -227,20 +247,18 @@ def _unexplained(error: ValueError, manifest: Manifest) -> InputError | ComputeE
     """
     key, _, rest = str(error).partition(": ")
     if key not in ("channels", "components"):
-        return ComputeError(f"no model of the releases was found: {error}")
+        return ComputeError(NO_COMMON_MODEL, reason=str(error))
     expected, _, found = rest.removeprefix("expected ").partition(", found ")
-    return InputError(manifest.rig_path.parent, key, found=found, expected=expected)
+    return InputError(LOADS_NOT_SEPARABLE, manifest.rig_path.parent, key, found=found, expected=expected)
 
 
 def _target(fit: MultiFit, settings: DecoupleSettings) -> DecouplingTarget:
     """Return the target dynamics, equal for all loads."""
     count = len(fit.model.components)
-    wanted = 0.5 * float(fit.model.frequency_hz.min()) if settings.frequency_hz is None else settings.frequency_hz
-    if wanted >= 0.25 * fit.sample_rate_hz:
-        raise ComputeError(
-            f"wanted frequency {wanted:g} Hz: expected below a quarter of the sampling rate, {fit.sample_rate_hz:g} Hz"
-        )
-    return DecouplingTarget(np.full(count, wanted), np.full(count, settings.damping_ratio))
+    target_hz = 0.5 * float(fit.model.frequency_hz.min()) if settings.frequency_hz is None else settings.frequency_hz
+    if target_hz >= 0.25 * fit.sample_rate_hz:
+        raise ComputeError(TARGET_ABOVE_LIMIT, rate_hz=fit.sample_rate_hz, frequency_hz=target_hz)
+    return DecouplingTarget(np.full(count, target_hz), np.full(count, settings.damping_ratio))
 
 
 def _notices(
@@ -253,24 +271,19 @@ def _notices(
     """Return the notices of target and comparison."""
     found = []
     within = frequency_hz <= target.frequency_hz.max()
-    if deviation[within].max() > DEVIATES:
-        place = frequency_hz[within][deviation[within] > DEVIATES][0]
-        text = (
-            f"from {place:.0f} Hz on loads and wanted dynamics differ by more than {100 * DEVIATES:g} %: the outputs "
-            "tell too little there over their noise; a lower frequency is within reach"
-        )
-        found.append(Notice("warning", text, "filter"))
+    if deviation[within].max() > MAX_DEVIATION:
+        first_hz = float(frequency_hz[within][deviation[within] > MAX_DEVIATION][0])
+        limit = 100 * MAX_DEVIATION
+        found.append(Notice(TARGET_NOT_REACHED, "filter", frequency_hz=first_hz, limit_percent=limit))
     if capacity is None:
-        text = "no rated loads (sensor.capacity): cross-talk between forces and moments is not compared"
-        found.append(Notice("note", text, "sensor.capacity"))
-    unknown = [c for c, u in zip(fit.model.components, fit.u_amplitude, strict=True) if u == 0.0]
-    if unknown:
-        text = f"released loads of {', '.join(unknown)} count as exact: U holds noise and fit"
-        found.append(Notice("note", text, "excitation.step_amplitude"))
+        found.append(Notice(NO_RATED_LOADS, "sensor.capacity"))
+    exact = [c for c, u in zip(fit.model.components, fit.u_amplitude, strict=True) if u == 0.0]
+    if exact:
+        found.append(Notice(RELEASED_LOADS_EXACT, "excitation.step_amplitude", components=", ".join(exact)))
     return found
 
 
-# decoupling.json: the filter with the model it comes from, at full precision.
+# decoupling.json: the filter with its model, at full precision.
 
 FILTER_FILE = "decoupling.json"
 KIND = "shakercal decoupling"
@@ -283,7 +296,7 @@ RECURSION = (
 def filter_text(decoupler: DecouplingFilter, model: MultiModel) -> str:
     """Return the text of decoupling.json, with the model and its standard uncertainties."""
     names = ("frequency_hz", "damping_ratio", "real_hz", "real_residue")
-    known = {**{name: getattr(model, name).tolist() for name in names}, "residue": _pairs(model.residue)}
+    parameters = {**{name: getattr(model, name).tolist() for name in names}, "residue": _pairs(model.residue)}
     u: dict[str, Any] = {}
     if model.covariance is not None:
         u = {f"u_{name}": getattr(model.u, name).tolist() for name in names[:3]}
@@ -305,7 +318,7 @@ def filter_text(decoupler: DecouplingFilter, model: MultiModel) -> str:
         "poles": _pairs(decoupler.poles),
         "driven": _pairs(decoupler.driven),
         "shown": _pairs(decoupler.shown),
-        "model": {**known, **u},
+        "model": {**parameters, **u},
     }
     return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
 

@@ -52,7 +52,7 @@ from shaker.labels import load_unit, typeset
 
 STAGE_COLOURS = {"raw": GREY, "static": ORANGE, "filtered": BLUE}
 COLUMNS = 2
-LEAST = 1e-6
+MIN_SHOWN = 1e-6  # %, lower limit of a logarithmic axis
 STAGE_NAMES = {"raw": "each output alone", "static": "static matrix", "filtered": "filter"}
 SHOWN_S = 5e-3
 
@@ -92,15 +92,15 @@ def model_rows(evaluation: DecoupleEvaluation) -> Iterator[ModelRow]:
     """Yield the rows of model.csv: poles, ranks, static gains and residues."""
     model, u = evaluation.fit.model, evaluation.fit.model.u
 
-    def row(name: str, place: int | str, outputs: tuple[str, str], value: Any, spread: Any, unit: str) -> ModelRow:
-        return ModelRow(name, place, *outputs, float(value), float(spread), K2 * float(spread), K2, unit)
+    def row(name: str, number: int | str, outputs: tuple[str, str], value: Any, spread: Any, unit: str) -> ModelRow:
+        return ModelRow(name, number, *outputs, float(value), float(spread), K2 * float(spread), K2, unit)
 
     for name, unit in (("frequency_hz", "Hz"), ("damping_ratio", "1"), ("real_hz", "Hz")):
         for i, (value, spread) in enumerate(zip(getattr(model, name), getattr(u, name), strict=True)):
             yield row(name, i + 1, ("", ""), value, spread, unit)
     for i, rank in enumerate(evaluation.fit.ranks):
-        kind, place = ("rank", i) if i < len(model.frequency_hz) else ("real_rank", i - len(model.frequency_hz))
-        yield ModelRow(kind, place + 1, "", "", rank.rank, "", "", "", "1")
+        kind, index = ("rank", i) if i < len(model.frequency_hz) else ("real_rank", i - len(model.frequency_hz))
+        yield ModelRow(kind, index + 1, "", "", rank.rank, "", "", "", "1")
     static, spread_static = model.static_gain, static_u(evaluation)
     residues = (
         ("residue_re", model.residue.real, u.residue.real),
@@ -138,8 +138,8 @@ def crosstalk_rows(evaluation: DecoupleEvaluation) -> Iterator[CrosstalkRow]:
             U = K2 * np.append(stage.u_peak[i, j], stage.u[:, i, j])
             rated = (float(evaluation.ratio[i, j]) * part for part in (size, U))
             numbers = zip(size.tolist(), phase, U.tolist(), *(part.tolist() for part in rated), strict=True)
-            for what, at_hz, (own, angle, own_U, *of_rated) in zip(quantity, frequency, numbers, strict=True):
-                yield CrosstalkRow(stage.stage, what, at_hz, reading, load, own, angle, own_U, K2, unit, *of_rated)
+            for name, at_hz, (value, angle, expanded, *of_rated) in zip(quantity, frequency, numbers, strict=True):
+                yield CrosstalkRow(stage.stage, name, at_hz, reading, load, value, angle, expanded, K2, unit, *of_rated)
 
 
 def largest(evaluation: DecoupleEvaluation) -> Iterator[tuple[str, float, float, str]]:
@@ -165,7 +165,7 @@ def headlines(evaluation: DecoupleEvaluation) -> list[Headline]:
     label = f"{target.target_hz[0]:.6g} Hz, ζ = {target.target_damping[0]:g}"
     late = 1e6 * target.delay / target.sample_rate_hz
     remark = f"{target.delay} sample{'' if target.delay == 1 else 's'} ({late:.3g} µs) late"
-    return [*told, Headline("Dynamics behind the filter", label, remark)]
+    return [*lines, Headline("Dynamics behind the filter", label, remark)]
 
 
 def modes_table(evaluation: DecoupleEvaluation) -> Table:
@@ -196,15 +196,18 @@ def modes_table(evaluation: DecoupleEvaluation) -> Table:
 
 def modes_budgets(evaluation: DecoupleEvaluation) -> list[Table]:
     """Return the budgets of frequencies and damping ratios of the modes, with influences not assessed."""
-    model, known = evaluation.fit.model, evaluation.influences
-    effects, whole = known.effects(lambda *part: model.altered(*part).vector), np.diag(np.asarray(model.covariance))
+    model, influences = evaluation.fit.model, evaluation.influences
+    effects, whole = (
+        influences.effects(lambda *part: model.altered(*part).vector),
+        np.diag(np.asarray(model.covariance)),
+    )
     tables, count = [], len(model.frequency_hz)
     for what, first in (("frequencies", 0), ("damping ratios", count)):
-        own = slice(first, first + count)
+        part = slice(first, first + count)
         names = [f"mode at {hertz:.5g} Hz" for hertz in model.frequency_hz]
-        numbers = dict(zip(names, model.vector[own].tolist(), strict=True))
-        parts = known.budget(whole[own], effects[:, own], "releases and loads")
-        tables.append(budget_table(f"Budget of the {what}", numbers, parts, known))
+        numbers = dict(zip(names, model.vector[part].tolist(), strict=True))
+        parts = influences.budget(whole[part], effects[:, part], "releases and loads")
+        tables.append(budget_table(f"Budget of the {what}", numbers, parts, influences))
     return tables
 
 
@@ -217,7 +220,7 @@ def peak_tables(evaluation: DecoupleEvaluation) -> list[Table]:
     unit = "rated load" if evaluation.capacity is not None else "the step"
     for stage in evaluation.stages:
         values, expanded = (stage.peak * ratio).tolist(), (K2 * stage.u_peak * ratio).tolist()
-        rows = tuple((name, *map(quantity_html, *own)) for name, *own in zip(names, values, expanded, strict=True))
+        rows = tuple((name, *map(quantity_html, *cells)) for name, *cells in zip(names, values, expanded, strict=True))
         caption = f"Largest reading in a step, {STAGE_NAMES[stage.stage]}: % of {unit}, with U (k = 2)"
         head = ("reading", *(f"step of {name}" for name in names))
         tables.append(Table(caption, head, "l" + "r" * len(names), rows))
@@ -234,8 +237,8 @@ def static_table(evaluation: DecoupleEvaluation) -> Table:
         for c, channel in enumerate(model.channels)
     )
     head = ("output", *model.components)
-    wanted = "for the rated load" if evaluation.capacity is not None else "per N and per N·m"
-    caption = Markup("Output at rest {}, in {}, with U (k = 2)").format(wanted, times_ten(exponent, model.unit))
+    reference = "for the rated load" if evaluation.capacity is not None else "per N and per N·m"
+    caption = Markup("Output at rest {}, in {}, with U (k = 2)").format(reference, times_ten(exponent, model.unit))
     return Table(caption, head, "l" + "r" * value.shape[1], rows)
 
 
@@ -246,7 +249,7 @@ NOISE: list[TableColumn[tuple[str, float, float]]] = [
     page_column("gain", lambda row: number(row[2])),
     page_column("unit", lambda row: typeset(load_unit(row[0])), "l"),
 ]
-"""Noise of the loads behind the filter beside that of the static matrix: rows of load, noise, gain."""
+"""Noise of the loads behind the filter and with the static matrix: rows of load, noise, gain."""
 RELEASES: list[TableColumn[ReleaseFit]] = [
     page_column("recording", lambda release: release.record, "l"),
     page_column("load", lambda release: release.component, "l"),
@@ -267,7 +270,7 @@ TRIALS: list[TableColumn[PoleCountTrial]] = [
     page_column("real poles", lambda trial: str(trial.reals)),
     page_column("residual² over noise²", lambda trial: f"{trial.misfit:.4f}"),
     page_column("criterion", lambda trial: signed_text(trial.criterion, ".0f")),
-    page_column("kept", lambda trial: "yes" if trial.accepted else "no", "l"),
+    page_column("selected", lambda trial: "yes" if trial.accepted else "no", "l"),
 ]
 
 
@@ -281,22 +284,22 @@ def draw_crosstalk(evaluation: DecoupleEvaluation) -> Figure:
     loads = [j for j in others if others[j]]
     rows, frequency = -(-len(loads) // COLUMNS), evaluation.frequency_hz
     drawn = empty_figure("decouple-crosstalk", 1.9 * rows + 0.8, rows, COLUMNS, shared_y=True)
-    for place, (panel, j) in enumerate(zip(drawn.panels, loads, strict=False)):
+    for index, (panel, j) in enumerate(zip(drawn.panels, loads, strict=False)):
         for stage in evaluation.stages:
             size = np.abs(stage.value[:, others[j], j]) * ratio[others[j], j]
             worst, u = np.argmax(size, axis=1)[:, None], stage.u[:, others[j], j] * ratio[others[j], j]
             value = np.take_along_axis(size, worst, axis=1)[:, 0]
             expanded = K2 * np.take_along_axis(u, worst, axis=1)[:, 0]
             label, colour = STAGE_NAMES[stage.stage], STAGE_COLOURS[stage.stage]
-            panel.line(frequency, np.maximum(value, LEAST), label, colour=colour)
-            low, high = np.maximum(value - expanded, LEAST), np.maximum(value + expanded, LEAST)
+            panel.line(frequency, np.maximum(value, MIN_SHOWN), label, colour=colour)
+            low, high = np.maximum(value - expanded, MIN_SHOWN), np.maximum(value + expanded, MIN_SHOWN)
             panel.band(frequency, low, high, label, colour=colour)
         panel.rule(evaluation.fit.model.frequency_hz, "modes", along="x", colour=GREY, width=0.6)
-        panel.rule(evaluation.decoupler.target_hz[0], "wanted", along="x", colour=GREY, dashed=True)
+        panel.rule(evaluation.decoupler.target_hz[0], "target", along="x", colour=GREY, dashed=True)
         panel.x.log = panel.y.log = True
         panel.x.limits, panel.y.limits = (float(frequency[0]), float(frequency[-1])), (1e-3, 1e3)
         panel.x.label, panel.title = "frequency / Hz", f"{names[j]} oscillates"
-        if place % COLUMNS == 0:
+        if index % COLUMNS == 0:
             panel.y.label = "cross-talk / %"
     for panel in drawn.panels[len(loads) :]:
         panel.blank = True
@@ -306,7 +309,7 @@ def draw_crosstalk(evaluation: DecoupleEvaluation) -> Figure:
     )
     caption = (
         f"Largest reading of any other {rated if evaluation.capacity is not None else bare}. Shaded: U (k = 2) by "
-        "the uncertainty of the model. Uprights: modes; dashed: frequency of the wanted dynamics."
+        "the uncertainty of the model. Vertical lines: modes; dashed: target frequency."
     )
     return drawn.with_title("Cross-talk over frequency", caption, main=True)
 
@@ -340,16 +343,16 @@ def draw_step(evaluation: DecoupleEvaluation) -> Figure:
     return drawn.with_title(f"Other loads while {name} makes a step", caption)
 
 
-# What stands on the page, in the files and on the terminal.
+# Page, files and printed lines.
 
 
 def printed(evaluation: DecoupleEvaluation) -> Iterator[str]:
     """Yield the printed lines."""
     model, u = evaluation.fit.model, evaluation.fit.model.u
-    told = []
+    modes = []
     for i in np.argsort(model.frequency_hz):
-        told.append(f"({quantity_text(float(model.frequency_hz[i]), K2 * float(u.frequency_hz[i]))})")
-    yield f"{len(told)} modes common to {len(model.channels)} outputs: {', '.join(told)} Hz (k = 2)"
+        modes.append(f"({quantity_text(float(model.frequency_hz[i]), K2 * float(u.frequency_hz[i]))})")
+    yield f"{len(modes)} modes common to {len(model.channels)} outputs: {', '.join(modes)} Hz (k = 2)"
     for what, value, U, which in largest(evaluation):
         yield f"{what}: {quantity_text(value, U, '%')}, {which}"
     target, gain = evaluation.decoupler, evaluation.noise_gain
@@ -400,9 +403,9 @@ def _fill(file: h5py.File, evaluation: DecoupleEvaluation) -> None:
     model = file.create_group("model", track_order=True)
     for name in (*MODEL_FIELDS, "covariance"):
         write_value(model, name, getattr(fit.model, name))
-    own = file.create_group("fit", track_order=True)
+    fit_group = file.create_group("fit", track_order=True)
     for name in ("noise", "sample_rate_hz", "amplitude", "u_amplitude", "variance_accounted", "losses"):
-        write_value(own, name, getattr(fit, name))
+        write_value(fit_group, name, getattr(fit, name))
     releases = file.create_group("releases", track_order=True)
     for release in fit.releases:
         write_fields(releases.create_group(releases.free_name(release.record), track_order=True), release)
@@ -444,5 +447,5 @@ def run_decouple(
         with one_blas_thread():
             return evaluate_decoupling(manifests[0].rig.name, manifests, settings, hashes)
 
-    own = (path if path.is_dir() else path.parent) / DECOUPLE.name
-    DECOUPLE.run_recordings([path], manifests, own if output is None else output, evaluate, force=force)
+    folder = (path if path.is_dir() else path.parent) / DECOUPLE.name
+    DECOUPLE.run_recordings([path], manifests, folder if output is None else output, evaluate, force=force)

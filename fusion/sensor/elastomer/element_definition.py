@@ -37,9 +37,9 @@ from shaker.elastomer.geometry import CrossBeams
 from shaker.elastomer.geometry import ElasticMaterial as MaterialData
 from shaker.elastomer.solid import SolidBlock
 
-MOST_SIZES = 1000
-FINEST = 6
-"""Largest refinement of the solid's mesh: beyond it memory is short and nothing is gained."""
+MAX_SIZES = 1000  # far above any study, far below a limit of time
+MAX_REFINEMENT = 6
+"""Largest refinement of the solid's mesh: beyond it the memory is exhausted without a gain in accuracy."""
 
 
 def _inertia(value: object) -> tuple[float, ...]:
@@ -52,10 +52,10 @@ def _inertia(value: object) -> tuple[float, ...]:
 
 def _refinements(value: object) -> tuple[int, ...]:
     """Check the meshes of the solid: whole numbers that grow."""
-    expected = f"two or more whole numbers from 1 to {FINEST} that grow"
+    expected = f"two or more whole numbers from 1 to {MAX_REFINEMENT} that grow"
     if not isinstance(value, list | tuple):
         raise refusal(expected, describe(value))
-    whole = [v for v in value if isinstance(v, int) and not isinstance(v, bool) and 1 <= v <= FINEST]
+    whole = [v for v in value if isinstance(v, int) and not isinstance(v, bool) and 1 <= v <= MAX_REFINEMENT]
     if len(whole) != len(value) or len(whole) < 2 or sorted(set(whole)) != whole:
         raise refusal(expected, f"{list(value)}")
     return tuple(whole)
@@ -65,8 +65,8 @@ def _sizes(value: object) -> tuple[float, ...]:
     """Check a list of numbers above zero."""
     if not isinstance(value, list | tuple) or not value:
         raise refusal("a list of numbers above 0", describe(value))
-    if len(value) > MOST_SIZES:
-        raise refusal(f"at most {MOST_SIZES} numbers", f"{len(value)}")
+    if len(value) > MAX_SIZES:
+        raise refusal(f"at most {MAX_SIZES} numbers", f"{len(value)}")
     sizes = vector(len(value))(value)
     if min(sizes) <= 0.0:
         raise refusal("a list of numbers above 0", f"{min(sizes):g} in it")
@@ -119,10 +119,10 @@ class ElementPlatform(ManifestBlock):
     inertia: Inertia3 | None = None
 
     @model_validator(mode="after")
-    def _told(self) -> ElementPlatform:
+    def _has_mass_or_block(self) -> ElementPlatform:
         if (self.mass is None) != (self.inertia is None):
             key = "inertia" if self.inertia is None else "mass"
-            raise refusal("mass and inertia together", "one of them only", key)
+            raise refusal("mass and inertia together", "only one of them", key)
         if self.mass is None and self.thickness is None:
             raise refusal("the thickness of the block, or mass and inertia", "neither", "thickness")
         if self.mass is None and "centre_of_mass" in self.model_fields_set:
@@ -222,15 +222,15 @@ class ElementFile(ManifestBlock):
         for key, size in sizes:
             if size >= 0.5 * self.beams.span:
                 raise refusal(f"a half-size below half the span, {0.5 * self.beams.span:g} m", f"{size:g} m", key)
-        side, room = 2.0 * self.platform.half_size, 0.5 * self.beams.span - self.platform.half_size
+        side, gap = 2.0 * self.platform.half_size, 0.5 * self.beams.span - self.platform.half_size
         compliant = self.compliant_beams
-        for key, size, limit, what in (
+        for key, size, limit, limited_by in (
             ("beams.width", self.beams.width, side, "the side of the platform"),
-            ("compliant_beams.thickness", compliant.thickness, room, "the room beside the platform"),
+            ("compliant_beams.thickness", compliant.thickness, gap, "the gap next to the platform"),
             ("compliant_beams.thickness", compliant.thickness, compliant.length, "the length of the compliant beam"),
         ):
             if size > limit:
-                raise refusal(f"at most {what}, {limit:g} m", f"{size:g} m", key)
+                raise refusal(f"at most {limited_by}, {limit:g} m", f"{size:g} m", key)
         for key, blocks in (("part", self.part), ("stated", self.stated)):
             twice = repeated_name([item.name for item in blocks])
             if twice is not None:
@@ -265,12 +265,12 @@ class ElementDefinition:
     @cached_property
     def bare(self) -> RigidPart:
         """The platform without attached parts."""
-        told = self.file.platform
-        if told.mass is not None and told.inertia is not None:
-            return RigidPart(told.mass, told.centre_of_mass, np.array(told.inertia))
-        if told.thickness is None:
+        stated = self.file.platform
+        if stated.mass is not None and stated.inertia is not None:
+            return RigidPart(stated.mass, stated.centre_of_mass, np.array(stated.inertia))
+        if stated.thickness is None:
             raise ValueError("thickness: expected that of the block, found none")
-        return block(self.file.material.density, told.half_size, told.thickness, told.height)
+        return block(self.file.material.density, stated.half_size, stated.thickness, stated.height)
 
     @cached_property
     def platform(self) -> RigidPart:
@@ -280,16 +280,16 @@ class ElementDefinition:
     @property
     def solid_block(self) -> SolidBlock | None:
         """The platform of the solid model, None without a stated thickness."""
-        told = self.file.platform
-        if told.thickness is None:
+        stated = self.file.platform
+        if stated.thickness is None:
             return None
-        own = told.mass is None
-        rigid = self._parts if own else (self.bare, *self._parts)
+        has_block_mass = stated.mass is None
+        rigid = self._parts if has_block_mass else (self.bare, *self._parts)
         return SolidBlock(
-            half_size_m=told.half_size,
-            thickness_m=told.thickness,
-            height_m=told.height,
-            density_kgm3=self.file.material.density if own else 0.0,
+            half_size_m=stated.half_size,
+            thickness_m=stated.thickness,
+            height_m=stated.height,
+            density_kgm3=self.file.material.density if has_block_mass else 0.0,
             attached=join_bodies(rigid) if rigid else None,
         )
 
