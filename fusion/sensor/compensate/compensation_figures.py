@@ -22,15 +22,15 @@ from shaker.labels import typeset
 POINTS = 900
 STEP_POINTS, STEP_PERIODS = 3000, 20.0
 DRAWN = 20_000
-"""Samples of a recording that are drawn at the most."""
+"""Largest number of drawn samples of a recording."""
 
 
 def frequencies(made: LoadFilter) -> FloatArray:
     """Return the frequencies (K,) of a filter's curves, up to half the sampling rate."""
-    known = [*made.compensation.sensor.frequency_hz, *made.compensation.sensor.real_hz]
-    low, high = min(known) / 50.0, 0.5 * made.sections.sample_rate_hz
+    frequencies_hz = [*made.compensation.sensor.frequency_hz, *made.compensation.sensor.real_hz]
+    low, high = min(frequencies_hz) / 50.0, 0.5 * made.sections.sample_rate_hz
     even = np.geomspace(low, min(high, 40.0 * made.compensation.target.frequency_hz), POINTS)
-    return np.unique(np.concatenate([even, *(f * (1.0 + np.linspace(-0.05, 0.05, 101)) for f in known)]))
+    return np.unique(np.concatenate([even, *(f * (1.0 + np.linspace(-0.05, 0.05, 101)) for f in frequencies_hz)]))
 
 
 def expanded_gain(made: LoadFilter, hertz: FloatArray) -> FloatArray:
@@ -68,8 +68,8 @@ def draw_bode(name: str, made: LoadFilter, permitted_error: float) -> Figure:
         panel.x.log, panel.x.link = True, "frequency"
     lower.x.label, upper.title = "frequency / Hz", title
     caption = (
-        f"Grey: ±{PERCENT * permitted_error:g} % of the static gain; dashed uprights: where sensor and compensated "
-        "sensor leave ±10 %. Red: the filter for samples behind the sensor."
+        f"Grey: ±{PERCENT * permitted_error:g} % of the static gain; dashed vertical lines: ±10 % limits of sensor and "
+        "compensated sensor. Red: the filter for samples behind the sensor."
     )
     return drawn.with_title(f"{title}: gain and phase before and after", caption, main=True)
 
@@ -94,15 +94,15 @@ def draw_noise(evaluation: CompensateEvaluation) -> Figure:
     """Draw the gain of every filter for noise over frequency."""
     drawn = empty_figure("noise", 2.8)
     (panel,) = drawn.panels
-    for place, made in enumerate(evaluation.filters):
+    for index, made in enumerate(evaluation.filters):
         hertz = frequencies(made)
         gain = np.abs(made.sections.response(hertz) / made.sections.gain)
         text = f"{made.name} (white noise × {made.noise_factor:.3g})"
-        panel.line(hertz, gain, text, colour=COLOURS[place % len(COLOURS)])
+        panel.line(hertz, gain, text, colour=COLOURS[index % len(COLOURS)])
     panel.x.log = panel.y.log = True
     panel.x.label, panel.y.label, panel.x.link = "frequency / Hz", "gain of the filter", "frequency"
     caption = "Gain of the filters over their static gain: the density of the noise is raised by this factor."
-    return drawn.with_title("What the filters do to noise", caption)
+    return drawn.with_title("Noise of the filters", caption)
 
 
 def draw_mismatch(name: str, result: SubjectResult) -> Figure | None:
@@ -122,13 +122,13 @@ def draw_mismatch(name: str, result: SubjectResult) -> Figure | None:
         return None
     drawn = empty_figure(name, 2.8)
     (panel,) = drawn.panels
-    for place, (text, off, ringing) in enumerate(curves):
-        colour = COLOURS[place % len(COLOURS)]
+    for index, (text, off, ringing) in enumerate(curves):
+        colour = COLOURS[index % len(COLOURS)]
         panel.line(off, PERCENT * ringing, text, colour=colour)
         panel.points(off, PERCENT * ringing, text, colour=colour, size=3.5)
     highest = max(float(np.nanmax(PERCENT * ringing)) for _, _, ringing in curves)
     panel.x.label, panel.y.label, panel.y.limits = axis, "ringing / % of the step", (0.0, 1.1 * highest or 1.0)
-    panel.title = "another sensor than the filter is for"
+    panel.title = "sensor that differs from the design"
     after = f"Largest deviation from the final value from {MILLI * first.after_s:.3g} ms after a step on."
     return drawn.with_title("Residual ringing", after)
 
@@ -147,7 +147,7 @@ def draw_force_feedback(evaluation: CompensateEvaluation) -> Figure | None:
         panel.x.label, panel.y.limits = "time / s", (-0.3 * top, top)
         panel.title = f"{case.name}, K = {check.gain:.3g}"
     drawn.panels[0].y.label = "force / N"
-    return drawn.with_title("Applied and fed-back force", "Curves end where the loop has run away.")
+    return drawn.with_title("Applied and fed-back force", "Curves end where the loop diverges.")
 
 
 def draw_channel(recording: CompensatedRecording, channel: CompensatedChannel) -> Figure:

@@ -105,3 +105,18 @@ NOISE_AMPLIFIED = DeclaredNotice(
     remedy="Use a lower target frequency, or `--low-pass`.",
     link="compensation.md",
 )
+FILTER_FOR_ONE_LOAD = DeclaredNotice(
+    "SC-734",
+    "note",
+    "The filter is made for a load of {load}.",
+    remedy="Name other loads with `--load-mass`.",
+    link="compensation.md",
+)
+FILTER_REFUSED = DeclaredNotice(
+    "SC-735",
+    "error",
+    "{reason}",
+    effect="The filter of this channel cannot be made.",
+    remedy="Correct the option, or use another model.",
+    link="compensation.md",
+)

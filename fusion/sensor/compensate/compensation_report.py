@@ -56,6 +56,7 @@ from fusion.sensor.compensate.compensation_figures import (
     draw_step,
     frequencies,
 )
+from fusion.sensor.compensate.compensation_notices import WRONG_COMPENSATION_OPTION
 from fusion.sensor.compensate.compensation_subjects import (
     COMMAND,
     CompensationSettings,
@@ -72,7 +73,7 @@ from shaker.lti.indices import LABELS, unit_of
 
 JSON_FILE, HEADER_FILE = "compensation.json", "compensation.h"
 HEADER = files("fusion.report").joinpath("templates", HEADER_FILE)
-"""Start, step and switch in C, between the places for the program, the size and the tables."""
+"""Template of the C header with functions to start, step and switch."""
 CONVENTIONS = (
     "y = gain * product of sections; a section is (b0 + b1/z + b2/z^2)/(1 + a1/z + a2/z^2), sos rows b0 b1 b2 1 a1 a2, "
     "each of static gain 1; continuous: gain * product (s - zero)/(s - pole), rad/s; numbers are exact doubles"
@@ -96,10 +97,10 @@ ERRORS = (0.01, 0.02, 0.05, 0.1, 0.2)
 LOOP = (
     f"A hand ({HAND_STIFFNESS:g} N/m, {HAND_DAMPING:g} N·s/m) pushes a handle of {HANDLE_MASS:g} kg by "
     f"{MILLI * PUSH_M:g} mm in {PUSH_S:g} s against a virtual ball of {{:g}} N/m. The device "
-    "pushes back with the force of the ball and K times its difference to what the sensor tells, one sample late. "
+    "pushes back with the force of the ball and K times its difference to the indicated force, one sample late. "
     "Tracking error: rms of applied less fed-back force over rms of the latter while the ball is touched."
 )
-"""The loop of the force-feedback check, by the stiffness of the ball."""
+"""Description of the force-feedback check, with the stiffness of the ball."""
 
 
 # Filters as JSON and C.
@@ -195,11 +196,11 @@ def _entry(made: LoadFilter) -> dict[str, Any]:
 
 def header_text(evaluation: CompensateEvaluation) -> str:
     """Return the C header with the tables of all filters and the functions."""
-    most = max(len(result.filters[0].sections.sos) for result in evaluation.subjects)
+    longest = max(len(result.filters[0].sections.sos) for result in evaluation.subjects)
     tables = "\n".join(line for result in evaluation.subjects for line in _table(result))
     program = f"shakercal {evaluation.versions.get('shakercal', '')}".strip()
-    frame = HEADER.read_text(encoding="utf-8")
-    return frame.replace("@PROGRAM@", program).replace("@MOST@", str(most)).replace("@TABLES@", tables)
+    template = HEADER.read_text(encoding="utf-8")
+    return template.replace("@PROGRAM@", program).replace("@MOST@", str(longest)).replace("@TABLES@", tables)
 
 
 def _table(result: SubjectResult) -> Iterator[str]:
@@ -207,11 +208,11 @@ def _table(result: SubjectResult) -> Iterator[str]:
     first, subject, loads = result.filters[0], result.subject, result.filters
     name = "compensate_" + re.sub(r"\W", "_", subject.name.replace(" for ", "_"), flags=re.ASCII)
     count, rate, target = len(first.sections.sos), first.sections.sample_rate_hz, first.compensation.target
-    told = (
+    comment = (
         f"{subject.name}: {subject.unit} to {first.output_unit}, {rate:.12g} Hz, to "
         f"{target.frequency_hz:.6g} Hz, damping ratio {target.damping_ratio:.4g}"
     )
-    yield f"/* {told.replace('*/', '* /')} */"  # without what would end a comment
+    yield f"/* {comment.replace('*/', '* /')} */"  # without the end of a comment
     rows = [row for made in loads for row in made.sections.sos.tolist()]
     yield from _array(f"{name}_sos", [value for row in rows for value in (*row[:3], *row[4:])], 5)
     yield from _array(f"{name}_gain", [made.sections.gain for made in loads], 1)
@@ -226,8 +227,8 @@ def _array(name: str, values: Sequence[float], per_line: int) -> Iterator[str]:
     yield f"static const double {name}[{len(values)}] = {{"
     for start in range(0, len(values), per_line):
         part = values[start : start + per_line]
-        told = ", ".join(f"{value:.6g}" for value in part)
-        yield f"    {', '.join(value.hex() for value in part)}, /* {told} */"
+        comment = ", ".join(f"{value:.6g}" for value in part)
+        yield f"    {', '.join(value.hex() for value in part)}, /* {comment} */"
     yield "};"
 
 
@@ -297,12 +298,12 @@ def headlines(evaluation: CompensateEvaluation) -> list[Headline]:
         "overshoot": "Overshoot",
         "settling_2_s": "2 % settling",
     }
-    told = [
+    lines = [
         Headline(text, cell(made.after, name), f"before: {cell(made.before, name)}; {made.name}")
         for name, text in labels.items()
     ]
     remark = f"white noise at {made.sections.sample_rate_hz:g} Hz; {made.name}"
-    return [*told, Headline("Noise", f"× {made.noise_factor:.3g}", remark)]
+    return [*lines, Headline("Noise", f"× {made.noise_factor:.3g}", remark)]
 
 
 def cell(figures: IndexEstimates, name: str, *, plain: bool = False) -> str:
@@ -324,15 +325,17 @@ def index_table(made: LoadFilter) -> Table | None:
         page_column("sensor", lambda name: cell(made.before, name)),
         page_column("compensated", lambda name: cell(made.after, name)),
     ]
-    told = "" if made.compensation.sensor.covariance is None else f", with U (95 %) {made.subject.scope}".rstrip()
-    return table(f"{made.name}: before and after{told}", columns, SHOWN)
+    coverage = "" if made.compensation.sensor.covariance is None else f", with U (95 %) {made.subject.scope}".rstrip()
+    return table(f"{made.name}: before and after{coverage}", columns, SHOWN)
 
 
 def _poles(made: LoadFilter) -> Markup:
     """Return the frequencies in Hz that a filter cancels."""
     sensor = made.compensation.sensor
-    told = zip(sensor.frequency_hz, sensor.u, made.sensor_dof, strict=False)
-    modes = [quantity_html(hertz, 0.0 if np.isnan(u) else coverage_factor(float(dof)) * u) for hertz, u, dof in told]
+    modes_with_u = zip(sensor.frequency_hz, sensor.u, made.sensor_dof, strict=False)
+    modes = [
+        quantity_html(hertz, 0.0 if np.isnan(u) else coverage_factor(float(dof)) * u) for hertz, u, dof in modes_with_u
+    ]
     return Markup("; ").join([*modes, *(f"real {hertz:.5g}" for hertz in sensor.real_hz)])
 
 
@@ -347,7 +350,7 @@ FILTERS: list[TableColumn[LoadFilter]] = [
     page_column("noise after", lambda made: DASH if made.noise is None else f"{number(made.noise)} {made.output_unit}"),
     page_column("sampling / %", lambda made: f"{PERCENT * made.discretisation_error:.2g}"),
 ]
-"""What every filter cancels, what it puts there, what it costs."""
+"""Cancelled dynamics, target, and cost of every filter."""
 
 
 def mismatch_tables(evaluation: CompensateEvaluation) -> list[Table]:
@@ -357,15 +360,15 @@ def mismatch_tables(evaluation: CompensateEvaluation) -> list[Table]:
         first, subject = result.filters[0], result.subject
         loads = len(first.off_load) > 1
         if loads:
-            head, what = [subject.load_text(float(load)) for load in first.off_load], "with other loads"
+            head, condition = [subject.load_text(float(load)) for load in first.off_load], "with other loads"
         else:
             head = [f"{signed_text(PERCENT * off, '+g')} %" if off else "0 %" for off in first.off_frequency]
-            what = "with a sensor whose frequency is off"
+            condition = "with a sensor whose frequency is off"
         rows = [
             (made.name, *(f"{PERCENT * r:.3g}" for r in (made.load_ringing if loads else made.off_ringing)))
             for made in result.filters
         ]
-        caption = f"{subject.name}: residual ringing {what}, % of the step after {MILLI * first.after_s:.3g} ms"
+        caption = f"{subject.name}: residual ringing {condition}, % of the step after {MILLI * first.after_s:.3g} ms"
         if head:
             tables.append(Table(caption, ("filter for", *head), "l" + "r" * len(head), tuple(rows)))
     return tables
@@ -379,12 +382,12 @@ def haptics_table(evaluation: CompensateEvaluation) -> Table | None:
 
     def at_shared(case: HapticCase) -> str:
         error = case.run.tracking_error
-        return f"{PERCENT * error:.3g} %" if np.isfinite(error) and case.run.stable else "runs away"
+        return f"{PERCENT * error:.3g} %" if np.isfinite(error) and case.run.stable else "diverges"
 
     columns: list[TableColumn[HapticCase]] = [
         page_column("signal", lambda case: case.name, "l"),
         page_column("largest stable K", lambda case: f"{case.largest_gain:.4g}"),
-        page_column("tracking error at half of it", lambda case: f"{PERCENT * case.own_error:.3g} %"),
+        page_column("tracking error at half of it", lambda case: f"{PERCENT * case.half_gain_error:.3g} %"),
         page_column(f"at K = {check.gain:.3g}", at_shared),
     ]
     caption = f"{check.channel}: force feedback with a load of {GRAM * check.load_mass:.4g} g"
@@ -393,12 +396,12 @@ def haptics_table(evaluation: CompensateEvaluation) -> Table | None:
 
 def damping_table(evaluation: CompensateEvaluation) -> Table | None:
     """Return the damping ratio with the widest band for each permitted error, and that band."""
-    own = evaluation.filters[0].compensation.target.damping_ratio
+    damping_ratio = evaluation.filters[0].compensation.target.damping_ratio
     columns: list[TableColumn[float]] = [
         page_column("permitted error", lambda error: f"±{PERCENT * error:g} %", "l"),
         page_column("best ζ", lambda error: f"{best_damping(error):.4f}"),
         page_column("band / fn", lambda error: f"{band_ratio(best_damping(error) * (1 + 1e-12), error):.4f}"),
-        page_column(f"band / fn with ζ = {own:.4g}", lambda error: f"{band_ratio(own, error):.4f}"),
+        page_column(f"band / fn with ζ = {damping_ratio:.4g}", lambda error: f"{band_ratio(damping_ratio, error):.4f}"),
     ]
     ratios = sorted({*ERRORS, evaluation.target_settings.permitted_error})
     return table("One mode: the damping ratio with the widest band", columns, ratios)
@@ -418,16 +421,16 @@ def printed(evaluation: CompensateEvaluation) -> Iterator[str]:
 
 def _context(evaluation: CompensateEvaluation) -> dict[str, Any]:
     """Return the content of the page."""
-    wish, applied, haptics = evaluation.target_settings, evaluation.applied, evaluation.haptics
-    error, aim = wish.permitted_error, f"{wish.frequency_hz or 0.0:g} Hz"
-    if wish.bandwidth_hz is not None:
-        aim = f"±{PERCENT * error:g} % to {wish.bandwidth_hz:g} Hz"
-    kind = "matched poles and zeros" if wish.discretisation == "matched" else "Tustin, prewarped at each mode"
+    settings, applied, haptics = evaluation.target_settings, evaluation.applied, evaluation.haptics
+    error, aim = settings.permitted_error, f"{settings.frequency_hz or 0.0:g} Hz"
+    if settings.bandwidth_hz is not None:
+        aim = f"±{PERCENT * error:g} % to {settings.bandwidth_hz:g} Hz"
+    kind = "matched poles and zeros" if settings.discretisation == "matched" else "Tustin, prewarped at each mode"
     models = [(f"Model of {one.subject.name}", one.subject.source) for one in evaluation.subjects]
     recording = [] if applied is None else [("Recording", applied.name)]
     mismatches = [draw_mismatch(f"mismatch-{n}", result) for n, result in enumerate(evaluation.subjects)]
     return {
-        "subject": [("Wanted", aim), ("For samples", kind), *models, *recording],
+        "subject": [("Target", aim), ("For samples", kind), *models, *recording],
         "filters": table("Filters, with U (95 %) where it is known", FILTERS, evaluation.filters),
         "damping": damping_table(evaluation),
         "parts": [
@@ -435,11 +438,11 @@ def _context(evaluation: CompensateEvaluation) -> dict[str, Any]:
             for n, made in enumerate(evaluation.filters)
         ],
         "noise": [draw_noise(evaluation)],
-        "mismatch": [picture for picture in mismatches if picture is not None],
+        "mismatch": [figure for figure in mismatches if figure is not None],
         "mismatches": mismatch_tables(evaluation),
         "applied": [] if applied is None else [draw_channel(applied, one) for one in applied.channels],
         "haptics": haptics_table(evaluation),
-        "haptics_pictures": [picture for picture in [draw_force_feedback(evaluation)] if picture is not None],
+        "haptics_pictures": [figure for figure in [draw_force_feedback(evaluation)] if figure is not None],
         "loop": LOOP.format(0.0 if haptics is None else haptics.ball_stiffness),
     }
 
@@ -499,7 +502,7 @@ def _texts(evaluation: CompensateEvaluation) -> dict[str, str | bytes]:
         names = ["time_s", *(name for one in applied.channels for name in (one.channel, f"U_{one.channel}"))]
         samples = [applied.time_s, *(part for one in applied.channels for part in (one.value, one.expanded))]
         columns: list[TableColumn[list[float]]] = [
-            TableColumn(name, itemgetter(place)) for place, name in enumerate(names)
+            TableColumn(name, itemgetter(index)) for index, name in enumerate(names)
         ]
         texts["compensated.csv"] = csv_text(columns, np.stack(samples, axis=1).tolist())
     return texts
@@ -527,23 +530,29 @@ def run_compensate(
     frequency, damping = sensor
     if models and sensor != (None, None):
         expected = "either models or --sensor-frequency with --sensor-damping"
-        raise InputError(COMMAND, "", found="both", expected=expected)
+        raise InputError(WRONG_COMPENSATION_OPTION, COMMAND, found="both", expected=expected)
     if not models and (frequency is None or damping is None):
         expected = "models.json, load.json, a folder with one, or --sensor-frequency with --sensor-damping"
-        raise InputError(COMMAND, "", found="nothing of it", expected=expected)
+        raise InputError(WRONG_COMPENSATION_OPTION, COMMAND, found="none of them", expected=expected)
     sources = read_sources(models) if frequency is None or damping is None else stated_sensor(frequency, damping)
     record = None if recording is None else read_outputs(recording, allow_outside=allow_outside)
-    beside = sources.files[0].parent if sources.files else Path.cwd()
+    root = sources.files[0].parent if sources.files else Path.cwd()
     if settings.load_masses and not any(subject.is_scheduled for subject in sources.subjects):
         found = ", ".join(f"{mass:g} kg" for mass in settings.load_masses)
-        raise InputError(COMMAND, "--load-mass", found=found, expected="a model over the load (load.json) for it")
+        raise InputError(
+            WRONG_COMPENSATION_OPTION,
+            COMMAND,
+            "--load-mass",
+            found=found,
+            expected="a model over the load (load.json) for it",
+        )
 
     def evaluate(hashes: dict[str, str]) -> CompensateEvaluation:
         return evaluate_compensation(sources, add_recorded_load(settings, sources, record), record, hashes)
 
     files, read = ((), {}) if record is None else (record.manifest.files, record.manifest.file_identities)
-    inputs = hash_files([*sources.files, *files], beside, read)
+    inputs = hash_files([*sources.files, *files], root, read)
     if sources.files:
         sources = read_sources(models)  # as they are hashed
-    folder = beside / COMPENSATE.name if output is None else output
+    folder = root / COMPENSATE.name if output is None else output
     COMPENSATE.run(inputs, folder, evaluate, force=force)

@@ -12,6 +12,12 @@ import numpy as np
 from fusion.errors import InputError
 from fusion.estimation.coverage import coverage_factor
 from fusion.recording.values import repeated_name
+from fusion.sensor.compensate.compensation_notices import (
+    DUPLICATE_MODEL,
+    EQUIVALENT_SOLUTIONS,
+    NO_MODEL_FILE,
+    WRONG_COMPENSATION_OPTION,
+)
 from fusion.sensor.model_files import (
     LOAD_MODEL_FILE,
     MODELS_FILE,
@@ -39,12 +45,12 @@ from shaker.lti.system import ModalModel
 from shaker.release.load_model import LoadModel
 from shakercal._common.notices import Notice
 
-# What the user wants of a compensation.
+# Settings of a compensation.
 
 COMMAND = "shakercal compensate"
 UNSTATED_BASIS = UncertaintyBasis(scope="")
-MOST_DOF = 1e6
-"""Degrees of freedom from which on scatter counts for nothing but rounding."""
+MAX_DOF = 1e6
+"""Degrees of freedom above which the scatter is rounding only."""
 OPTIONS = {
     "modes": "--modes",
     "frequency_hz": "--frequency",
@@ -56,7 +62,7 @@ OPTIONS = {
     "load_mass": "--load-mass",
     "sample_rate_hz": "--sample-rate",
 }
-"""By the arguments that the design refuses: what a user states."""
+"""Options of the command by the arguments that the design may refuse."""
 STATED = "sensor"
 """Channel of a sensor that is stated by numbers."""
 
@@ -98,13 +104,23 @@ class CompensationSettings:
     def __post_init__(self) -> None:
         if (self.frequency_hz is None) == (self.bandwidth_hz is None):
             found = "none" if self.frequency_hz is None else "both"
-            raise InputError(COMMAND, "", found=found, expected="either --frequency or --bandwidth")
+            raise InputError(
+                WRONG_COMPENSATION_OPTION, COMMAND, found=found, expected="either --frequency or --bandwidth"
+            )
         if self.bandwidth_hz is not None and self.damping_ratio is not None:
-            expected = "no --damping beside --bandwidth, which finds it"
-            raise InputError(COMMAND, "--damping", found=f"{self.damping_ratio:g}", expected=expected)
+            expected = "no --damping together with --bandwidth, which determines it"
+            raise InputError(
+                WRONG_COMPENSATION_OPTION, COMMAND, "--damping", found=f"{self.damping_ratio:g}", expected=expected
+            )
         if not 0 < self.permitted_error < 1:
             expected = "a permitted error above 0 and below 100 %"
-            raise InputError(COMMAND, "--permitted-error", found=f"{100 * self.permitted_error:g} %", expected=expected)
+            raise InputError(
+                WRONG_COMPENSATION_OPTION,
+                COMMAND,
+                "--permitted-error",
+                found=f"{100 * self.permitted_error:g} %",
+                expected=expected,
+            )
 
     def target(self, sensor: SensorDynamics) -> CompensationTarget:
         """Return the target for a sensor."""
@@ -131,7 +147,7 @@ class CompensationSettings:
         }
 
 
-# What is compensated: models of step responses, models over the load, or a frequency and a damping ratio.
+# Subjects: models of step responses, models over the load, or a frequency and a damping ratio.
 
 
 @dataclass(frozen=True)
@@ -204,8 +220,8 @@ class CompensationSubject:
         if not np.isfinite(self.basis.dof):
             return np.full(u.shape, np.inf), np.full(u.shape, coverage_factor(np.inf))
         dof = effective_dof(u**2, np.minimum(u, u_scatter) ** 2, self.basis.dof)
-        dof = np.where(dof < MOST_DOF, dof, np.inf)
-        return dof, np.asarray(np.where(dof < MOST_DOF, stdtrit(dof, 0.975), coverage_factor(np.inf)))
+        dof = np.where(dof < MAX_DOF, dof, np.inf)
+        return dof, np.asarray(np.where(dof < MAX_DOF, stdtrit(dof, 0.975), coverage_factor(np.inf)))
 
     def dynamics(self, load_mass: float | None, modes: int, real_poles: bool) -> SensorDynamics:
         """Return the dynamics of the sensor with a load, which a filter cancels."""
@@ -244,8 +260,7 @@ def read_sources(paths: Sequence[Path]) -> CompensationSources:
     subjects = tuple(subject for one in sources for subject in one.subjects)
     twice = repeated_name([subject.name for subject in subjects])
     if twice is not None:
-        expected = "one model per channel; leave a file out"
-        raise InputError(paths[-1], "", found=f"a second model of {twice}", expected=expected)
+        raise InputError(DUPLICATE_MODEL, paths[-1], channel=twice)
     files, notices = (sum((getattr(one, name) for one in sources), ()) for name in ("files", "notices"))
     return CompensationSources(sources[0].name, subjects, files, notices)
 
@@ -254,19 +269,27 @@ def stated_sensor(frequency_hz: float, damping_ratio: float) -> CompensationSour
     """Return a sensor of one mode that is stated by numbers."""
     if not damping_ratio < 1.0:
         expected = "a damping ratio below 1, of a sensor that oscillates"
-        raise InputError(COMMAND, "--sensor-damping", found=f"{damping_ratio:g}", expected=expected)
-    told = f"stated: {frequency_hz:g} Hz, ζ = {damping_ratio:g}"
+        raise InputError(
+            WRONG_COMPENSATION_OPTION, COMMAND, "--sensor-damping", found=f"{damping_ratio:g}", expected=expected
+        )
+    source = f"stated: {frequency_hz:g} Hz, ζ = {damping_ratio:g}"
     return CompensationSources(
-        "stated sensor", (CompensationSubject(STATED, "", "1", single_mode(frequency_hz, damping_ratio), told),), ()
+        "stated sensor", (CompensationSubject(STATED, "", "1", single_mode(frequency_hz, damping_ratio), source),), ()
     )
 
 
 def select_subjects(sources: CompensationSources, channels: Sequence[str]) -> tuple[CompensationSubject, ...]:
     """Return the subjects of some channels, or all; `InputError` for an unknown channel."""
-    known = [subject.channel for subject in sources.subjects]
+    available = [subject.channel for subject in sources.subjects]
     for name in channels:
-        if name not in known:
-            raise InputError(COMMAND, "--channel", found=name, expected=f"one of {', '.join(dict.fromkeys(known))}")
+        if name not in available:
+            raise InputError(
+                WRONG_COMPENSATION_OPTION,
+                COMMAND,
+                "--channel",
+                found=name,
+                expected=f"one of {', '.join(dict.fromkeys(available))}",
+            )
     return tuple(subject for subject in sources.subjects if not channels or subject.channel in channels)
 
 
@@ -277,7 +300,7 @@ def _read(path: Path) -> CompensationSources:
         file = next((path / name for name in (LOAD_MODEL_FILE, MODELS_FILE) if (path / name).is_file()), path)
         if file == path:
             expected = f"{MODELS_FILE} of shakercal step or {LOAD_MODEL_FILE} of shakercal load in it"
-            raise InputError(path, "", found="none of them", expected=expected)
+            raise InputError(NO_MODEL_FILE, path, expected=expected)
 
     def over_loads(content: dict[str, Any]) -> bool:
         return bool(content["models"]) and "moving_mass" in content["models"][0]
@@ -289,40 +312,36 @@ def _of_steps(file: Path) -> CompensationSources:
     """Return one subject per channel: for the component of its name, else the largest gain."""
     models = read_models(file)
     if not models.entries:
-        raise InputError(file, "models", found="none", expected="at least one model")
+        raise InputError(NO_MODEL_FILE, file, "models", expected="at least one model")
     subjects = []
     for channel in dict.fromkeys(entry.channel for entry in models):
         offered = [entry for entry in models if entry.channel == channel]
         one = max(offered, key=lambda entry: (entry.component == entry.channel, abs(entry.model.static_gain)))
-        told = f"{one.method}, {one.recording}"
-        rests = UncertaintyBasis(one.dof, one.scope or UncertaintyBasis().scope, one.outside)
-        known = one.sample_rate_hz, one.noise, rests, one.scatter
-        subjects.append(CompensationSubject(channel, one.component, one.unit, one.model, told, *known, file))
+        source = f"{one.method}, {one.recording}"
+        basis = UncertaintyBasis(one.dof, one.scope or UncertaintyBasis().scope, one.outside)
+        values = one.sample_rate_hz, one.noise, basis, one.scatter
+        subjects.append(CompensationSubject(channel, one.component, one.unit, one.model, source, *values, file))
     return CompensationSources(models.name, tuple(subjects), (file,))
 
 
 def _of_loads(file: Path) -> CompensationSources:
     """Return one subject per component, of several solutions the first, with a notice."""
     subjects, notices = [], []
-    for model, rests in read_loads(file):
+    for model, basis in read_loads(file):
         if model.solution > 1:
             continue
         if model.solutions > 1:
-            text = (
-                f"{model.solutions} solutions fit the records equally well; filters follow the first, and differ from "
-                "the others with loads that were not measured"
-            )
-            notices.append(Notice("warning", text, model.channel))
-        told = "two masses" if model.is_rigid else "three masses"
-        subject = CompensationSubject(model.channel, model.component, model.unit, model, told, basis=rests, file=file)
+            notices.append(Notice(EQUIVALENT_SOLUTIONS, model.channel, count=model.solutions))
+        source = "two masses" if model.is_rigid else "three masses"
+        subject = CompensationSubject(model.channel, model.component, model.unit, model, source, basis=basis, file=file)
         if model.load_masses:
             loads = ", ".join(subject.load_text(load) for load in model.load_masses)
-            subject = replace(subject, source=f"{told}, fitted to loads of {loads}")
+            subject = replace(subject, source=f"{source}, fitted to loads of {loads}")
         subjects.append(subject)
     return CompensationSources(file.parent.resolve().name, tuple(subjects), (file,), tuple(notices))
 
 
-# What a compensation consists of.
+# Parts of a compensation.
 
 
 @dataclass(frozen=True)

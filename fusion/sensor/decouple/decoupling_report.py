@@ -158,7 +158,7 @@ def largest(evaluation: DecoupleEvaluation) -> Iterator[tuple[str, float, float,
 
 def headlines(evaluation: DecoupleEvaluation) -> list[Headline]:
     """Return the largest cross-talk at every stage, and the dynamics behind the filter."""
-    told = [
+    lines = [
         Headline(capitalise(what), quantity_html(value, U, "%"), which) for what, value, U, which in largest(evaluation)
     ]
     target = evaluation.decoupler

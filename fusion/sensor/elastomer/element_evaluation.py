@@ -16,6 +16,7 @@ from fusion.sensor.elastomer.element_notices import (
     BLOCK_THICKNESS_MISSING,
     FRAME_DEVIATES,
     FURTHER_MODES,
+    MESH_NOT_CONVERGED,
     MIXED_MODE,
     NO_MEASURED_MODE,
     PLATFORM_AS_STATED,
@@ -456,10 +457,8 @@ def _of_solid(frame: FrameModel, study: SolidStudy | None) -> list[Notice]:
     found, change = [], mesh_change(study.meshes)
     worst = int(np.argmax(np.abs(change)))
     if abs(change[worst]) > MAX_MESH_CHANGE:
-        text = (
-            f"{MODE_NAMES[worst]} changed by {100.0 * change[worst]:.1f} % with the last mesh; refine [solid] further"
-        )
-        found.append(Notice("warning", text, "solid"))
+        percent = 100.0 * float(change[worst])
+        found.append(Notice(MESH_NOT_CONVERGED, "solid", mode=MODE_NAMES[worst], change_percent=percent))
     for index, name in enumerate(MODE_NAMES):
         one, other = frame.modes.frequency_hz[index], study.finest.frequency_hz[index]
         if abs(one / other - 1.0) > MAX_DEVIATION:

@@ -177,7 +177,7 @@ def comparison_rows(evaluation: ElementEvaluation) -> Iterator[ComparisonRow]:
 def headlines(evaluation: ElementEvaluation) -> list[Headline]:
     """Return the frequencies of the frame, with those of the solid."""
     frame, solid = evaluation.frame.modes.frequency_hz, evaluation.solid
-    told = (
+    of_solid = (
         [""] * len(MODE_NAMES) if solid is None else [f"solid: {value:.0f} Hz" for value in solid.finest.frequency_hz]
     )
     shown = [MODE_NAMES.index(name) for name in ("Tx", "Tz", "Rx", "Rz")]
@@ -413,7 +413,7 @@ def _context(evaluation: ElementEvaluation) -> dict[str, Any]:
         "convergence": convergence_table(evaluation),
         "sensitivity": sensitivity_table(evaluation),
         "platform": table(
-            "Platforms with the target frequencies: all are equally possible, none is validated",
+            "Platforms with the target frequencies: all are possible, none is validated",
             PLATFORM,
             evaluation.fits,
         ),
