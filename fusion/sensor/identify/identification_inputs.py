@@ -19,6 +19,18 @@ from fusion.recording.manifest import ChannelEntry
 from fusion.report.folder import RESULT_FILE, InputFiles, hash_files, read_provenance
 from fusion.sensitivity.elastic import InstrumentPosition, NaturalModes
 from fusion.sensitivity.moving_body import JOINT, Body, inertia_errors, joint_unknown, load_body, rigid_load
+from fusion.sensor.identify.identification_notices import (
+    BAND_WITHOUT_LINES,
+    DIFFERENT_SENSOR,
+    ELASTIC_LOAD,
+    MISSING_IDENTIFICATION_ENTRY,
+    MISSING_MOTION_CHANNEL,
+    NO_TRANSFER_RECORDING,
+    OUTDATED_SINE_RESULTS,
+    REFERENCE_ACROSS_DRIVE,
+    REFERENCES_NOT_USED,
+    SINES_NOT_EVALUATED,
+)
 from fusion.sensor.transfer.transfer_evaluation import KINDS, evaluate_transfer
 from fusion.sensor.transfer.transfer_records import FoundResonance, ReferenceResult, TransferSettings
 from shaker.arrays import ComplexArray, FloatArray
@@ -34,7 +46,7 @@ from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, mechanical_units, 
 from shaker.sine.phasor import Phasors
 from shakercal._common.notices import Notice
 
-# What a user may choose of an identification.
+# Choices of an identification.
 
 
 ModelChoice = Literal["auto", "translation", "pitching", "adapter"]
@@ -84,7 +96,7 @@ class IdentifySettings:
         }
 
 
-# Where the channels of a transfer recording measure, and what is uncertain of it, by names that hold everywhere.
+# Positions of the channels of a transfer recording and their errors, under names common to all commands.
 
 
 def transducer_placement(entry: ChannelEntry) -> Placement:
@@ -100,15 +112,15 @@ def placement_errors(base: ChannelEntry, tops: Sequence[ChannelEntry], mounting:
     mounting, and has the same name in the results of sines.
     """
     beams = LaserBeams.of([base, *tops])
-    placed = [(base, REFERENCE_INDEX), *((entry, place) for place, entry in enumerate(tops))]
+    placed = [(base, REFERENCE_INDEX), *((entry, index) for index, entry in enumerate(tops))]
     return tuple(
-        PlacementError(f"{error.name} [{mounting}]", place, error.effect)
-        for entry, place in placed
+        PlacementError(f"{error.name} [{mounting}]", index, error.effect)
+        for entry, index in placed
         for error in geometry_errors(TRANSDUCERS[entry.quantity], entry, beams)
     )
 
 
-# The recordings of a campaign sorted by what they say of the sensor.
+# The recordings of a campaign by kind.
 
 
 RESULTS = "results"
@@ -149,18 +161,15 @@ def read_campaign(path: Path, *, allow_outside: bool = False) -> IdentificationI
     if not transfers:
         kinds = ", ".join(dict.fromkeys(manifest.excitation.kind for manifest in manifests))
         where = manifests[0].path if len(manifests) == 1 else path
-        expected = f"a recording of the kind {', '.join(KINDS[:-1])} or {KINDS[-1]}, which shows a transfer function"
-        raise InputError(where, "excitation.kind", found=f"only {kinds}", expected=expected)
+        expected = f"{', '.join(KINDS[:-1])} or {KINDS[-1]}"
+        raise InputError(NO_TRANSFER_RECORDING, where, "excitation.kind", found=kinds, expected=expected)
     results = [(manifest, _results(manifest)) for manifest in manifests if manifest.excitation.kind == "sine"]
-    sines = tuple(EvaluatedSines(manifest, place) for manifest, place in results if place is not None)
-    missing = [manifest.name for manifest, place in results if place is None]
+    sines = tuple(EvaluatedSines(manifest, folder) for manifest, folder in results if folder is not None)
+    missing = [manifest.name for manifest, folder in results if folder is None]
     notices = []
-    if len(missing) == 1:
-        text = "this recording of sines has no results of `shakercal run`, which would add its sensitivity"
-        notices.append(Notice("note", text, missing[0]))
-    elif missing:
-        text = "recordings of sines have no results of `shakercal run`, which would add their sensitivity"
-        notices.append(Notice("note", f"{len(missing)} {text}", "campaign"))
+    if missing:
+        where = missing[0] if len(missing) == 1 else "campaign"
+        notices.append(Notice(SINES_NOT_EVALUATED, where, count=len(missing)))
     used = [*transfers, *(item.manifest for item in sines)]
     check_sensor(used)
     files = [file for manifest in used for file in manifest.files]
@@ -175,23 +184,28 @@ def check_sensor(manifests: Sequence[Manifest]) -> None:
     for (manifest, sensor), key in product(named[1:], ("name", "serial")):
         first, one, other = named[0][0], getattr(named[0][1], key), getattr(sensor, key)
         if one != other:
-            expected = f'the sensor of {first.rig_path}, "{one}"'
-            raise InputError(manifest.rig_path, f"sensor.{key}", found=f'"{other}"', expected=expected)
+            raise InputError(
+                DIFFERENT_SENSOR,
+                manifest.rig_path,
+                f"sensor.{key}",
+                expected=one,
+                file=str(first.rig_path),
+                found=other,
+            )
 
 
 def _results(manifest: Manifest) -> Path | None:
     """Return the folder with results of a recording, None without any; outdated results are refused."""
-    places = (manifest.folder / RESULTS, manifest.folder.parent / RESULTS / manifest.folder.name)
-    found = [(place, read_provenance(place)) for place in places]
-    there = [(place, origin) for place, origin in found if origin is not None]
-    if not there:
+    folders = (manifest.folder / RESULTS, manifest.folder.parent / RESULTS / manifest.folder.name)
+    found = [(folder, read_provenance(folder)) for folder in folders]
+    available = [(folder, origin) for folder, origin in found if origin is not None]
+    if not available:
         return None
     hashes = hash_files(manifest.files, manifest.root, manifest.file_identities).hashes
-    for place, origin in there:
+    for folder, origin in available:
         if origin.input_hashes == hashes:
-            return place
-    expected = "the results of these very input files; shakercal run evaluates the recording anew"
-    raise InputError(there[0][0] / RESULT_FILE, "", found="results of other input files", expected=expected)
+            return folder
+    raise InputError(OUTDATED_SINE_RESULTS, available[0][0] / RESULT_FILE)
 
 
 # From an evaluated transfer recording and its rig to the curve that a model of the sensor is fitted to.
@@ -200,8 +214,8 @@ def _results(manifest: Manifest) -> Path | None:
 SETTINGS = TransferSettings(quantity="acceleration")
 """Every motion as an acceleration, so that a ratio has no unit."""
 CLOCK = "clock "
-"""How names of unknowns of a clock's tie begin."""
-_ALONG = 1e-3  # share of the drive that the reference must see
+"""Prefix of the names of clock errors."""
+_MIN_ALONG = 1e-3  # part of the drive that the reference must measure
 
 
 @dataclass(frozen=True)
@@ -254,8 +268,10 @@ def prepare(
     measured_by = [entries[channel] for channel in result.transfer.ratio.channels]
     tops = [entry for entry in measured_by if entry.body == "load" and _shows_motion(entry, drive)]
     if not tops:
-        expected = f'a {_wanted(drive)} with body = "load"'
-        raise InputError(manifest.path, "excitation.response", found="none on the load", expected=expected)
+        key, found = "excitation.response", "none on the load"
+        raise InputError(
+            MISSING_MOTION_CHANNEL, manifest.path, key, expected=_motion_quantities(drive), body="load", found=found
+        )
     blocks = [daq for daq in manifest.daq if any(entry in daq.channel for entry in (base, *tops))]
     clock = blocks[0] if len(blocks) == 1 else manifest.daq[0]
     ratio, errors = _load_over_base(manifest, result, [entry.name for entry in tops], name, band_hz)
@@ -277,30 +293,28 @@ def prepare(
         bending=None if bent is None else bent.bending(placed, manifest.mounting, _on_load(manifest, tops)),
     )
     found = tuple(item for item in result.resonances if item.response in ratio.channels)
-    alone = {f"{channel}/{base.name}" for channel in result.transfer.ratio.channels}
+    of_curves = {f"{channel}/{base.name}" for channel in result.transfer.ratio.channels}
     notices = [
-        replace(notice, where=f"{name}: {notice.where}" if notice.where else name)
+        notice.at(f"{name}: {notice.where}" if notice.where else name)
         for notice in evaluation.notices
-        if notice.where not in alone
+        if notice.where not in of_curves
     ]
     others = [reference for reference in manifest.excitation.reference if reference != base.name]
     if others:
-        text = f"of several references {base.name} is used, {', '.join(others)} left out"
-        notices.append(Notice("note", text, name))
+        notices.append(Notice(REFERENCES_NOT_USED, name, used=base.name, unused=", ".join(others)))
     stated = "" if bent is None else bent.stated
     if stated:
-        text = f"{stated} of the load stated: in the model of its curves; readings of single curves take it as rigid"
-        notices.append(Notice("note", text, name))
+        notices.append(Notice(ELASTIC_LOAD, name, stated=stated))
     grids = tuple(clock.grid for clock in evaluation.clocks if clock.grid is not None)
-    known = grids if len(grids) == len(evaluation.clocks) else ()
-    return PreparedTransfer(manifest, measured, found, known), tuple(notices)
+    complete = grids if len(grids) == len(evaluation.clocks) else ()
+    return PreparedTransfer(manifest, measured, found, complete), tuple(notices)
 
 
 def add_clock_errors(item: PreparedTransfer, start: str) -> PreparedTransfer:
     """Return a curve whose clock errors are common to all recordings of one `start` (`fusion.campaign.drive`)."""
-    own, measured = f" [{item.measured.name}]", item.measured
+    suffix, measured = f" [{item.measured.name}]", item.measured
     errors = tuple(
-        replace(error, name=f"{error.name.removesuffix(own)} [{start}]") if error.name.startswith(CLOCK) else error
+        replace(error, name=f"{error.name.removesuffix(suffix)} [{start}]") if error.name.startswith(CLOCK) else error
         for error in measured.errors
     )
     return replace(item, measured=replace(measured, errors=errors))
@@ -312,8 +326,8 @@ def _on_load(manifest: Manifest, tops: Sequence[ChannelEntry]) -> list[Instrumen
         return []
     for entry in tops:
         if entry.point is None:
-            expected = f"where {entry.name} sits on the load, which is elastic (load.elastic of rig.toml)"
-            raise InputError(manifest.path, "daq.channel.point", found="nothing", expected=expected)
+            expected = f"the position of {entry.name} on the load, which is elastic (load.elastic of rig.toml)"
+            raise InputError(MISSING_IDENTIFICATION_ENTRY, manifest.path, "daq.channel.point", expected=expected)
     return [InstrumentPosition(entry.name, measuring_point(entry)) for entry in tops]
 
 
@@ -348,22 +362,26 @@ class FlexibleLoad:
         body = self.body
         cables = np.any(body.cable_npm) or np.any(body.u_cable_npm)
         first = body.first_frequency_hz is not None
-        known = {"modes": body.elastic, "joint": body.joint, "first natural frequency": first, "cables": cables}
-        return ", ".join(word for word, there in known.items() if there)
+        properties = {"modes": body.elastic, "joint": body.joint, "first natural frequency": first, "cables": cables}
+        return ", ".join(word for word, is_stated in properties.items() if is_stated)
 
-    def bending(self, tops: Sequence[Placement], mounting: str, places: Sequence[InstrumentPosition] = ()) -> Bending:
+    def bending(
+        self, tops: Sequence[Placement], mounting: str, positions: Sequence[InstrumentPosition] = ()
+    ) -> Bending:
         """Return the readings of responses and the wrench per motion below the joint.
 
-        `places`: positions of the responses on the elastic part, empty if they measure the motion of its foot.
+        `positions`: positions of the responses on the elastic part, empty if they measure the motion of its foot.
         """
         body, frequency, rows = self.body, self.frequency_hz, np.stack([top.row for top in tops])
-        nothing = np.zeros((len(frequency), *rows.shape), np.complex128)
+        zero = np.zeros((len(frequency), *rows.shape), np.complex128)
 
         def stretched(modes: NaturalModes) -> ComplexArray:
-            own = [row @ modes.stretch(frequency, place) for row, place in zip(rows, places, strict=False)]
-            return np.stack(own, axis=1) if own else nothing
+            readings = [
+                row @ modes.stretch(frequency, position) for row, position in zip(rows, positions, strict=False)
+            ]
+            return np.stack(readings, axis=1) if readings else zero
 
-        seen = rows + sum((part.act(stretched) for part in body.elastic), nothing)
+        seen = rows + sum((part.act(stretched) for part in body.elastic), zero)
         over = 1.0 / self.follow[:, None]
         terms = {"": (self.inertia * over - body.mass_matrix, seen * over - rows)}
         reads = {change.name: change.effect for part in body.elastic for change in part.changes(stretched)}
@@ -371,8 +389,8 @@ class FlexibleLoad:
         for change in body.matrix_changes(frequency):
             if change.name not in rigid and change.label != JOINT:
                 name = change.name if change.scope == "rig" else f"{change.name} [{mounting}]"
-                # As in the results of sines, one standard deviation is that of a number stated too high.
-                terms[name] = -change.effect * over, -reads.get(change.name, nothing) * over
+                # The sign is that of the results of sines: of a number stated too high.
+                terms[name] = -change.effect * over, -reads.get(change.name, zero) * over
         if body.joint is not None:
             parts = tuple(part for part in body.parts if not part.below_joint)
             above = replace(body, parts=parts).load_matrix(frequency)
@@ -409,13 +427,14 @@ def _base_entry(manifest: Manifest, entries: dict[str, ChannelEntry], drive: Flo
     named = [entries[name] for name in manifest.excitation.reference if name in entries]
     for entry in named:
         if entry.body == "base" and _shows_motion(entry, drive):
-            if abs(float(transducer_placement(entry).row @ drive)) < _ALONG * float(np.linalg.norm(drive)):
-                found = f'"{entry.name}", which looks across excitation.direction'
-                raise InputError(manifest.path, "excitation.reference", found, "a motion along the excitation")
+            if abs(float(transducer_placement(entry).row @ drive)) < _MIN_ALONG * float(np.linalg.norm(drive)):
+                raise InputError(REFERENCE_ACROSS_DRIVE, manifest.path, "excitation.reference", found=entry.name)
             return entry
-    expected = f'a {_wanted(drive)} with body = "base", over which the motion of the load is taken'
-    told = ", ".join(f'"{entry.name}" ({entry.quantity} of {entry.body or "no body"})' for entry in named)
-    raise InputError(manifest.path, "excitation.reference", found=told or "nothing", expected=expected)
+    channels = ", ".join(f'"{entry.name}" ({entry.quantity} of {entry.body or "no body"})' for entry in named)
+    key, found = "excitation.reference", channels or "none"
+    raise InputError(
+        MISSING_MOTION_CHANNEL, manifest.path, key, expected=_motion_quantities(drive), body="base", found=found
+    )
 
 
 def _shows_motion(entry: ChannelEntry, drive: FloatArray) -> bool:
@@ -424,7 +443,7 @@ def _shows_motion(entry: ChannelEntry, drive: FloatArray) -> bool:
     return seen is not None and (not seen.rotational or bool(np.any(drive[3:] != 0.0)))
 
 
-def _wanted(drive: FloatArray) -> str:
+def _motion_quantities(drive: FloatArray) -> str:
     """Return the quantities that measure the motion of a rig driven along `drive`, in words."""
     shown = [t.quantity.replace("_", " ") for t in TRANSDUCERS.values() if not t.rotational or np.any(drive[3:] != 0.0)]
     return f"{', '.join(shown[:-1])} or {shown[-1]}"
@@ -447,13 +466,19 @@ def _load_over_base(
     if band_hz is not None:
         chosen = (frequency >= band_hz[0]) & (frequency <= band_hz[1])
         if not np.any(chosen):
-            found = f"{band_hz[0]:g} to {band_hz[1]:g} Hz"
-            expected = f"a --band that holds lines between {frequency[0]:.6g} and {frequency[-1]:.6g} Hz"
-            raise InputError(manifest.path, "excitation.band", found=found, expected=expected)
-    places = [result.transfer.ratio.channels.index(channel) for channel in channels]
+            raise InputError(
+                BAND_WITHOUT_LINES,
+                manifest.path,
+                "excitation.band",
+                first_hz=float(frequency[0]),
+                last_hz=float(frequency[-1]),
+                low_hz=band_hz[0],
+                high_hz=band_hz[1],
+            )
+    columns = [result.transfer.ratio.channels.index(channel) for channel in channels]
     errors = []
     for error in result.errors:
-        relative = error.relative[:, places] * (-1.0 if error.name.endswith(": delay") else 1.0)
+        relative = error.relative[:, columns] * (-1.0 if error.name.endswith(": delay") else 1.0)
         name = f"{error.name} [{recording}]" if error.name.startswith(CLOCK) else error.name
         if np.any(relative != 0.0):
             errors.append(CurveError(name, relative[chosen]))

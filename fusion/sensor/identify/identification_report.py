@@ -55,14 +55,14 @@ from shaker.identification.sensor import (
 )
 from shaker.labels import LOAD_COMPONENTS, mechanical_units, typeset
 
-# Every number found, in files, on the page and in the lines of the terminal.
+# Numbers in files, on the page and on the terminal.
 
 
 K = coverage_factor(np.inf)
 """For 95 %; the degrees of freedom of a joint fit of many lines are many, and not counted."""
-Found = tuple[str, ParameterEstimate, str]
+FoundNumber = tuple[str, ParameterEstimate, str]
 """Component, number, and the method that found it."""
-NUMBERS: list[TableColumn[Found]] = [
+NUMBERS: list[TableColumn[FoundNumber]] = [
     text_column("component", lambda row: row[0]),
     text_column("name", lambda row: row[1].name),
     TableColumn("value", lambda row: row[1].value),
@@ -74,29 +74,29 @@ NUMBERS: list[TableColumn[Found]] = [
 ]
 
 
-def numbers(component: IdentifiedComponent) -> Iterator[Found]:
+def numbers(component: IdentifiedComponent) -> Iterator[FoundNumber]:
     """Yield every number of a component."""
-    fit, own = component.fit, component.name
+    fit, axis = component.fit, component.name
     how = f"joint fit, {fit.model}"
     for estimate in fit.identification.estimates:
         stated = estimate.name == component.internal_mass.name and not fit.mass_is_free
-        yield own, estimate, f"{how}, stated beforehand" if stated else how
+        yield axis, estimate, f"{how}, stated beforehand" if stated else how
     for estimate in fit.identification.derived:
-        yield own, estimate, how
+        yield axis, estimate, how
     curves = {reading.recording for reading in component.readings}
     for mode in fit.identification.modes:
         if mode.record in curves:
-            place = f"{mode.record}, mode {mode.number + 1}"
+            mode_name = f"{mode.record}, mode {mode.number + 1}"
             f0, zeta = (mode.frequency_hz, mode.u_frequency_hz, "Hz"), (mode.damping_ratio, mode.u_damping_ratio, "1")
-            yield own, ParameterEstimate(f"frequency: {place}", f"resonance f₀, {place}", *f0), how
-            yield own, ParameterEstimate(f"damping_ratio: {place}", f"damping ratio ζ, {place}", *zeta), how
+            yield axis, ParameterEstimate(f"frequency: {mode_name}", f"resonance f₀, {mode_name}", *f0), how
+            yield axis, ParameterEstimate(f"damping_ratio: {mode_name}", f"damping ratio ζ, {mode_name}", *zeta), how
     if component.sensitivity is not None:
         best = component.sensitivity.comparison.best
         for estimate in best.estimates:
-            yield own, estimate, f"sensitivity over frequency, {CHAIN_WORDS[best.chain.kind]}"
+            yield axis, estimate, f"sensitivity over frequency, {CHAIN_WORDS[best.chain.kind]}"
     for load, band in zip(component.loads, component.bands, strict=True):
         name, label = f"usable_band: load {load:.6g}", f"usable band, load {load:.6g}"
-        yield own, ParameterEstimate(name, label, band.upper_hz, band.u_upper_hz, "Hz"), "sensor model"
+        yield axis, ParameterEstimate(name, label, band.upper_hz, band.u_upper_hz, "Hz"), "sensor model"
 
 
 LIMITS = {"rise": "resonance", "drop": "fall of the output", "phase": "phase", "nothing": "nothing"}
@@ -105,7 +105,7 @@ _LARGEST_CAUSES = 12
 
 def parameters_table(component: IdentifiedComponent) -> Table | None:
     """Return parameters, lags and modes of a component with U."""
-    columns: list[TableColumn[Found]] = [
+    columns: list[TableColumn[FoundNumber]] = [
         page_column("parameter", lambda row: _label(row[1].label), "l"),
         page_column("value ± U", lambda row: _with_u(row[1])),
         page_column("U / %", lambda row: _relative(row[1].value, row[1].u)),
@@ -130,11 +130,11 @@ def budget_table(component: IdentifiedComponent) -> Table:
     size = np.abs([estimate.value for estimate in estimates])
     share = {cause: np.abs(change) / size for cause, change in component.fit.identification.budget.items()}
     ordered = sorted(share, key=lambda cause: -float(np.max(share[cause])))
-    kept = [cause for cause in ordered if np.max(share[cause]) > 1e-3 * np.max(share[ordered[0]])][:_LARGEST_CAUSES]
+    shown = [cause for cause in ordered if np.max(share[cause]) > 1e-3 * np.max(share[ordered[0]])][:_LARGEST_CAUSES]
     whole = np.array([estimate.u for estimate in estimates]) / size
     rows = tuple(
         (cause, *(f"{100.0 * part:.2g}" if part >= 1e-7 else "< 10⁻⁵" for part in parts.tolist()))
-        for cause, parts in [*((cause, share[cause]) for cause in kept), ("combined, k = 1", whole)]
+        for cause, parts in [*((cause, share[cause]) for cause in shown), ("combined, k = 1", whole)]
     )
     head = ("contribution", *(Markup("u({}) / %").format(_label(estimate.label)) for estimate in estimates))
     return Table("Budget, relative to each parameter", head, "l" + "r" * len(estimates), rows)
@@ -145,8 +145,8 @@ def readings_tables(component: IdentifiedComponent) -> list[Table]:
     units = mechanical_units(LOAD_COMPONENTS[component.fit.component])
     below, shown = Markup('{}<br><span class="below">{}</span>'), []
     for (recording, response), group in groupby(component.readings, attrgetter("recording", "response")):
-        own = list(group)
-        exponent = round_to_uncertainty(max(reading.stiffness for reading in own), 0.0).exponent
+        of_curve = list(group)
+        exponent = round_to_uncertainty(max(reading.stiffness for reading in of_curve), 0.0).exponent
         rows = tuple(
             (
                 below.format(LABELS[reading.method], reading.note) if reading.note else LABELS[reading.method],
@@ -156,7 +156,7 @@ def readings_tables(component: IdentifiedComponent) -> list[Table]:
                 f"{reading.stiffness / 10.0**exponent:.5f}",
                 f"{reading.damping:.5g}" if np.isfinite(reading.damping) else DASH,
             )
-            for reading in own
+            for reading in of_curve
         )
         stiffness = Markup("k / ({})").format(times_ten(exponent, typeset(units.stiffness)))
         head = ("method", "f / Hz", "width / Hz", "ζ / %", stiffness, f"b / ({typeset(units.damping)})")
@@ -175,7 +175,7 @@ def explanations_table(component: IdentifiedComponent) -> Table | None:
         return Markup("; ").join(Markup(f"{e.label} {_in_microseconds(e)}") for e in named) or DASH
 
     columns: list[TableColumn[tuple[SensitivityFit, float, str]]] = [
-        page_column("explanation beside b/k of the resonance", lambda row: CHAIN_WORDS[row[0].chain.kind], "l"),
+        page_column("explanation in addition to b/k", lambda row: CHAIN_WORDS[row[0].chain.kind], "l"),
         page_column("found", lambda row: chain(row[0]), "l"),
         page_column("χ² / dof", lambda row: f"{row[0].chi_squared:.1f} / {row[0].dof}"),
         page_column("probability", lambda row: small(row[0].probability)),
@@ -183,7 +183,7 @@ def explanations_table(component: IdentifiedComponent) -> Table | None:
         page_column("verdict", lambda row: row[2], "l"),
     ]
     rows = zip(comparison.fits, comparison.weight.tolist(), comparison.verdict, strict=True)
-    return table("What makes the sensitivity change with frequency", columns, rows)
+    return table("Explanations of the sensitivity over frequency", columns, rows)
 
 
 def bands_table(component: IdentifiedComponent) -> Table | None:
@@ -291,7 +291,7 @@ def page_context(evaluation: IdentifyEvaluation) -> dict[str, Any]:
 
 
 def _component_context(component: IdentifiedComponent) -> dict[str, Any]:
-    sentences = ["No sensitivity over frequency was evaluated: whether the chain has a lag remains open."]
+    sentences = ["No sensitivity over frequency was evaluated: whether the chain has a lag is not determined."]
     if component.sensitivity is not None:
         comparison = component.sensitivity.comparison
         sentences = [comparison.text, *([] if comparison.damping is None else [comparison.damping.text])]
@@ -311,7 +311,7 @@ def _component_context(component: IdentifiedComponent) -> dict[str, Any]:
     }
 
 
-# model.json, what a correction needs: written and read.
+# model.json, the model for corrections: written and read.
 
 
 MODEL_FILE = "model.json"
@@ -464,11 +464,11 @@ def _fill(file: h5py.File, evaluation: IdentifyEvaluation) -> None:
         for name in (*found, "chi_squared", "dof", "budget"):
             write_value(identified, name, getattr(fit.identification, name))
         curves = group.create_group("recordings", track_order=True)
-        for place, item in enumerate(fit.prepared):
-            own = curves.create_group(f"{place:03d}", track_order=True)
-            write_fields(own, item.measured)
-            write_value(own, "model", fit.identification.model[place])
-            write_value(own, "residual", fit.identification.residual[place])
+        for index, item in enumerate(fit.prepared):
+            recording_group = curves.create_group(f"{index:03d}", track_order=True)
+            write_fields(recording_group, item.measured)
+            write_value(recording_group, "model", fit.identification.model[index])
+            write_value(recording_group, "residual", fit.identification.residual[index])
         for name in ("readings", "sensitivity", "model", "range_hz", "loads", "bands"):
             write_value(group, "sensor_model" if name == "model" else name, getattr(component, name))
 

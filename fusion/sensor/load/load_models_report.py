@@ -66,7 +66,7 @@ class LoadRow(NamedTuple):
     kind: str
     recording: str
     curve: LoadCurve
-    index: int
+    load_index: int
     u_mass: float
     bands: FloatArray
     u_bands: FloatArray
@@ -78,7 +78,7 @@ class LoadRow(NamedTuple):
     @property
     def mass_text(self) -> str:
         """Return the load in g or g·m²."""
-        return f"{GRAM * self.curve.load_mass[self.index]:.6g}"
+        return f"{GRAM * self.curve.load_mass[self.load_index]:.6g}"
 
     def model_hz(self, mode: int) -> tuple[float, float]:
         """Return a resonance of the model with U."""
@@ -90,14 +90,14 @@ class LoadRow(NamedTuple):
         return self._resonance(seen.frequency_hz, seen.u_frequency_hz, mode)
 
     def _resonance(self, value: FloatArray, u: FloatArray, mode: int) -> tuple[float, float]:
-        return float(value[self.index, mode]), self.component.k * float(u[self.index, mode])
+        return float(value[self.load_index, mode]), self.component.k * float(u[self.load_index, mode])
 
 
 def _of_curve(name: str, of: str, mode: int, *, expanded: bool = False) -> TableColumn[LoadRow]:
     def value(row: LoadRow) -> float | None:
         if "damping" in of and not np.any(np.nan_to_num(row.curve.damping_ratio) > 1e-9):
             return None  # the model has no damping
-        return finite_or_none(getattr(row.curve, of)[row.index, mode] * (row.component.k if expanded else 1.0))
+        return finite_or_none(getattr(row.curve, of)[row.load_index, mode] * (row.component.k if expanded else 1.0))
 
     return TableColumn(name, value)
 
@@ -105,7 +105,7 @@ def _of_curve(name: str, of: str, mode: int, *, expanded: bool = False) -> Table
 def _of_measured(name: str, of: str, mode: int) -> TableColumn[LoadRow]:
     def value(row: LoadRow) -> float | None:
         return (
-            finite_or_none(getattr(row.component.series.measured, of)[row.index, mode])
+            finite_or_none(getattr(row.component.series.measured, of)[row.load_index, mode])
             if row.kind == RECORDED
             else None
         )
@@ -119,7 +119,7 @@ LOADS: list[TableColumn[LoadRow]] = [
     TableColumn("solution", lambda row: row.solution.model.solution),
     text_column("kind", lambda row: row.kind),
     text_column("recording", lambda row: row.recording),
-    TableColumn("load_mass", lambda row: float(row.curve.load_mass[row.index])),
+    TableColumn("load_mass", lambda row: float(row.curve.load_mass[row.load_index])),
     TableColumn("u_load_mass", lambda row: row.u_mass),
     text_column("mass_unit", lambda row: parameter_units(row.component.name)["moving_mass"]),
     _of_curve("first_hz", "frequency_hz", 0),
@@ -140,7 +140,8 @@ LOADS: list[TableColumn[LoadRow]] = [
     _of_measured("measured_damping_first", "damping_ratio", 0),
     _of_measured("u_measured_damping_first", "u_damping_ratio", 0),
     TableColumn(
-        "formula_hz", lambda row: finite_or_none(row.component.formula_hz[row.index]) if row.kind == RECORDED else None
+        "formula_hz",
+        lambda row: finite_or_none(row.component.formula_hz[row.load_index]) if row.kind == RECORDED else None,
     ),
     TableColumn("band_5_hz", lambda row: finite_or_none(row.bands[0])),
     TableColumn("band_10_hz", lambda row: finite_or_none(row.bands[1])),
@@ -386,8 +387,8 @@ def loads_table(component: ComponentLoads, solution: LoadSolution) -> Table | No
         page_column("first / Hz", lambda row: quantity_html(*row.measured_hz(0))),
         page_column("second / Hz", lambda row: quantity_html(*row.measured_hz(1))),
         less_measured("model / %", lambda row: row.model_hz(0)[0]),
-        less_measured("formula / %", lambda row: float(component.formula_hz[row.index])),
-        less_measured("two masses / %", lambda row: float(rigid.frequency_hz[row.index, 0])),
+        less_measured("formula / %", lambda row: float(component.formula_hz[row.load_index])),
+        less_measured("two masses / %", lambda row: float(rigid.frequency_hz[row.load_index, 0])),
     ]
     caption = f"Resonances with U; first ones of the models less measured{_which(solution)}"
     return table(caption, columns, (row for row in load_rows(component, solution) if row.kind == RECORDED))
@@ -397,7 +398,7 @@ def bands_table(component: ComponentLoads, solution: LoadSolution) -> Table | No
     """Return damping and working bands of every load, recorded or predicted."""
 
     def damping(row: LoadRow) -> str:
-        zeta, u = (float(of[row.index, 0]) for of in (row.curve.damping_ratio, row.curve.u_damping_ratio))
+        zeta, u = (float(of[row.load_index, 0]) for of in (row.curve.damping_ratio, row.curve.u_damping_ratio))
         return quantity_html(100.0 * zeta, 100.0 * component.k * u) if solution.model.damping else DASH
 
     columns: list[TableColumn[LoadRow]] = [
