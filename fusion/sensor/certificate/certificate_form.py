@@ -12,6 +12,7 @@ from pydantic import AfterValidator, model_validator
 from fusion.errors import InputError
 from fusion.recording.toml import read_toml, validate
 from fusion.recording.values import ManifestBlock, NotNegative, Positive, refusal
+from fusion.sensor.certificate.certificate_notices import NO_CERTIFICATE_FORM
 
 FORM_FILE = "certificate.toml"
 NEW_FORM = """\
@@ -63,7 +64,7 @@ condition = ""                          # as received
 # tolerance = 0.02                      # of the magnitude, relative to the static sensitivity
 # rule = "guarded"                      # "guarded": conforms if |deviation| + U is within; "simple": |deviation| alone
 """
-"""What `--draft` writes; empty texts are still to be filled in."""
+"""Template written by `--draft`; empty texts are to be filled in."""
 
 
 def _printable(text: str) -> str:
@@ -163,7 +164,7 @@ class Form(ManifestBlock):
 
     def missing(self) -> Iterator[str]:
         """Yield the required keys that are empty (ISO/IEC 17025:2017, 7.8.2)."""
-        own = (
+        required = (
             (
                 "administration",
                 self.administration,
@@ -173,11 +174,11 @@ class Form(ManifestBlock):
             ("customer", self.customer, REQUIRED),
             ("item", self.item, ("manufacturer", "model", "condition")),
         )
-        yield from (f"{table}.{key}" for table, block, keys in own for key in keys if not getattr(block, key))
+        yield from (f"{table}.{key}" for table, block, keys in required for key in keys if not getattr(block, key))
 
 
 def read_form(path: Path) -> Form:
     """Read and check certificate.toml."""
     if not path.is_file():
-        raise InputError(path, "", found="no file", expected="what a certificate needs (--draft writes a new one)")
+        raise InputError(NO_CERTIFICATE_FORM, path)
     return validate(Form, read_toml(path), path)

@@ -14,6 +14,7 @@ from fusion.errors import InputError
 from fusion.recording.toml import read_rows
 from fusion.report.folder import Provenance, provenance_of
 from fusion.report.h5 import open_results, read_notices
+from fusion.sensor.certificate.certificate_notices import DAMAGED_RESULT_TABLE, NO_CERTIFIABLE_RESULT
 from shaker.identification.sensitivity import LABELS as CHAIN_LABELS
 from shaker.lti.indices import LABELS
 from shakercal._common.notices import Notice
@@ -76,7 +77,7 @@ QUANTITY_TYPES = {
     "inertia": "Moment of inertia",
     "index": "Another index of a dynamic response, or parameter of its model",
 }
-"""Types of quantities and what they are, without their prefix."""
+"""Types of quantities with their description, without prefix."""
 BEGINNINGS = {
     "stiffness": "stiffness", "damping_ratio": "dampingRatio", "damping": "dampingCoefficient",
     "internal_mass": "mass", "load_mass": "mass", "internal_centre_of_mass": "centreOfMass",
@@ -85,9 +86,9 @@ BEGINNINGS = {
     "spring_time": "timeConstant", "delay": "timeConstant", "static_gain": "staticSensitivity",
     "read_static_gain": "staticSensitivity",
 }  # fmt: skip
-"""How names of numbers begin, longer ones before those that they begin with, and their types."""
+"""Types of numbers by the beginning of their names; a longer beginning precedes a shorter one."""
 CERTIFIED_BY_ROTATION = ("internal_mass", "internal_centre_of_mass", "load_mass", "load_centre_of_mass")
-"""Of a rotation test; differences and deviations are its checks."""
+"""Numbers of a rotation test; its differences and deviations are checks."""
 
 
 def find_results_folder(folder: Path, results: Path | None) -> Path:
@@ -118,40 +119,43 @@ def read_certified_numbers(folder: Path, command: str, *, k: float | None) -> tu
     lists: dict[str, list[CertifiedNumber]] = {}
     for line, row in enumerate(rows, 2):
         try:
-            where, name = _place(command, row)
+            where, name = _list_and_name(command, row)
             if not name:
                 continue
-            value, u, own = (float(row[column]) for column in ("value", "u", "k"))
-            factor, unit = own if k is None else k, row["unit"]
+            value, u, table_k = (float(row[column]) for column in ("value", "u", "k"))
+            factor, unit = table_k if k is None else k, row["unit"]
         except (KeyError, TypeError, ValueError) as error:
-            expected = f"the table of shakercal {command}"
-            raise InputError(file, f"line {line}", found=f"damaged ({error})", expected=expected) from error
+            raise InputError(DAMAGED_RESULT_TABLE, file, f"line {line}", command=command, reason=str(error)) from error
         if np.isfinite([value, u, factor]).all() and u > 0.0:
             lists.setdefault(where, []).append(
                 CertifiedNumber(_words(name, command), _kind(name, unit), value, factor * u, factor, unit)
             )
     if not lists:
-        raise InputError(file, "", found="no number with an uncertainty", expected=f"results of shakercal {command}")
+        expected = f"a number with an uncertainty in the results of shakercal {command}"
+        raise InputError(NO_CERTIFIABLE_RESULT, file, expected=expected)
     return tuple(NumberList(where, tuple(found)) for where, found in lists.items())
 
 
-def _place(command: str, row: Mapping[str, str]) -> tuple[str, str]:
+def _list_and_name(command: str, row: Mapping[str, str]) -> tuple[str, str]:
     """Return list and name of a row; the name is empty if not certified."""
     name, component = row["name"], row["component"].lstrip("'")
     if command == "rotate":
         axis = f" {component}" if component in "xyz" else ""
-        known = name in CERTIFIED_BY_ROTATION and row["recording"] == "all" and (axis or component == "joint")
-        return "Masses and centres of mass of the sensor under test and its load", f"{name}{axis}" if known else ""
+        is_certified = name in CERTIFIED_BY_ROTATION and row["recording"] == "all" and (axis or component == "joint")
+        return (
+            "Masses and centres of mass of the sensor under test and its load",
+            f"{name}{axis}" if is_certified else "",
+        )
     if command == "identify":
         return f"Mechanics along {component}", "" if "stated beforehand" in row["method"] else name
-    own = row["channel"] == component
-    return f"Response of {row['channel']} to a step of {component}", name if own else ""
+    is_driven = row["channel"] == component
+    return f"Response of {row['channel']} to a step of {component}", name if is_driven else ""
 
 
 def _words(name: str, command: str) -> str:
     """Return the printed name of a number."""
-    known = {"step": LABELS, "identify": CHAIN_LABELS}.get(command, {})
-    text = known.get(name, name.replace("read_static_gain", "static gain as read from the records"))
+    labels = {"step": LABELS, "identify": CHAIN_LABELS}.get(command, {})
+    text = labels.get(name, name.replace("read_static_gain", "static gain as read from the records"))
     text = (
         re.sub("^(?=b/k)", "ratio ", re.sub("^lag_", "b/k, ", text))
         .replace("usable_band", "usable up to")
@@ -162,15 +166,15 @@ def _words(name: str, command: str) -> str:
 
 def _kind(name: str, unit: str) -> str:
     """Return the type of a number: by its name, else by its unit."""
-    known = next((kind for beginning, kind in BEGINNINGS.items() if name.startswith(beginning)), "")
-    return known or {"Hz": "frequency", "s": "duration"}.get(unit, "index")
+    by_name = next((kind for beginning, kind in BEGINNINGS.items() if name.startswith(beginning)), "")
+    return by_name or {"Hz": "frequency", "s": "duration"}.get(unit, "index")
 
 
 def select_recordings(recordings: Sequence[Path], folder: Path, command: str) -> list[Path]:
     """Return the recordings behind the numbers of a folder, all if none is named."""
     inputs = [f"/{name}" for name in read_results_origin(folder, command)[0].input_hashes]
-    own = {path: f"/{path.resolve().parent.name}/{path.name}" for path in recordings}
-    behind = [path for path, end in own.items() if any(end.endswith(name) or name.endswith(end) for name in inputs)]
+    names = {path: f"/{path.resolve().parent.name}/{path.name}" for path in recordings}
+    behind = [path for path, end in names.items() if any(end.endswith(name) or name.endswith(end) for name in inputs)]
     return behind or list(recordings)
 
 
@@ -185,12 +189,13 @@ def _scopes(file: h5py.File) -> Iterator[str]:
     named: dict[tuple[str, str], list[str]] = {}
     for name, group in file.items():
         if group.attrs.get("scope"):
-            named.setdefault((group.attrs["scope"], group.attrs.get("outside", "nothing else")), []).append(name)
+            named.setdefault((group.attrs["scope"], group.attrs.get("outside", "")), []).append(name)
     for (scope, outside), names in named.items():
-        yield f"{', '.join(names)}: U holds {scope}; not assessed: {outside}"
+        excluded = f" and does not include {outside}" if outside else ""
+        yield f"{', '.join(names)}: U applies {scope}{excluded}."
 
 
 def quantity_types(lists: Sequence[NumberList]) -> dict[str, str]:
     """Return the types of quantities of the numbers, with descriptions."""
-    used = dict.fromkeys(figure.kind for own in lists for figure in own.numbers)
+    used = dict.fromkeys(figure.kind for one in lists for figure in one.numbers)
     return {kind: QUANTITY_TYPES[kind] for kind in used}

@@ -15,6 +15,23 @@ from fusion.base import CommandEvaluation
 from fusion.errors import InputError
 from fusion.recording.dsi import parse_unit, same_dimension
 from fusion.sensor.compare.comparison_inputs import ComparedResult, ComparedValue, year_of
+from fusion.sensor.compare.comparison_notices import (
+    CONTRADICTORY_CLAIMS,
+    KINDS_NOT_COMPARED,
+    NO_COMMON_VALUE,
+    ONLY_DIFFERENT_KINDS,
+    PHASES_DIFFER_BY_180,
+    PHASES_OPPOSITE,
+    POSSIBLY_SHARED,
+    RATIOS_COMPARED,
+    RESPONSES_LEFT_OUT,
+    RESULTS_INDEPENDENT,
+    RESULTS_SHARE_INPUTS,
+    SAME_FILE,
+    UNIT_NOT_CONVERTIBLE,
+    UNMATCHED_VALUES,
+    WRONG_RESULT_COUNT,
+)
 from fusion.sensor.compare.reference_value import (
     MAX_RESULTS,
     ReferenceValue,
@@ -100,31 +117,32 @@ def evaluate_comparison(
     """
     begun = time.perf_counter()
     if not 2 <= len(results) <= MAX_RESULTS:
-        found = "one result" if len(results) == 1 else f"{len(results)} results"
-        raise InputError(results[0].file, "", found=found, expected=f"2 to {MAX_RESULTS} results to compare")
+        raise InputError(WRONG_RESULT_COUNT, results[0].file, found=len(results), limit=MAX_RESULTS)
     shared = find_shared_inputs(results)
     compared: list[ComparedQuantity] = []
-    alone: list[tuple[str, ComparedValue]] = []
-    for own in _groups(results, tolerance):
-        if len(own) < 2:
-            alone += own
+    unmatched: list[tuple[str, ComparedValue]] = []
+    for entries in _groups(results, tolerance):
+        if len(entries) < 2:
+            unmatched += entries
             continue
-        group = _in_one_unit(own, results)
+        group = _in_one_unit(entries, results)
         compared.append(_compared(group, "magnitude", dates, shared))
-        turned = [entry for entry in group if entry[1].phase_rad is not None]
-        if len(turned) > 1:
-            compared.append(_compared(turned, "phase", dates, shared))
+        with_phase = [entry for entry in group if entry[1].phase_rad is not None]
+        if len(with_phase) > 1:
+            compared.append(_compared(with_phase, "phase", dates, shared))
     if not compared:
-        expected = f"an element whose frequencies agree within {tolerance:g}, relative"
-        kinds = "; ".join(_kinds_apart(alone, tolerance))
-        found = f"nothing in common ({kinds})" if kinds else "nothing in common"
-        raise InputError(results[1].file, "frequency_hz", found=found, expected=expected)
+        kinds = "; ".join(
+            f"{channel} per {component}" for channel, component, *_ in _different_kinds(unmatched, tolerance)
+        )
+        if kinds:
+            raise InputError(ONLY_DIFFERENT_KINDS, results[1].file, "frequency_hz", tolerance=tolerance, kinds=kinds)
+        raise InputError(NO_COMMON_VALUE, results[1].file, "frequency_hz", tolerance=tolerance)
     acting = [item for found in compared for item in found.shared]
     return ComparisonEvaluation(
         name=f"Comparison of {', '.join(result.name for result in results)}",
         notices=(
-            *_notices(results, alone, shared, acting=bool(acting)),
-            *_about_kinds(results, alone, tolerance),
+            *_notices(results, unmatched, shared, acting=bool(acting)),
+            *_about_kinds(results, unmatched, tolerance),
             *opposite_conventions(compared),
         ),
         settings={"tolerance": tolerance} | {f"date of {name}": str(day) for name, day in dates.items()},
@@ -133,7 +151,7 @@ def evaluate_comparison(
         results=tuple(results),
         shared=tuple(item for item in shared if item in acting),
         quantities=tuple(compared),
-        unmatched=tuple(alone),
+        unmatched=tuple(unmatched),
     )
 
 
@@ -149,7 +167,7 @@ def _groups(results: Sequence[ComparedResult], tolerance: float) -> list[list[tu
             first is not None
             and (first.channel, first.component, first.ratio) == (value.channel, value.component, value.ratio)
             and value.frequency_hz - first.frequency_hz <= tolerance * first.frequency_hz
-            and name not in {own for own, _ in last}
+            and name not in {used for used, _ in last}
         ):
             last.append((name, value))
         else:
@@ -169,7 +187,7 @@ def _in_one_unit(
     for name, value in group:
         if not same_dimension(value.unit, unit):
             file = next(result.file for result in results if result.name == name)
-            raise InputError(file, "unit", found=value.unit, expected=f"a unit that converts into {unit}")
+            raise InputError(UNIT_NOT_CONVERTIBLE, file, "unit", found=value.unit, expected=unit)
         factor = 1.0 if value.unit == unit else parse_unit(value.unit).factor / parse_unit(unit).factor
         size, u = factor * value.magnitude, factor * value.u_magnitude
         converted.append((name, replace(value, unit=unit, magnitude=size, u_magnitude=u)))
@@ -183,13 +201,13 @@ def _compared(
 
     Phases are unwrapped relative to the first.
     """
-    names, own = tuple(name for name, _ in group), [value for _, value in group]
+    names, values = tuple(name for name, _ in group), [value for _, value in group]
     if quantity == "magnitude":
-        value, u = np.array([v.magnitude for v in own]), np.array([v.u_magnitude for v in own])
+        value, u = np.array([v.magnitude for v in values]), np.array([v.u_magnitude for v in values])
     else:
-        phase = np.array([v.phase_rad for v in own], dtype=np.float64)
+        phase = np.array([v.phase_rad for v in values], dtype=np.float64)
         value = phase[0] + np.angle(np.exp(1j * (phase - phase[0])))
-        u = np.array([v.u_phase_rad for v in own])
+        u = np.array([v.u_phase_rad for v in values])
     column, size = (0, value) if quantity == "magnitude" else (1, None)
     every = select_acting_inputs(group, shared)
     acting = [(item, effect) for item, effect in every if np.count_nonzero(effect[:, column]) > 1]
@@ -199,11 +217,11 @@ def _compared(
     if np.isfinite(year).all() and len(np.unique(year)) > 1:
         change = drift(year, value, covariance)
     return ComparedQuantity(
-        frequency_hz=float(np.mean([v.frequency_hz for v in own])),
-        channel=own[0].channel,
-        component=own[0].component,
+        frequency_hz=float(np.mean([v.frequency_hz for v in values])),
+        channel=values[0].channel,
+        component=values[0].component,
         quantity=quantity,
-        unit=own[0].unit if quantity == "magnitude" else "rad",
+        unit=values[0].unit if quantity == "magnitude" else "rad",
         names=names,
         value=value,
         u=u,
@@ -212,74 +230,73 @@ def _compared(
         effects=effects,
         reference=reference_value(value, covariance),
         normalised=normalised_error(value, covariance),
-        complex_normalised=_of_both(own, every) if quantity == "magnitude" else None,
+        complex_normalised=_complex_errors(values, every) if quantity == "magnitude" else None,
         year=year,
         per_year=None if change is None else change[0],
         u_per_year=None if change is None else change[1],
     )
 
 
-def _of_both(own: Sequence[ComparedValue], acting: Sequence[tuple[SharedInput, FloatArray]]) -> FloatArray:
+def _complex_errors(values: Sequence[ComparedValue], acting: Sequence[tuple[SharedInput, FloatArray]]) -> FloatArray:
     """Return E_n (N, N) of the complex values, NaN where one has no phase."""
-    phase = np.array([np.nan if v.phase_rad is None else v.phase_rad for v in own])
-    size, u_size = np.array([v.magnitude for v in own]), np.array([v.u_magnitude for v in own])
-    u_phase, effects = np.array([v.u_phase_rad for v in own]), [effect for _, effect in acting]
+    phase = np.array([np.nan if v.phase_rad is None else v.phase_rad for v in values])
+    size, u_size = np.array([v.magnitude for v in values]), np.array([v.u_magnitude for v in values])
+    u_phase, effects = np.array([v.u_phase_rad for v in values]), [effect for _, effect in acting]
     return complex_normalised_error(size * np.exp(1j * phase), u_size, u_phase, effects)
 
 
 def _notices(
     results: Sequence[ComparedResult],
-    alone: Sequence[tuple[str, ComparedValue]],
+    unmatched: Sequence[tuple[str, ComparedValue]],
     shared: Sequence[SharedInput],
     *,
     acting: bool,
 ) -> list[Notice]:
     """Return the notices of the comparison."""
-    beside = ", but for the inputs that certificates or files show as shared" if acting else ""
-    text = (
-        f"results are taken as independent{beside}: what two share without saying so, such as the mass of the same "
-        "load or the same accelerometer, cancels in their difference, so that E_n comes out too small"
-    )
-    found = [*(notice for result in results for notice in result.signed), Notice("note", text, "comparison")]
+    independence = RESULTS_SHARE_INPUTS if acting else RESULTS_INDEPENDENT
+    found = [*(notice for result in results for notice in result.signed), Notice(independence, "comparison")]
     for one, other in combinations(results, 2):
-        apart = list(dict.fromkeys(find_contradictory_claims(one, other, shared)))
-        if apart:
-            both = f"{one.name} and {other.name} name the same certificate for {', '.join(apart)}"
-            text = f"{both}, but state different values or U"
-            found.append(Notice("warning", f"{text}: not taken as shared", "comparison"))
-        alike = list(find_possible_shared_inputs(one, other))
-        if alike:
-            both = f"{one.name} and {other.name} both rest on {', '.join(alike)} with the same u"
-            text = f"{both}, and name no certificate for it"
-            found.append(Notice("note", f"{text}: taken as independent; a certificate would tell", "comparison"))
+        names = {"first": one.name, "second": other.name}
+        contradictory = dict.fromkeys(find_contradictory_claims(one, other, shared))
+        if contradictory:
+            found.append(Notice(CONTRADICTORY_CLAIMS, "comparison", **names, inputs=", ".join(contradictory)))
+        possible = list(find_possible_shared_inputs(one, other))
+        if possible:
+            found.append(Notice(POSSIBLY_SHARED, "comparison", **names, inputs=", ".join(possible)))
         if Path(one.file).resolve() == Path(other.file).resolve():
-            found.append(Notice("warning", f"{one.name} and {other.name} are the same file", "comparison"))
-    if alone:
-        found.append(Notice("note", f"{len(alone)} values have no partner and are not compared", "comparison"))
+            found.append(Notice(SAME_FILE, "comparison", **names))
+    if unmatched:
+        found.append(Notice(UNMATCHED_VALUES, "comparison", count=len(unmatched)))
     return found
 
 
 def _about_kinds(
-    results: Sequence[ComparedResult], alone: Sequence[tuple[str, ComparedValue]], tolerance: float
+    results: Sequence[ComparedResult], unmatched: Sequence[tuple[str, ComparedValue]], tolerance: float
 ) -> Iterator[Notice]:
     """Yield notices on ratios, which contain the effect of other loads."""
     if any(value.ratio for result in results for value in result.values):
-        text = "ratios of outputs and driven load are compared with ratios only: other loads act in each as they did"
-        left = ", ".join(f"{result.responses} of {result.name}" for result in results if result.responses)
-        if left:
-            text += (
-                "; those of outputs that do not belong to the driven load, which other loads dominate, are left out "
-            )
-            text += f"({left}); a stated matrix, or a campaign that spans it, makes elements of them"
-        yield Notice("note", text, "comparison")
-    for text in _kinds_apart(alone, tolerance):
-        yield Notice("warning", f"{text}: not compared, since a ratio contains what other loads do", "comparison")
+        counts = ", ".join(f"{result.responses} of {result.name}" for result in results if result.responses)
+        if counts:
+            yield Notice(RESPONSES_LEFT_OUT, "comparison", counts=counts)
+        else:
+            yield Notice(RATIOS_COMPARED, "comparison")
+    for channel, component, ratios, elements in _different_kinds(unmatched, tolerance):
+        yield Notice(
+            KINDS_NOT_COMPARED,
+            "comparison",
+            channel=channel,
+            component=component,
+            ratios=", ".join(ratios),
+            elements=", ".join(elements),
+        )
 
 
-def _kinds_apart(alone: Sequence[tuple[str, ComparedValue]], tolerance: float) -> Iterator[str]:
-    """Yield elements for which some results state elements of the sensor and others ratios."""
+def _different_kinds(
+    unmatched: Sequence[tuple[str, ComparedValue]], tolerance: float
+) -> Iterator[tuple[str, str, list[str], list[str]]]:
+    """Yield channel, component, results with ratios, and results with elements of the sensor."""
     named: dict[tuple[str, str], list[tuple[float, bool, str]]] = {}
-    for name, value in alone:
+    for name, value in unmatched:
         named.setdefault((value.channel, value.component), []).append((value.frequency_hz, value.ratio, name))
     for (channel, component), entries in named.items():
         entries.sort()
@@ -291,11 +308,11 @@ def _kinds_apart(alone: Sequence[tuple[str, ComparedValue]], tolerance: float) -
         if pairs:
             ratios = dict.fromkeys(entry[2] for pair in pairs for entry in pair if entry[1])
             others = dict.fromkeys(entry[2] for pair in pairs for entry in pair if not entry[1])
-            yield f"{channel} per {component}: {', '.join(ratios)} ratios, {', '.join(others)} elements of the sensor"
+            yield channel, component, list(ratios), list(others)
 
 
 CONVENTION_RAD = 0.2
-"""Deviation up to which a difference of phases is half a turn, or a sum of phases zero."""
+"""Tolerance of a difference of phases from 180°, or of a sum of phases from 0: chosen, far above any U."""
 
 
 def opposite_conventions(compared: Sequence[ComparedQuantity]) -> Iterator[Notice]:
@@ -304,22 +321,18 @@ def opposite_conventions(compared: Sequence[ComparedQuantity]) -> Iterator[Notic
     Only contradictions (|E_n| above 1) count, and opposite signs only if the phase is several times its deviation.
     """
     found: dict[tuple[str, ...], list[tuple[float, float, float]]] = {}
-    for own in (own for own in compared if own.quantity == "phase"):
-        for i, j in combinations(range(len(own.names)), 2):
-            key = own.channel, own.component, *sorted((own.names[i], own.names[j]))
-            turned = float(np.angle(np.exp(1j * (own.value[i] - own.value[j]))))
-            mirrored = float(np.angle(np.exp(1j * (own.value[i] + own.value[j]))))
-            found.setdefault(key, []).append((turned, mirrored, float(own.normalised[i, j])))
+    for phases in (one for one in compared if one.quantity == "phase"):
+        for i, j in combinations(range(len(phases.names)), 2):
+            key = phases.channel, phases.component, *sorted((phases.names[i], phases.names[j]))
+            difference = float(np.angle(np.exp(1j * (phases.value[i] - phases.value[j]))))
+            mirrored = float(np.angle(np.exp(1j * (phases.value[i] + phases.value[j]))))
+            found.setdefault(key, []).append((difference, mirrored, float(phases.normalised[i, j])))
     for (channel, component, one, other), rows in found.items():
-        turned, mirrored, normalised = np.abs(np.array(rows)).T
-        element = f"{channel} per {component}: the phases of {one} and {other}"
+        difference, mirrored, normalised = np.abs(np.array(rows)).T
+        values = {"channel": channel, "component": component, "first": one, "second": other}
         if np.all(normalised <= 1.0):
             continue
-        if np.all(turned > np.pi - CONVENTION_RAD):
-            text = f"{element} differ by half a turn at every common frequency: is the sign of the output, or the "
-            yield Notice(
-                "warning", f"{text}sense of the load (sensor.sense), the other one in one of them?", "comparison"
-            )
-        elif np.all(normalised > 1.0) and np.all(mirrored < np.minimum(CONVENTION_RAD, turned / 4.0)):
-            text = f"{element} have opposite signs at every common frequency: does one of them count a lag positive?"
-            yield Notice("warning", text, "comparison")
+        if np.all(difference > np.pi - CONVENTION_RAD):
+            yield Notice(PHASES_DIFFER_BY_180, "comparison", **values)
+        elif np.all(normalised > 1.0) and np.all(mirrored < np.minimum(CONVENTION_RAD, difference / 4.0)):
+            yield Notice(PHASES_OPPOSITE, "comparison", **values)

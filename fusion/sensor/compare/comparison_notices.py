@@ -9,7 +9,7 @@ WRONG_RESULT_COUNT = DeclaredNotice(
     remedy="Name more, or fewer, results.",
     link="comparison.md",
 )
-NOTHING_IN_COMMON = DeclaredNotice(
+NO_COMMON_VALUE = DeclaredNotice(
     "SC-761",
     "error",
     "expected an element whose frequencies agree within {tolerance:g} (relative), found none",
@@ -48,7 +48,7 @@ WRONG_RESULT_TABLE = DeclaredNotice(
     remedy="Correct the table.",
     link="comparison.md",
 )
-WRONG_CELL = DeclaredNotice(
+WRONG_RESULT_CELL = DeclaredNotice(
     "SC-766",
     "error",
     "expected {expected}, found {found} in line {line}",
@@ -144,7 +144,7 @@ KINDS_NOT_COMPARED = DeclaredNotice(
     remedy="State the calibration matrix, or evaluate a campaign that determines it, to compare elements.",
     link="comparison.md",
 )
-PHASES_HALF_TURN_APART = DeclaredNotice(
+PHASES_DIFFER_BY_180 = DeclaredNotice(
     "SC-778",
     "warning",
     "{channel} per {component}: the phases of {first} and {second} differ by 180° at every common frequency.",

@@ -13,10 +13,10 @@ from fusion.estimation.coverage import along_and_across, region_factor
 from shaker.arrays import ComplexArray, FloatArray
 
 SIGNIFICANCE = 0.05
-"""Of the chi-square test of consistency."""
+"""Level of the χ² test of consistency (Cox 2002)."""
 COVERAGE_FACTOR = 2.0
 MAX_RESULTS = 12
-"""Results of one element at one frequency: all their subsets are tried."""
+"""Largest number of results of one element at one frequency, since all their subsets are tried."""
 
 
 @dataclass(frozen=True)
@@ -42,8 +42,8 @@ class ReferenceValue:
 
         NaN for a result that defines the reference value alone.
         """
-        known = self.expanded > 0.0
-        return np.asarray(np.where(known, self.deviation / np.where(known, self.expanded, 1.0), np.nan))
+        uncertain = self.expanded > 0.0
+        return np.asarray(np.where(uncertain, self.deviation / np.where(uncertain, self.expanded, 1.0), np.nan))
 
 
 def normalised_error(value: FloatArray, covariance: FloatArray) -> FloatArray:
@@ -70,15 +70,15 @@ def complex_normalised_error(
     """
     found, frame = np.zeros((len(value), len(value))), along_and_across(value)
     roots = frame * np.stack([u_magnitude, np.abs(value) * u_phase_rad], axis=-1)[:, None, :]
-    own = roots @ roots.swapaxes(-1, -2)
+    covariances = roots @ roots.swapaxes(-1, -2)
     common = [np.einsum("nij,nj->ni", frame, effect * np.abs(value)[:, None]) for effect in shared]
     for i, j in combinations(range(len(value)), 2):
         both = np.array([(value[i] - value[j]).real, (value[i] - value[j]).imag])
-        spread = own[i] + own[j]
+        spread = covariances[i] + covariances[j]
         for effect in common:
             spread = spread - np.outer(effect[i], effect[j]) - np.outer(effect[j], effect[i])
-        known = bool(np.isfinite(spread).all()) and np.linalg.det(spread) > 0.0
-        squared = float(both @ np.linalg.solve(spread, both)) if known else np.nan
+        usable = bool(np.isfinite(spread).all()) and np.linalg.det(spread) > 0.0
+        squared = float(both @ np.linalg.solve(spread, both)) if usable else np.nan
         found[i, j] = found[j, i] = np.sqrt(squared) / region_factor(np.inf)
     return found
 
@@ -106,24 +106,24 @@ def reference_value(value: FloatArray, covariance: FloatArray) -> ReferenceValue
     for size in range(count, 1, -1):
         found = []
         for subset in combinations(range(count), size):
-            own = np.array(subset)
-            found.append((weighted_mean(value[own], covariance[np.ix_(own, own)])[3], subset))
+            indices = np.array(subset)
+            found.append((weighted_mean(value[indices], covariance[np.ix_(indices, indices)])[3], subset))
         squared, subset = min(found)
         tried.append(float(chdtrc(size - 1.0, max(squared, 0.0))))
         if tried[-1] >= SIGNIFICANCE:
             break
     else:
-        nothing, none = np.full(count, np.nan), np.zeros(count, dtype=np.bool_)
-        return ReferenceValue(np.nan, np.nan, np.nan, 0, tried[0], none, nothing, nothing)
-    own, p = np.array(subset), tried[-1]
-    mean, u, inner, squared = weighted_mean(value[own], covariance[np.ix_(own, own)])
+        unknown, none = np.full(count, np.nan), np.zeros(count, dtype=np.bool_)
+        return ReferenceValue(np.nan, np.nan, np.nan, 0, tried[0], none, unknown, unknown)
+    indices, p = np.array(subset), tried[-1]
+    mean, u, inner, squared = weighted_mean(value[indices], covariance[np.ix_(indices, indices)])
     weights = np.zeros(count)
-    weights[own] = inner
-    turned = np.eye(count) - weights  # deviations x_i - w.x, row by row
-    variance = np.einsum("ij,jk,ik->i", turned, covariance, turned)
+    weights[indices] = inner
+    transform = np.eye(count) - weights  # deviations x_i - w.x, row by row
+    variance = np.einsum("ij,jk,ik->i", transform, covariance, transform)
     expanded = COVERAGE_FACTOR * np.sqrt(np.maximum(variance, 0.0))
     expanded[expanded < 1e-9 * np.sqrt(np.diag(covariance))] = 0.0
-    return ReferenceValue(mean, u, squared, size - 1, p, np.isin(np.arange(count), own), value - mean, expanded)
+    return ReferenceValue(mean, u, squared, size - 1, p, np.isin(np.arange(count), indices), value - mean, expanded)
 
 
 def drift(year: FloatArray, value: FloatArray, covariance: FloatArray) -> tuple[float, float]:

@@ -13,9 +13,9 @@ from fusion.sensor.compare.comparison_inputs import ComparedResult, ComparedValu
 from shaker.arrays import FloatArray
 
 EQUAL_RTOL = 1e-6
-"""Relative, between values and standard uncertainties that are stated to be the same."""
+"""Relative tolerance of equal values and standard uncertainties: their rounding in files."""
 NOTABLE = 0.1
-"""Share of a variance from which an input that may be shared is worth a remark."""
+"""Share of a variance from which an input that may be shared has a notice: chosen."""
 
 
 @dataclass(frozen=True)
@@ -46,11 +46,11 @@ def find_shared_inputs(results: Sequence[ComparedResult]) -> tuple[SharedInput, 
     """
     groups: list[dict[str, tuple[InputEvidence, ...]]] = []
     for result in results:
-        own = _unknowns(result)
-        for name, group in _paired(own, groups):
-            group[result.name] = own.pop(name)
-        groups += [{result.name: rows} for rows in own.values()]
-    return tuple(_told(group) for group in groups if len(group) > 1)
+        unknowns = _unknowns(result)
+        for name, group in _paired(unknowns, groups):
+            group[result.name] = unknowns.pop(name)
+        groups += [{result.name: rows} for rows in unknowns.values()]
+    return tuple(_shared_input(group) for group in groups if len(group) > 1)
 
 
 def find_contradictory_claims(
@@ -58,11 +58,11 @@ def find_contradictory_claims(
 ) -> Iterator[str]:
     """Yield inputs for which two results name the same certificate but which are not shared."""
     both = [found.unknowns for found in shared if {one.name, other.name} <= set(found.unknowns)]
-    taken = [own[one.name] for own in both], [own[other.name] for own in both]
+    taken = [names[one.name] for names in both], [names[other.name] for names in both]
     mine, theirs = _unknowns(one), _unknowns(other)
     left = ((x, y) for x in mine if x not in taken[0] for y in theirs if y not in taken[1])
     for rows, others in ((mine[x], theirs[y]) for x, y in left):
-        number = rows[0].certificate if rows[0].of == others[0].of and not _alike(rows, others) else ""
+        number = rows[0].certificate if rows[0].of == others[0].of and not _may_be_one(rows, others) else ""
         if number and _same_source(rows, others):
             yield f"{rows[0].of} (certificate {number})"
 
@@ -87,8 +87,8 @@ def find_possible_shared_inputs(one: ComparedResult, other: ComparedResult) -> I
     mine, theirs = _unknowns(one), _unknowns(other)
     for name in (name for name in mine if name in theirs):
         row, that = mine[name][0], theirs[name][0]
-        alike = (row.of, row.unit) == (that.of, that.unit) and _close(row.u, that.u)
-        if alike and not row.proven and not that.proven and _largest_share(one, name) > NOTABLE:
+        is_equal = (row.of, row.unit) == (that.of, that.unit) and _close(row.u, that.u)
+        if is_equal and not row.proven and not that.proven and _largest_share(one, name) > NOTABLE:
             yield name
 
 
@@ -100,33 +100,33 @@ def _largest_share(result: ComparedResult, unknown: str) -> float:
 
 
 def _paired(
-    own: Mapping[str, tuple[InputEvidence, ...]], groups: Sequence[dict[str, tuple[InputEvidence, ...]]]
+    unknowns: Mapping[str, tuple[InputEvidence, ...]], groups: Sequence[dict[str, tuple[InputEvidence, ...]]]
 ) -> list[tuple[str, dict[str, tuple[InputEvidence, ...]]]]:
     """Return the unknowns of a result with their groups of unknowns of other results."""
     fitting = {
-        name: [n for n, group in enumerate(groups) if all(_alike(rows, other) for other in group.values())]
-        for name, rows in own.items()
+        name: [n for n, group in enumerate(groups) if all(_may_be_one(rows, other) for other in group.values())]
+        for name, rows in unknowns.items()
     }
     found: list[tuple[str, int]] = []
 
     def take(better: Callable[[tuple[InputEvidence, ...], tuple[InputEvidence, ...]], bool]) -> None:
         """Select candidates that are `better` and the only such pair."""
-        free = {name: places for name, places in fitting.items() if name not in {known for known, _ in found}}
-        gone = {place for _, place in found}
+        free = {name: indices for name, indices in fitting.items() if name not in {paired for paired, _ in found}}
+        gone = {index for _, index in found}
         best = {
-            name: [n for n in places if n not in gone and any(better(own[name], o) for o in groups[n].values())]
-            for name, places in free.items()
+            name: [n for n in indices if n not in gone and any(better(unknowns[name], o) for o in groups[n].values())]
+            for name, indices in free.items()
         }
-        every = [place for places in best.values() for place in places]
+        every = [index for indices in best.values() for index in indices]
         found.extend((name, p[0]) for name, p in best.items() if len(p) == 1 and every.count(p[0]) == 1)
 
     take(lambda rows, other: rows[0].unknown == other[0].unknown)
     take(lambda rows, other: _close(rows[0].value, other[0].value))
     take(lambda rows, other: True)
-    return [(name, groups[place]) for name, place in found]
+    return [(name, groups[index]) for name, index in found]
 
 
-def _alike(rows: Sequence[InputEvidence], others: Sequence[InputEvidence]) -> bool:
+def _may_be_one(rows: Sequence[InputEvidence], others: Sequence[InputEvidence]) -> bool:
     """Return whether two unknowns may be one: equal quantity, u, value (unless relative) and source."""
     one, other = rows[0], others[0]
     what = (one.of, one.unit) == (other.of, other.unit) and _close(one.u, other.u)
@@ -150,15 +150,17 @@ def _close(one: float, other: float) -> bool:
     return bool(np.isclose(one, other, rtol=EQUAL_RTOL, atol=0.0, equal_nan=True))
 
 
-def _told(group: Mapping[str, tuple[InputEvidence, ...]]) -> SharedInput:
+def _shared_input(group: Mapping[str, tuple[InputEvidence, ...]]) -> SharedInput:
     """Return a shared input with its evidence in words."""
-    rows = [row for own in group.values() for row in own]
+    rows = [row for of_result in group.values() for row in of_result]
     numbers = dict.fromkeys(f"certificate {row.certificate}" for row in rows if row.certificate)
     files = dict.fromkeys(f"file {row.sha256[:12]}" for row in rows if row.sha256)
-    return SharedInput(rows[0].of, ", ".join(numbers or files), {name: own[0].unknown for name, own in group.items()})
+    return SharedInput(
+        rows[0].of, ", ".join(numbers or files), {name: of_result[0].unknown for name, of_result in group.items()}
+    )
 
 
-# What shared inputs do to values that are compared: covariances of magnitudes and phases.
+# Covariances of magnitudes and phases by shared inputs.
 
 
 def select_acting_inputs(
@@ -171,9 +173,9 @@ def select_acting_inputs(
     """
     found = []
     for item in shared:
-        own = [value.effects.get(item.unknowns.get(name, ""), (0.0, 0.0)) for name, value in entries]
-        if sum(any(pair) for pair in own) > 1:
-            found.append((item, np.array(own)))
+        effects = [value.effects.get(item.unknowns.get(name, ""), (0.0, 0.0)) for name, value in entries]
+        if sum(any(pair) for pair in effects) > 1:
+            found.append((item, np.array(effects)))
     return found
 
 
@@ -186,8 +188,8 @@ def covariance_of(effects: FloatArray, u: FloatArray, size: FloatArray | None = 
     below all of them (Peelle's puzzle).
     """
     at = np.ones(len(u)) if size is None else np.full(len(u), np.average(size, weights=u**-2))
-    own = at if size is None else size
+    individual = at if size is None else size
     absolute = effects * at
-    variance = u**2 + np.sum(absolute**2 - (effects * own) ** 2, axis=0)
+    variance = u**2 + np.sum(absolute**2 - (effects * individual) ** 2, axis=0)
     common = absolute.T @ absolute
     return np.asarray(common - np.diag(np.diag(common)) + np.diag(variance)), absolute
