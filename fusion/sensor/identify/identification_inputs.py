@@ -168,8 +168,8 @@ def read_campaign(path: Path, *, allow_outside: bool = False) -> IdentificationI
     missing = [manifest.name for manifest, folder in results if folder is None]
     notices = []
     if missing:
-        where = missing[0] if len(missing) == 1 else "campaign"
-        notices.append(Notice(SINES_NOT_EVALUATED, where, count=len(missing)))
+        name = missing[0] if len(missing) == 1 else "campaign"
+        notices.append(Notice(SINES_NOT_EVALUATED, name, count=len(missing)))
     used = [*transfers, *(item.manifest for item in sines)]
     check_sensor(used)
     files = [file for manifest in used for file in manifest.files]
@@ -268,9 +268,13 @@ def prepare(
     measured_by = [entries[channel] for channel in result.transfer.ratio.channels]
     tops = [entry for entry in measured_by if entry.body == "load" and _shows_motion(entry, drive)]
     if not tops:
-        key, found = "excitation.response", "none on the load"
         raise InputError(
-            MISSING_MOTION_CHANNEL, manifest.path, key, expected=_motion_quantities(drive), body="load", found=found
+            MISSING_MOTION_CHANNEL,
+            manifest.path,
+            "excitation.response",
+            expected=_motion_quantities(drive),
+            body="load",
+            found="none on the load",
         )
     blocks = [daq for daq in manifest.daq if any(entry in daq.channel for entry in (base, *tops))]
     clock = blocks[0] if len(blocks) == 1 else manifest.daq[0]
