@@ -16,6 +16,7 @@ from fusion.cli import main
 from fusion.estimation.coverage import coverage_factor
 from fusion.recording.load import load_manifest
 from fusion.sensor.rotate.rotation_evaluation import MEAN_ROWS, RotationCampaign, evaluate_rotation, quantities
+from fusion.sensor.rotate.rotation_notices import SINGLE_MOUNTING
 from fusion.sensor.rotate.rotation_readings import (
     JOINT,
     RepeatedResults,
@@ -152,13 +153,14 @@ def test_repeats_enter_the_budget_of_what_rests_on_them(repeated):
     assert not any(BETWEEN in name for q in weights for name in q.budget)
 
 
-def test_one_mounting_is_told_and_single_recordings_are_not(repeated):
+def test_one_mounting_is_reported_and_single_recordings_are_not(repeated):
     folder, _ = repeated
-    told = [notice.text for notice in _evaluated(folder, [BARE, "anew", "anew-again"]).notices]
-    assert any("2 recordings with load are of one mounting" in text for text in told)
+    repeats = _evaluated(folder, [BARE, "anew", "anew-again"])
+    (notice,) = (notice for notice in repeats.notices if notice.code == SINGLE_MOUNTING.code)
+    assert notice.values == {"count": 2, "state": "with load"}
     single = _evaluated(folder, [BARE, LOADED])
     assert not single.repeats
-    assert not any("mounting" in notice.text for notice in single.notices)
+    assert SINGLE_MOUNTING.code not in {notice.code for notice in single.notices}
     assert all(not name.startswith((WITHIN, BETWEEN)) for q in single.quantities for name in q.budget)
 
 
