@@ -69,9 +69,9 @@ def element(simulated: Path, tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def no_pictures(monkeypatch: pytest.MonkeyPatch, no_pages: None) -> None:
+def no_figures(monkeypatch: pytest.MonkeyPatch, no_pages: None) -> None:
     """Leave page and pictures empty where they are not what is tested."""
-    monkeypatch.setattr("fusion.sensor.elastomer.element_report.shape_pictures", lambda _: {})
+    monkeypatch.setattr("fusion.sensor.elastomer.element_report.mode_shape_figures", lambda _: {})
 
 
 def _edit(folder: Path, **changes: object) -> None:
@@ -94,7 +94,7 @@ def _evaluate(folder: Path, *, solid: bool = False, **changes: object) -> Elemen
 
 
 def test_command_writes_a_folder_that_holds_what_it_prints(simulated, evaluated):
-    out, told = evaluated
+    out, printed = evaluated
     names = {"comparison.csv", "modes.csv", "stiffness.csv", "statics.csv", "platform.csv", "elastomer.h5"}
     assert {file.name for file in out.iterdir()} == names | {"elastomer.html", "shapes-frame.png"}
     assert (out / "shapes-frame.png").read_bytes().startswith(b"\x89PNG")
@@ -112,7 +112,7 @@ def test_command_writes_a_folder_that_holds_what_it_prints(simulated, evaluated)
     family = rows(out / "platform.csv")
     assert float(family[2]["mass_kg"]) == pytest.approx(5.34e-3, rel=0.01)
     assert max(float(row["largest_misfit"]) for row in family) < 1e-6
-    assert f"{comparison['frame', 'Rz']:.1f}" in told
+    assert f"{comparison['frame', 'Rz']:.1f}" in printed
     with h5py.File(out / "elastomer.h5") as file:
         assert file["frame/modes/frequency_hz"][()].tolist() == [comparison["frame", name] for name in MODE_NAMES]
         assert file["frame/node_motion"].shape[1] == 6
@@ -143,7 +143,7 @@ def test_page_is_whole(evaluated):
     assert len(re.findall("<h2>", text)) >= 4
 
 
-@pytest.mark.usefixtures("no_pictures")
+@pytest.mark.usefixtures("no_figures")
 def test_second_run_replaces_its_results_only(element):
     assert main(["elastomer", str(element / "elastomer.toml"), "-q"]) == 0
     assert main(["elastomer", str(element), "-q"]) == 0
