@@ -18,6 +18,7 @@ from support import block, channel, documented_columns, edit, rows
 from fusion.cli import main
 from fusion.errors import InputError
 from fusion.recording.load import load_manifest
+from fusion.recording.recording_notices import WRONG_EXCITATION_KIND
 from fusion.report.h5 import read_notices
 from fusion.sensor.model_files import read_models
 from fusion.sensor.sensor_model_notices import MODEL_INFLUENCES_NOT_ASSESSED
@@ -302,8 +303,8 @@ def test_other_kinds_go_to_their_commands(folder, refused, capsys):
     text = re.sub(r'kind = "step".*?release = "fishing line"', noise, path.read_text(), flags=re.DOTALL)
     path.write_text(text, encoding="utf-8")
     told = refused("step", folder, "-q")
-    assert "excitation.kind: expected step, the kind that shakercal step evaluates" in told
-    assert told.endswith("found noise")
+    assert f"{WRONG_EXCITATION_KIND.code} {path}: excitation.kind: " in told
+    assert "noise" in told
 
 
 def test_two_rigs_are_not_compared_and_a_measured_release_needs_a_force(folder, tmp_path, refused):
