@@ -189,7 +189,7 @@ def describe_records(mountings: Sequence[str]) -> str:
 
 
 def coverage_notice(scope: str, outside: str, where: str) -> Notice:
-    """Return the notice of the use that U of a model covers, and of influences not included in U."""
+    """Return the notice of the conditions under which U of a model applies."""
     if outside:
         return Notice(MODEL_INFLUENCES_NOT_ASSESSED, where, scope=scope, outside=outside)
     return Notice(MODEL_COVERAGE, where, scope=scope)

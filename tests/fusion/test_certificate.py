@@ -102,20 +102,20 @@ def test_the_numbers_are_those_of_the_table_and_the_xml_is_valid(
 
 def test_certificates_are_read_back(campaign: Path) -> None:
     assert main(["certificate", str(campaign)]) == 0
-    back = read_result("own", campaign / "certificate" / "certificate.xml")
+    back = read_result("certificate", campaign / "certificate" / "certificate.xml")
     table = read_result("table", campaign / "results" / "Fz-0080")
     assert back.date is not None
     found = {(value.channel, value.component): value for value in back.values}
     expected = [value for value in table.values if value.frequency_hz < 90.0 and value.phase_rad is not None]
     assert expected
     for value in expected:
-        own = found[value.channel, value.component]
-        assert (own.frequency_hz, own.magnitude, own.phase_rad) == pytest.approx(
+        read = found[value.channel, value.component]
+        assert (read.frequency_hz, read.magnitude, read.phase_rad) == pytest.approx(
             (value.frequency_hz, value.magnitude, value.phase_rad), rel=1e-12
         )
         # The table has u; of U with k above 2 half of it counts as u, and a region has one factor for both parts.
-        assert 0.98 < own.u_magnitude / value.u_magnitude < 1.1
-        assert 0.98 < own.u_phase_rad / value.u_phase_rad < 1.1
+        assert 0.98 < read.u_magnitude / value.u_magnitude < 1.1
+        assert 0.98 < read.u_phase_rad / value.u_phase_rad < 1.1
 
 
 def test_missing_entries_are_one_list(campaign: Path, refused: RefusedCommand) -> None:
@@ -171,17 +171,17 @@ def test_an_expired_certificate_of_an_input_refuses_it(campaign: Path, refused: 
     assert all(text in refusal for text in ("load.mass", "M-1", "2020-01-01"))
 
 
-def test_a_certificate_that_is_there_stays(campaign: Path, refused: RefusedCommand) -> None:
+def test_existing_certificate_is_replaced_only_by_force(campaign: Path, refused: RefusedCommand) -> None:
     assert main(["certificate", str(campaign)]) == 0
     before = (campaign / "certificate" / "certificate.xml").read_bytes()
     edit(campaign / "certificate.toml", "2026-0815", "2026-0816")
-    assert "expected a new file (--force replaces it)" in refused("certificate", campaign)
+    assert "--force" in refused("certificate", campaign)
     assert (campaign / "certificate" / "certificate.xml").read_bytes() == before
     assert main(["certificate", str(campaign), "--force"]) == 0
     assert b"2026-0816" in (campaign / "certificate" / "certificate.xml").read_bytes()
 
 
-def test_warnings_have_to_be_reviewed_and_a_floor_and_k_2_are_kept(campaign: Path) -> None:
+def test_smallest_uncertainty_and_k_of_the_form_apply(campaign: Path) -> None:
     found = evaluate_certificate(campaign)
     (main_one,) = (element for element in found.elements if element.main)
     (value,) = main_one.values
@@ -196,7 +196,7 @@ def test_warnings_have_to_be_reviewed_and_a_floor_and_k_2_are_kept(campaign: Pat
 def many(found: Certificate, count: int) -> Certificate:
     """The same certificate with its first result at many frequencies."""
     first = found.elements[0]
-    values = tuple(replace(first.values[0], frequency_hz=10.0 + place / 7) for place in range(count))
+    values = tuple(replace(first.values[0], frequency_hz=10.0 + index / 7) for index in range(count))
     deviation, verdicts = first.deviation * count, first.verdicts * count
     return replace(found, elements=(replace(first, values=values, deviation=deviation, verdicts=verdicts),))
 

@@ -252,7 +252,7 @@ def test_a_certificate_is_parsed_once_until_it_changes(tmp_path, monkeypatch):
     assert [read_response(file, at, f"axis {n}").value[0].real for n in "123"] == pytest.approx([1.0, 2.0, 3.0])
     assert parsed == ["b.xml"]
     file.write_text(certificate(curve("axis 1", "1 2", "5 5", "0 0")))
-    for _ in range(2):  # just now: it might change again unseen
+    for _ in range(2):  # as it was written just now, its time of change proves nothing
         assert read_response(file, at, "axis 1").value[0] == pytest.approx(5.0)
     assert len(parsed) == 3
 
@@ -316,8 +316,8 @@ def test_damaged_results_that_are_not_used_are_accepted(tmp_path, foreign, entry
     sound = curve("axis z", "50 100 200", "2 2 2", "0.1 0.2 0.4", r"\one")
     (tmp_path / "a.xml").write_text(certificate(foreign, sound), encoding="utf-8")
     assert read_response(tmp_path / "a.xml", np.array([100.0]), "axis z").value[0] == pytest.approx(2 * np.exp(0.2j))
-    beside = foreign.partition("<dcc:data>")[2].partition("</dcc:data>")[0].replace("dcc:list>", "dcc:other>")
-    inside = sound.replace("</dcc:list>", f"{beside}</dcc:list>")
+    quantities = foreign.partition("<dcc:data>")[2].partition("</dcc:data>")[0].replace("dcc:list>", "dcc:other>")
+    inside = sound.replace("</dcc:list>", f"{quantities}</dcc:list>")
     (tmp_path / "a.xml").write_text(certificate(inside), encoding="utf-8")
     assert read_response(tmp_path / "a.xml", np.array([100.0])).value[0] == pytest.approx(2 * np.exp(0.2j))
 
@@ -606,9 +606,9 @@ def test_hybrids_of_lists_and_those_that_contradict_themselves(tmp_path):
 
 
 def signed(text: str, uri: str = "", transform: str = ENVELOPED, digest: str = "sha256", name: str = "") -> str:
-    """A certificate with a signature, digested here by the rules of W3C: `text` is in the canonical form as it stands.
+    """A certificate with a signature, digested here by the rules of W3C: `text` is in canonical form.
 
-    No space between attributes, double quotes, sorted, no empty elements, no declaration: its own bytes are digested.
+    No space between attributes, double quotes, sorted, no empty elements, no declaration: its bytes are digested.
     """
     part = re.search(rf'<(\S+) id="{uri[1:]}".*</\1>', text)[0] if uri.startswith("#") else text
     if uri.startswith("#"):  # in its canonical form an element states what it inherits

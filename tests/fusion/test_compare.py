@@ -71,10 +71,10 @@ def test_honest_laboratories_agree_in_95_percent(shared: float) -> None:
 
 def test_three_laboratories_of_which_two_share_an_input_are_covered() -> None:
     """Generalised least squares against its closed form; 2000 draws of errors, the mean, deviations and chi-square."""
-    rng, draws, own = np.random.default_rng(8), 2000, np.array([0.10, 0.15, 0.12])
+    rng, draws, separate = np.random.default_rng(8), 2000, np.array([0.10, 0.15, 0.12])
     common = np.array([0.12, 0.12, 0.0])
-    covariance = np.diag(own**2) + np.outer(common, common)
-    values = 5.0 + common * rng.standard_normal((draws, 1)) + own * rng.standard_normal((draws, 3))
+    covariance = np.diag(separate**2) + np.outer(common, common)
+    values = 5.0 + common * rng.standard_normal((draws, 1)) + separate * rng.standard_normal((draws, 3))
     found = [reference_value(row, covariance) for row in values]
     inverse = np.linalg.inv(covariance)
     assert found[0].u == pytest.approx(inverse.sum() ** -0.5)
@@ -116,7 +116,7 @@ def test_honest_laboratories_agree_about_complex_values_in_95_percent() -> None:
     truth, u_size, u_turn = 2.0 * np.exp(0.7j), np.array([0.004, 0.010]), np.array([0.003, 0.001])
     radial, across = rng.standard_normal((2, draws, 2))
     value = truth * (1.0 + u_size / 2.0 * radial + 1j * u_turn * across)
-    share = np.mean([complex_normalised_error(own, u_size, u_turn)[0, 1] <= 1.0 for own in value])
+    share = np.mean([complex_normalised_error(pair, u_size, u_turn)[0, 1] <= 1.0 for pair in value])
     assert 0.937 < share < 0.963
 
 
@@ -267,7 +267,7 @@ def test_a_certificate_in_another_unit_meets_a_table(tmp_path) -> None:
 
 
 def complex_certificate(unit: str, variance: str) -> str:
-    """The certificate with complex values in mV/V/N and their covariance in a unit in place of magnitudes."""
+    """The certificate with complex values in mV/V/N and their covariance in a unit instead of magnitudes."""
     start = CERTIFICATE.index('<dcc:quantity refType="basic_measuredValue">')
     end = CERTIFICATE.index("</dcc:list>")
 

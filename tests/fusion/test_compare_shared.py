@@ -35,7 +35,7 @@ from shaker.labels import LOAD_COMPONENTS
 MASS = InputEvidence("load: mass", "mass", 9.73, 6e-3, "kg", "M-1", "", "", "rig.toml: load.mass")
 SENSOR = SensorFacts("transducer", "1", LOAD_COMPONENTS, "V/V", "on_load", CAPACITY, None, 0.0)
 MAIN = "Fz", "magnitude"
-U_MASS = 6e-3  # kg of 9.73 kg: 6.2e-4 beside 3.0e-4 of each laboratory's own
+U_MASS = 6e-3  # kg of 9.73 kg: 6.2e-4, with 3.0e-4 of each laboratory
 
 
 def laboratory(
@@ -84,22 +84,22 @@ def agreement(evaluation: ComparisonEvaluation, truth: complex) -> list[float]:
 @pytest.mark.slow
 @pytest.mark.usefixtures("heavy")
 def test_two_laboratories_with_one_mass_agree_in_95_percent(tmp_path) -> None:
-    """1000 pairs of simulated laboratories: shared mass, all else their own; the truth is the simulator's."""
+    """1000 pairs of simulated laboratories: shared mass, everything else independent; the truth is the simulator's."""
     draws, rng = 1000, np.random.default_rng(5)
     read = [results_of(tmp_path / name, laboratory(n, 0.0)[0], name) for n, name in enumerate(("one", "two"))]
-    held: dict[str, list[list[float]]] = {"shared": [], "independent": []}
+    outcomes: dict[str, list[list[float]]] = {"shared": [], "independent": []}
     for draw in range(draws):
-        error, own = float(rng.standard_normal()), []
-        for place, result in enumerate(read):
-            recorded, truth = laboratory(2 + 2 * draw + place, error)
+        error, drawn = float(rng.standard_normal()), []
+        for index, result in enumerate(read):
+            recorded, truth = laboratory(2 + 2 * draw + index, error)
             (drive,) = recorded.excited_lines
             value = complex(drive.outputs[2] / drive.load[2])
             (stated,) = (v for v in result.values if v.channel == "Fz")
             found: ComparedValue = replace(stated, magnitude=abs(value), phase_rad=float(np.angle(value)))
-            own.append(replace(result, values=(found,)))
-        held["shared"].append(agreement(compared(own), truth))
-        held["independent"].append(agreement(compared([replace(r, evidence=()) for r in own]), truth))
-    e_n = {name: np.array(found) for name, found in held.items()}
+            drawn.append(replace(result, values=(found,)))
+        outcomes["shared"].append(agreement(compared(drawn), truth))
+        outcomes["independent"].append(agreement(compared([replace(r, evidence=()) for r in drawn]), truth))
+    e_n = {name: np.array(found) for name, found in outcomes.items()}
     shared, independent = (np.sum(found <= 1.0, axis=0) / np.isfinite(found).sum(axis=0) for found in e_n.values())
     low, high = np.array(acceptance(draws, 3)) / draws
     assert low <= shared[0] <= high
@@ -113,8 +113,8 @@ def test_two_laboratories_with_one_mass_agree_in_95_percent(tmp_path) -> None:
 @pytest.mark.usefixtures("heavy")
 def test_a_shared_mass_is_the_covariance_of_two_results(tmp_path) -> None:
     """Closed form: relative covariance (6e-3 kg/9.73 kg)²; E_n over U of the difference without it."""
-    own = [results_of(tmp_path / n, laboratory(k, 0.3, day=date(2020 + k, 7, 1))[0], n) for k, n in enumerate("ab")]
-    evaluation = compared(own)
+    results = [results_of(tmp_path / n, laboratory(k, 0.3, day=date(2020 + k, 7, 1))[0], n) for k, n in enumerate("ab")]
+    evaluation = compared(results)
     assert [(item.of, item.evidence) for item in evaluation.shared] == [("mass", "certificate M-1")]
     found = next(c for c in evaluation.quantities if (c.channel, c.quantity) == ("Fz", "magnitude"))
     common = (U_MASS / 9.73) ** 2 * found.value[0] * found.value[1]
@@ -127,15 +127,15 @@ def test_a_shared_mass_is_the_covariance_of_two_results(tmp_path) -> None:
 
 
 def test_a_shared_relative_error_pulls_no_mean_below_its_values() -> None:
-    """Peelle's puzzle: 1.5 and 1.0, 10 % of their own and 20 % in common, are 0.88 if readings scale what is common."""
-    value, own = np.array([1.5, 1.0]), np.array([0.15, 0.10])
-    u = np.hypot(own, 0.2 * value)
+    """Peelle's puzzle: 1.5 and 1.0, 10 % each and 20 % in common, are 0.88 if readings scale what is common."""
+    value, separate = np.array([1.5, 1.0]), np.array([0.15, 0.10])
+    u = np.hypot(separate, 0.2 * value)
     mean, u_mean, _, _ = weighted_mean(value, covariance_of(np.array([[0.2, 0.2]]), u, value)[0])
     naive = np.diag(u**2) + 0.04 * np.outer(value, value) * (1.0 - np.eye(2))
     assert weighted_mean(value, naive)[0] == pytest.approx(0.882, abs=1e-3), "as published"
-    weights = own**-2 / np.sum(own**-2)
+    weights = separate**-2 / np.sum(separate**-2)
     assert mean == pytest.approx(weights @ value)
-    assert u_mean == pytest.approx(np.hypot(np.sum(own**-2) ** -0.5, 0.2 * mean), rel=1e-9)
+    assert u_mean == pytest.approx(np.hypot(np.sum(separate**-2) ** -0.5, 0.2 * mean), rel=1e-9)
 
 
 @pytest.mark.parametrize(

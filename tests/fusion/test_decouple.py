@@ -47,17 +47,17 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def evaluation(campaign: Path) -> DecoupleEvaluation:
-    """What the command evaluates, whose results stand in the campaign's folder."""
-    kept: list[DecoupleEvaluation] = []
+    """Evaluation by the command, whose results are in the folder of the campaign."""
+    evaluations: list[DecoupleEvaluation] = []
 
     def keep(*inputs: Any) -> DecoupleEvaluation:
-        kept.append(evaluate_decoupling(*inputs))
-        return kept[-1]
+        evaluations.append(evaluate_decoupling(*inputs))
+        return evaluations[-1]
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("fusion.sensor.decouple.decoupling_report.evaluate_decoupling", keep)
         assert main(["decouple", str(campaign), "--frequency", "90", "--damping", "0.6", "-q"]) == 0
-    return kept[0]
+    return evaluations[0]
 
 
 @pytest.fixture(scope="module")

@@ -93,7 +93,7 @@ def _evaluate(folder: Path, *, solid: bool = False, **changes: object) -> Elemen
     return evaluate_element(read_definition(folder / "elastomer.toml"), {}, solid=solid)
 
 
-def test_command_writes_a_folder_that_holds_what_it_prints(simulated, evaluated):
+def test_command_writes_the_results_that_it_prints(simulated, evaluated):
     out, printed = evaluated
     names = {"comparison.csv", "modes.csv", "stiffness.csv", "statics.csv", "platform.csv", "elastomer.h5"}
     assert {file.name for file in out.iterdir()} == names | {"elastomer.html", "shapes-frame.png"}
@@ -147,10 +147,10 @@ def test_page_is_whole(evaluated):
 def test_second_run_replaces_its_results_only(element):
     assert main(["elastomer", str(element / "elastomer.toml"), "-q"]) == 0
     assert main(["elastomer", str(element), "-q"]) == 0
-    (element / "elastomer" / "mine.txt").write_text("kept", encoding="utf-8")
+    (element / "elastomer" / "mine.txt").write_text("mine", encoding="utf-8")
     _edit(element, name="another")
     assert main(["elastomer", str(element), "-q"]) == 0  # of an edited definition
-    assert (element / "elastomer" / "mine.txt").read_text(encoding="utf-8") == "kept"
+    assert (element / "elastomer" / "mine.txt").read_text(encoding="utf-8") == "mine"
 
 
 @pytest.mark.slow
@@ -183,7 +183,7 @@ def test_platform_as_data_is_its_block(element):
     assert (caught.value.code, caught.value.key) == (BLOCK_THICKNESS_MISSING.code, "platform.thickness")
 
 
-def test_a_solid_that_cannot_be_computed_says_what_to_do(element, monkeypatch):
+def test_error_of_a_solid_that_cannot_be_computed_has_a_remedy(element, monkeypatch):
     pytest.importorskip("skfem")
     with pytest.raises(InputError) as caught:
         _evaluate(element, solid=True, platform={"height": 0.02})

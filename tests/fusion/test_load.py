@@ -49,8 +49,8 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Five loads, evaluated with two predictions."""
     folder = tmp_path_factory.mktemp("loads") / "series"
     assert main(["simulate", str(folder), "--preset", "loads", "--seed", "3"]) == 0
-    asked = ["--load-mass", "0.13", "0.3", "--wanted", "400"]
-    assert main(["load", str(folder), *asked, "-q"]) == 0
+    options = ["--load-mass", "0.13", "0.3", "--wanted", "400"]
+    assert main(["load", str(folder), *options, "-q"]) == 0
     return folder
 
 
@@ -123,7 +123,7 @@ def test_one_load_gives_two_solutions(campaign, tmp_path, capsys):
     assert second.coupling_stiffness == pytest.approx(3.933e5, rel=2e-3)
 
 
-def test_existing_results_are_kept(campaign, tmp_path, capsys):
+def test_existing_results_are_not_replaced(campaign, tmp_path, capsys):
     (tmp_path / "notes.txt").write_text("mine", encoding="utf-8")
     assert f"{tmp_path}: " in refusals(capsys)("load", campaign, "-o", tmp_path, "-q")
     assert [file.name for file in tmp_path.iterdir()] == ["notes.txt"]
@@ -269,12 +269,12 @@ def test_components_without_moving_inertia_are_left_out(short):
     assert (notice.where, notice.values) == ("Mz", {"key": "sensor.internal_inertia"})
 
 
-def test_moments_have_inertias_in_place_of_masses(short):
+def test_moments_have_inertias_instead_of_masses(short):
     for grams, inertia in ((0, 0.0), (48, 0.048)):
         rig, recording = short / f"rig-{grams:03d}g.toml", short / f"step-{grams:03d}g"
         edit(recording / "recording.toml", 'component = "Fy"', 'component = "Mx"')
-        own = "internal_inertia = [[0.24, 0.0, 0.0], [0.0, 0.2, 0.0], [0.0, 0.0, 0.2]]"
-        edit(rig, "internal_mass_uncertainty = 5e-05", f"{own}\ninternal_inertia_uncertainty = 1e-4")
+        internal = "internal_inertia = [[0.24, 0.0, 0.0], [0.0, 0.2, 0.0], [0.0, 0.0, 0.2]]"
+        edit(rig, "internal_mass_uncertainty = 5e-05", f"{internal}\ninternal_inertia_uncertainty = 1e-4")
         edit(rig, 'channels = ["Fy"]', 'channels = ["bridge"]')
         edit(recording / "recording.toml", 'channel = "Fy"', 'channel = "bridge"')
         if inertia:

@@ -115,9 +115,9 @@ def _paper(folder: Path) -> Path:
 
 def test_simulated_masses_come_back_within_u(simulated, once):
     truth = json.loads((simulated / LOADED / "truth.json").read_text())
-    true = {(f"{own}_mass", part): truth[f"{own}_mass_kg"] for own in BODIES for part in (JOINT, "Fx", "Fy")}
-    for own in BODIES:
-        true |= {(f"{own}_centre_of_mass", axis): truth[f"{own}_centre_m"][i] for i, axis in enumerate("xyz")}
+    true = {(f"{body}_mass", part): truth[f"{body}_mass_kg"] for body in BODIES for part in (JOINT, "Fx", "Fy")}
+    for body in BODIES:
+        true |= {(f"{body}_centre_of_mass", axis): truth[f"{body}_centre_m"][i] for i, axis in enumerate("xyz")}
     for key, value in true.items():
         found = once.find(*key)
         assert abs(found.value - value) < 1.5 * found.expanded, key
@@ -197,10 +197,13 @@ def test_a_part_on_one_recording_is_taken_off_there(campaign, once):
 
 def test_repeats_are_averaged(campaign, once):
     shutil.copytree(campaign / BARE, campaign / "without-again")
-    again, first = _evaluated(campaign, BARE, "without-again", LOADED).find("internal_mass"), once.find("internal_mass")
-    assert again.value == pytest.approx(first.value, rel=1e-4)
-    assert again.budget[f"noise of {BARE}"] < 0.6 * first.budget[f"noise of {BARE}"]
-    assert again.budget["calibration matrix"] == pytest.approx(first.budget["calibration matrix"], rel=0.01)
+    repeated, first = (
+        _evaluated(campaign, BARE, "without-again", LOADED).find("internal_mass"),
+        once.find("internal_mass"),
+    )
+    assert repeated.value == pytest.approx(first.value, rel=1e-4)
+    assert repeated.budget[f"noise of {BARE}"] < 0.6 * first.budget[f"noise of {BARE}"]
+    assert repeated.budget["calibration matrix"] == pytest.approx(first.budget["calibration matrix"], rel=0.01)
 
 
 def test_reversed_sense_of_the_sensor_is_reported_without_effect(campaign, once):
@@ -270,7 +273,7 @@ def test_other_commands_name_this_one(campaign, capsys):
 
 
 @pytest.mark.usefixtures("no_pages")
-def test_where_results_stand(campaign, tmp_path):
+def test_folders_of_results(campaign, tmp_path):
     for paths, folder in (((BARE,), BARE), ((LOADED, BARE), ""), ((f"{LOADED}/recording.toml",), LOADED)):
         assert main(["rotate", *(str(campaign / path) for path in paths)]) == 0
         assert (campaign / folder / "rotate" / "rotation.csv").is_file()

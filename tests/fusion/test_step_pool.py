@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import stats
 
-from fusion.sensor.step.step_notices import RELEASE_SHAPE_UNDETERMINED
+from fusion.sensor.step.step_notices import SHAPE_OF_DEVICE_UNDETERMINED
 from fusion.sensor.step.step_records import (
     OF_SHAPES,
     AlternativeModels,
@@ -118,7 +118,7 @@ def test_releases_by_one_device_determine_its_shape_together():
     ((alternative, notice),) = alternative_shapes(undetermined, "Fz")
     assert alternative.distance == pytest.approx(np.sqrt(6.0))
     assert [np.array_equal(model.vector, smooth.model.vector) for model in alternative.models] == [True] * 4
-    assert (notice.code, notice.where, notice.values["device"]) == (RELEASE_SHAPE_UNDETERMINED.code, "Fz", "rope")
+    assert (notice.code, notice.where, notice.values["device"]) == (SHAPE_OF_DEVICE_UNDETERMINED.code, "Fz", "rope")
     assert undetermined[3].fit.u_release_s > 1e-3 / np.sqrt(6.0) > determined[0].fit.u_release_s
 
 
@@ -130,16 +130,16 @@ def test_modes_are_matched_in_rising_frequency():
 
 
 @pytest.mark.parametrize(("between", "least"), [(0.0, 0.94), (0.5, 0.92), (5.0, 0.92)])
-def test_intervals_of_three_releases_hold_the_truth(between, least):
+def test_intervals_of_three_releases_contain_the_truth(between, least):
     rng, size = np.random.default_rng(4), 10
     stated, blank = np.tile(np.eye(size), (3, 1, 1)), np.zeros((0, size))
     held = []
     for _ in range(300):
         truth = rng.standard_normal(size)
-        own = truth + np.sqrt(1.0 + between**2) * rng.standard_normal((3, size))
-        mean = random_effects_mean(own, stated)
+        readings = truth + np.sqrt(1.0 + between**2) * rng.standard_normal((3, size))
+        mean = random_effects_mean(readings, stated)
         rest = (np.zeros(size), blank, mean.weight, blank, np.zeros((size, size)))
-        u, dof = PooledModel(BLANK, own, stated, mean.weight, *rest).spread(np.eye(size))
+        u, dof = PooledModel(BLANK, readings, stated, mean.weight, *rest).spread(np.eye(size))
         held.append(np.abs(mean.value - truth) <= stats.t.ppf(0.975, np.minimum(dof, 1e9)) * u)
     assert np.mean(held) > least
 
@@ -153,7 +153,7 @@ def test_the_mean_stays_between_the_vectors():
     assert np.all(np.linalg.eigvalsh(mean.covariance) > 0.0)
 
 
-def test_a_parameter_that_differs_by_rounding_alone_weighs_nothing():
+def test_a_parameter_that_differs_only_by_rounding_has_no_weight():
     stated = np.array([np.diag([1.0, 0.0]), np.diag([3.0, 0.0])])
     for last in (1.0, np.nextafter(1.0, 2.0)):
         mean = random_effects_mean(np.array([[0.0, 1.0], [1.0, last]]), stated, 1e-9)

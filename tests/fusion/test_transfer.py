@@ -104,7 +104,7 @@ def test_the_curve_is_the_truth_within_its_covariance(simulated):
 
 @pytest.mark.parametrize("stated", [0.0, 1.0])
 def test_u_of_a_line_covers_with_noise_of_few_degrees_of_freedom(simulated, stated):
-    """95 % of magnitudes and of phases, with noise of 4 degrees of freedom alone and beside a stated error as large."""
+    """95 % of magnitudes and of phases, with noise of 4 degrees of freedom alone and with a stated error as large."""
     result, rng = _evaluated(simulated), np.random.default_rng(2)
     ratio = result.transfer.ratio
     count, u = len(ratio.frequency_hz), 1e-3
@@ -269,14 +269,14 @@ def test_what_channels_share_cancels(recording):
 
 
 @pytest.mark.parametrize(
-    ("read", "wanted", "kind", "unit"),
+    ("read", "quantity", "kind", "unit"),
     [
         ("acceleration", "displacement", "receptance", "m/N"),
         ("angular_velocity", None, "mobility", "(rad/s)/N"),
         ("angular_velocity", "acceleration", "accelerance", "(rad/s^2)/N"),
     ],
 )
-def test_blows_on_a_mass_give_its_receptance_and_what_follows_from_it(tmp_path, read, wanted, kind, unit):
+def test_blows_on_a_mass_give_its_receptance_and_what_follows_from_it(tmp_path, read, quantity, kind, unit):
     rate, mass, rng = 10240.0, 0.5, np.random.default_rng(2)
     force = np.zeros(round(8.0 * rate))
     pulse = np.sin(np.pi * np.arange(1, 10) / 10.0) ** 2
@@ -292,7 +292,7 @@ def test_blows_on_a_mass_give_its_receptance_and_what_follows_from_it(tmp_path, 
     top = np.fft.irfft(np.fft.rfft(force, 2 * len(force)) * response)[: len(force)]
     folder = _blow_recording(tmp_path, rate, force, top, rng)
     edit(folder / "recording.toml", '"acceleration"', f'"{read}"')
-    result = _evaluated(folder, quantity=wanted)
+    result = _evaluated(folder, quantity=quantity)
     assert result.transfer.ratio.unit == (unit,)
     (found,) = result.resonances
     assert found.fit.kind == kind
@@ -317,7 +317,7 @@ def _blow_recording(folder: Path, rate: float, force: np.ndarray, top: np.ndarra
 
 
 def _two_clocks(folder: Path, rates: tuple[float, float]) -> Path:
-    """Write a periodic recording whose reference and response stand in two blocks with clocks of their own.
+    """Write a periodic recording whose reference and response are in two blocks with separate clocks.
 
     The second starts 37 ms later and runs 170 ppm fast; pulses at 53 Hz in both tie them.
     """

@@ -79,7 +79,7 @@ NO_MODEL_FITTED = DeclaredNotice(
     remedy="Select the lines of one resonance with `--band`.",
     link="identify.md",
 )
-PARAMETERS_UNDETERMINED = DeclaredNotice(
+STIFFNESS_NOT_DETERMINED = DeclaredNotice(
     "SC-650",
     "error",
     "the recordings do not determine stiffness, damping or internal mass of {component}",

@@ -32,12 +32,12 @@ from fusion.sensor.identify.identification_notices import (
     EQUAL_LOAD_MASSES,
     MISSING_IDENTIFICATION_ENTRY,
     NO_MODEL_FITTED,
-    PARAMETERS_UNDETERMINED,
     PITCHING_NOT_DRIVEN,
     SECOND_PEAK_NOT_EXPLAINED,
     SENSITIVITY_EXPLANATION,
     SENSITIVITY_NOT_EXPLAINED,
     SENSITIVITY_NOT_MEASURED,
+    STIFFNESS_NOT_DETERMINED,
 )
 from fusion.sensor.unmodelled_effects import stated_influences
 from shaker.arrays import ComplexArray, FloatArray
@@ -447,7 +447,7 @@ def mechanics(fit: JointFit) -> tuple[FloatArray, FloatArray]:
     pick[2, found.names.index(mass_name(fit.component))] = 1.0
     used = np.any(pick != 0.0, axis=0)
     if not np.all(np.isfinite(found.covariance[used][:, used])):
-        raise ComputeError(PARAMETERS_UNDETERMINED, component=axis)
+        raise ComputeError(STIFFNESS_NOT_DETERMINED, component=axis)
     values = np.array([estimate.value for estimate in found.estimates])
     covariance = pick[:, used] @ found.covariance[np.ix_(used, used)] @ pick[:, used].T
     if len(dampers) > 1:

@@ -98,7 +98,7 @@ COMPONENT_WITHOUT_MODEL = DeclaredNotice(
     link="steps.md",
     acknowledgeable=False,
 )
-RELEASE_SHAPE_UNDETERMINED = DeclaredNotice(
+SHAPE_OF_DEVICE_UNDETERMINED = DeclaredNotice(
     "SC-675",
     "note",
     "Releases by {device} do not determine whether the load changes along {shapes}.",

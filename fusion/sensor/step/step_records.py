@@ -202,7 +202,7 @@ class PooledModel:
     scale : (P,), change of the parameters by one standard uncertainty of the common scale.
     shapes : (S, P), change by each release shape that the records do not determine.
     shares : (R,), weight of each release in the mean.
-    beside : (E, P), change by each unknown that no record shows.
+    unobserved : (E, P), change by each unknown that the records do not determine.
     scatter : (P, P), part of the covariance with `scatter_dof` degrees of freedom.
     """
 
@@ -213,7 +213,7 @@ class PooledModel:
     scale: FloatArray
     shapes: FloatArray
     shares: FloatArray
-    beside: FloatArray
+    unobserved: FloatArray
     scatter: FloatArray
 
     @property
@@ -224,15 +224,15 @@ class PooledModel:
     def spread(self, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return standard uncertainties and degrees of freedom, (Q,) each, of numbers with gradients (Q, P).
 
-        u² = Σw²·(u_i² + τ²) + u_scale² + Σu_shape² + Σu_beside², where τ² = s² - mean u_i² is the scatter beyond the
-        stated uncertainties. The degrees of freedom are those of s², combined by Welch and Satterthwaite (JCGM 100,
+        u² = Σw²·(u_i² + τ²) + u_scale² + Σu_shape² + Σu_unobserved². τ² = s² - mean u_i² is the scatter beyond the stated
+        uncertainties. The degrees of freedom are those of s², combined by Welch and Satterthwaite (JCGM 100,
         G.4.1). There, s² is enlarged by its relative variance 2/ν as in `rotation_readings`. Two vectors determine s²
         poorly. For them only τ² counts as the part with ν = 1, so that k = 12.7 remains for scatter far beyond the
         stated uncertainties.
         """
         stated = np.einsum("qp,npr,qr->nq", gradient, self.covariances, gradient)
         variance, dof = self.weights**2 @ stated, np.full(len(gradient), np.inf)
-        shared = np.concatenate([self.scale[None], self.shapes, self.beside])
+        shared = np.concatenate([self.scale[None], self.shapes, self.unobserved])
         common = np.sum((gradient @ shared.T) ** 2, axis=1)
         if self.scatter_dof:
             off = (self.vectors - self.vectors.mean(axis=0)) @ gradient.T
@@ -250,7 +250,7 @@ class PooledModel:
 
         Their squares add up to u².
         """
-        shared, other = {OF_SCALES: np.abs(gradient @ self.scale)}, gradient @ self.beside.T
+        shared, other = {OF_SCALES: np.abs(gradient @ self.scale)}, gradient @ self.unobserved.T
         if len(self.shapes):
             shared[OF_SHAPES] = np.linalg.norm(gradient @ self.shapes.T, axis=1)
         shared |= influences.by_cause(lambda places: np.linalg.norm(other[:, places], axis=1))

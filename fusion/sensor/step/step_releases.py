@@ -24,9 +24,9 @@ from fusion.sensor.step.step_notices import (
     METHOD_REMARK,
     METHOD_WITHOUT_MODEL,
     NO_STEP_FOUND,
-    RELEASE_SHAPE_UNDETERMINED,
     RELEASE_WITHOUT_MODEL,
     RELEASES_REFITTED,
+    SHAPE_OF_DEVICE_UNDETERMINED,
     STRUCTURE_NOT_FOUND,
 )
 from fusion.sensor.step.step_records import (
@@ -320,7 +320,7 @@ def alternative_shapes(
         first = releases[undetermined.index(True)]
         difference = describe_difference(first.shapes[0], first.shapes[1])
         notice = (
-            Notice(RELEASE_SHAPE_UNDETERMINED, component, device=device or UNNAMED, shapes=difference)
+            Notice(SHAPE_OF_DEVICE_UNDETERMINED, component, device=device or UNNAMED, shapes=difference)
             if difference
             else None
         )
