@@ -24,24 +24,24 @@ Below = Callable[..., NDArray[np.complex128]]
 _RATE_HZ, _LENGTH_S, _DRIVE_MPS2, _NOISE = 12800.0, 0.5, 20.0, 2e-3
 
 
-def write_campaign(folder: Path, stand: SimulatedSuspension = SMALL, seed: int = 1) -> Path:
+def write_campaign(folder: Path, suspension: SimulatedSuspension = SMALL, seed: int = 1) -> Path:
     """Write rigs and a chirp of each load into a new folder and return it; uncertain quantities are drawn."""
     folder.mkdir(parents=True)
-    write_chirps(folder, stand, Draws(seed, True))
+    write_chirps(folder, suspension, Draws(seed, True))
     return folder
 
 
 def write_sines(
-    folder: Path, seed: int = 1, stand: SimulatedSuspension = SMALL, below: Below = SMALL.transfer
+    folder: Path, seed: int = 1, suspension: SimulatedSuspension = SMALL, below: Below = SMALL.transfer
 ) -> list[Path]:
     """Add a recording of each sine to a campaign and return their folders.
 
     `below`: motion of the mass on the sensor's spring over that of the base; for a rigid load, motion of the load.
     """
-    return [_write_sine(folder, frequency, seed, stand, below) for frequency in SINES_HZ]
+    return [_write_sine(folder, frequency, seed, suspension, below) for frequency in SINES_HZ]
 
 
-def _write_sine(folder: Path, frequency: float, seed: int, stand: SimulatedSuspension, below: Below) -> Path:
+def _write_sine(folder: Path, frequency: float, seed: int, suspension: SimulatedSuspension, below: Below) -> Path:
     """One sine: acceleration of base and load, output Fz."""
     draws, rng = Draws(seed, True), np.random.default_rng([seed, round(frequency)])
     load, internal = true_part(SMALL.loads[SINE_LOAD], draws), true_part(SMALL.internal, draws)
@@ -49,7 +49,7 @@ def _write_sine(folder: Path, frequency: float, seed: int, stand: SimulatedSuspe
     recording.mkdir()
     s = 2j * np.pi * frequency
     known = load, internal, TOP, np.array([frequency])
-    top, spring = _DRIVE_MPS2 * complex(stand.transfer(*known)[0]), _DRIVE_MPS2 * complex(below(*known)[0])
+    top, spring = _DRIVE_MPS2 * complex(suspension.transfer(*known)[0]), _DRIVE_MPS2 * complex(below(*known)[0])
     force = (STIFFNESS + s * DAMPING) * (_DRIVE_MPS2 - spring) / s**2
     output = SENSITIVITY * force / (1.0 + s * DAMPING / STIFFNESS) / (1.0 + s * LAG_S)
     time_s = np.arange(round(_LENGTH_S * _RATE_HZ)) / _RATE_HZ

@@ -36,7 +36,7 @@ def filled(source: Path, folder: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def rotated(commanded: Callable[[str], Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return filled(commanded("rotation"), tmp_path_factory.mktemp("turned") / "rotation")
+    return filled(commanded("rotation"), tmp_path_factory.mktemp("rotation") / "rotation")
 
 
 def certified(folder: Path, out: Path) -> etree._Element:

@@ -120,12 +120,12 @@ def test_honest_laboratories_agree_about_complex_values_in_95_percent() -> None:
     assert 0.937 < share < 0.963
 
 
-def test_complex_values_apart_along_one_axis_are_as_far_as_the_region_reaches() -> None:
+def test_complex_values_on_the_edge_of_the_region_have_an_error_of_1() -> None:
     """sqrt(5.991) = 2.4477 standard uncertainties of the difference are its edge (JCGM 102, 6.5)."""
     u = np.array([0.003, 0.004])
-    apart = np.array([1.0 + 0.0j, 1.0 + 2.4477 * 0.005])
-    assert complex_normalised_error(apart, u, np.array([0.01, 0.01]))[0, 1] == pytest.approx(1.0, rel=1e-4)
-    assert np.isnan(complex_normalised_error(apart * [1.0, np.nan], u, u)[0, 1])
+    values = np.array([1.0 + 0.0j, 1.0 + 2.4477 * 0.005])
+    assert complex_normalised_error(values, u, np.array([0.01, 0.01]))[0, 1] == pytest.approx(1.0, rel=1e-4)
+    assert np.isnan(complex_normalised_error(values * [1.0, np.nan], u, u)[0, 1])
 
 
 HEAD = "frequency_hz,channel,component,magnitude,U_magnitude,k,phase_rad,U_phase_rad,unit"

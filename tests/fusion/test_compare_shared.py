@@ -104,7 +104,7 @@ def test_two_laboratories_with_one_mass_agree_in_95_percent(tmp_path) -> None:
     low, high = np.array(acceptance(draws, 3)) / draws
     assert low <= shared[0] <= high
     assert low <= shared[1] <= high
-    assert low <= shared[2] <= high, "the mean's U holds the mass once"
+    assert low <= shared[2] <= high, "U of the mean contains the mass once"
     assert independent[0] > 0.99, "visibly too many"
     assert independent[1] > 0.975
     assert independent[2] < 0.92, "a mean of two that are taken as independent is too sure"

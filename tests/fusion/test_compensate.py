@@ -78,10 +78,10 @@ def _write_models(folder: Path) -> Path:
     return file
 
 
-def _write_loads(folder: Path, *, known: bool = False) -> Path:
-    """load.json of three masses, with a covariance if it is to be known."""
+def _write_loads(folder: Path, *, with_covariance: bool = False) -> Path:
+    """load.json of three masses, with a covariance on request."""
     folder.mkdir()
-    covariance = np.diag([100.0, 0.01, 200.0, 0.05]) ** 2 if known else None
+    covariance = np.diag([100.0, 0.01, 200.0, 0.05]) ** 2 if with_covariance else None
     model = LoadModel(
         "Fy", "Fy", "V", 0.240, 2.36e6, 6.0, 1.89e6, 4.0, GAIN,
         covariance=covariance, load_masses=(0.0, 0.048, 0.198),
@@ -149,7 +149,7 @@ def test_models_of_a_step_campaign(tmp_path):
 
 @pytest.mark.usefixtures("no_pages")
 def test_a_filter_for_every_load_of_one_target(tmp_path, capsys):
-    out, loads = tmp_path / "out", _write_loads(tmp_path / "load", known=True)
+    out, loads = tmp_path / "out", _write_loads(tmp_path / "load", with_covariance=True)
     options = ["--frequency", "1000", "--damping", "0.5", "--modes", "2", "--load-mass", "0", "0.198"]
     assert main(["compensate", str(loads), *options, "-o", str(out)]) == 0
     found = read_compensation_filters(out)
@@ -340,7 +340,7 @@ def entry(model: ModalModel, channel: str = "Fz", component: str = "Fz") -> Mode
 
 @settings(max_examples=40, deadline=None)
 @given(SIZES, st.integers(0, 2**32 - 1))
-def test_a_model_comes_back_to_the_last_bit(sizes, seed):
+def test_model_is_read_back_to_the_last_bit(sizes, seed):
     model = random_model(*sizes, np.random.default_rng(seed))
     file = ModelsFile("campaign µ", "sensor", "7", (entry(model), entry(model, "Fx")))
     with TemporaryDirectory() as folder:
@@ -464,7 +464,7 @@ def test_a_band_that_a_peak_may_cut_short_is_covered(tmp_path):
 
 @pytest.mark.slow
 def test_bands_and_overshoot_of_simulated_campaigns_agree_with_the_truth(monkeypatch):
-    """Each of 12 figures per row is held 95 times in 100: fewer than 10 are seen by chance once in 50."""
+    """Each of 12 figures per row is covered 95 times in 100: fewer than 10 occur by chance once in 50."""
     monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
     found = import_module("steps").errors_over_u
     ratio = np.abs(np.array([one for seed in (1, 3) for one in found(seed).values()]))

@@ -197,8 +197,8 @@ ROD_HZ, HEIGHT_M, JOINT_HZ, CABLE_NPM = 8400.0, 0.1, 9000.0, 4e5
 
 
 @dataclass(frozen=True)
-class BentStand(SimulatedSuspension):
-    """A load that is a uniform rod, on a joint above the sensor's own mass, tied to the room at its foot.
+class ElasticLoadSuspension(SimulatedSuspension):
+    """A load that is a uniform rod, on a joint above the sensor's own mass, with a spring to the room at its foot.
 
     By the wave equation of the rod and Newton's law at the joint, not by modes: foot force m·a·tan(kL)/(kL), motion at
     a height h cos(k(L - h))/cos(kL) times that of the foot.
@@ -245,11 +245,11 @@ def _state_bent(rig: Path, keys: str, mass_kg: float) -> None:
 )
 def test_elastic_load_is_in_the_model(tmp_path, stated, true):
     tops = {"top_1": (0.03, 0.0, 0.1), "top_2": (-0.03, 0.0, 0.06)}
-    stand = BentStand(**(vars(SMALL) | {"tops": tops}), **true)
-    folder = write_campaign(tmp_path / "campaign", stand)
+    suspension = ElasticLoadSuspension(**(vars(SMALL) | {"tops": tops}), **true)
+    folder = write_campaign(tmp_path / "campaign", suspension)
     fits = {}
     for kind in ("bent",) if stated else ("rigid", "bent"):
-        for name, load in stand.loads.items() if kind == "bent" else ():
+        for name, load in suspension.loads.items() if kind == "bent" else ():
             _state_bent(folder / rig_file(name), stated, load.mass)
         items = [prepare(manifest, manifest.name, None) for manifest in read_campaign(folder).transfers]
         fits[kind] = _fit([item for item, _ in items]).identification
@@ -264,11 +264,13 @@ def test_elastic_load_is_in_the_model(tmp_path, stated, true):
 
 
 def test_sines_of_an_elastic_load_give_the_same_parameters(tmp_path, monkeypatch):
-    stand = BentStand(**(vars(SMALL) | {"tops": {"top": (0.0, 0.0, 0.1)}}), joint_hz=JOINT_HZ)
-    folder = write_campaign(tmp_path / "campaign", stand)
-    write_sines(folder, stand=stand, below=lambda load, internal, _, hertz: stand.moved(load, internal, hertz)[0])
+    suspension = ElasticLoadSuspension(**(vars(SMALL) | {"tops": {"top": (0.0, 0.0, 0.1)}}), joint_hz=JOINT_HZ)
+    folder = write_campaign(tmp_path / "campaign", suspension)
+    write_sines(
+        folder, suspension=suspension, below=lambda load, internal, _, hertz: suspension.moved(load, internal, hertz)[0]
+    )
     keys = f"elastic_frequency = {JOINT_HZ}\nelastic_frequency_uncertainty = 20.0"
-    for name, load in stand.loads.items():
+    for name, load in suspension.loads.items():
         _state_bent(folder / rig_file(name), keys, load.mass)
     without_pages(monkeypatch)
     outcomes = run_path(folder, None, Settings())
@@ -298,20 +300,22 @@ def test_two_axes_have_a_result_each(prepared):
 
 
 def test_second_peak_selects_pitching(tmp_path):
-    stand = read_preset(SimulatedSuspension, "pitching", chirp=replace(QUICK, period_s=0.32))
-    folder = write_campaign(tmp_path / "campaign", stand)
+    suspension = read_preset(SimulatedSuspension, "pitching", chirp=replace(QUICK, period_s=0.32))
+    folder = write_campaign(tmp_path / "campaign", suspension)
     found = [prepare(manifest, manifest.name, None)[0] for manifest in read_campaign(folder).transfers]
     fit = _fit(found)
     assert fit.model == "pitching"
     assert "1190." in fit.reason
     names = ("stiffness_x", "stiffness_ry", "damping_x", "damping_ry")
-    for name, true in zip(names, (*stand.stiffness, *stand.damping), strict=True):
+    for name, true in zip(names, (*suspension.stiffness, *suspension.damping), strict=True):
         assert abs(fit.identification.value(name) - true) < 3.3 * fit.identification.u(name)
         assert "damping" in name or fit.identification.value(name) == pytest.approx(true, rel=2e-3)
-    drawn = np.hypot(fit.identification.u("internal_mass"), stand.internal.mass_uncertainty)
-    assert abs(fit.identification.value("internal_mass") - stand.internal.mass) < 3.3 * drawn
+    drawn = np.hypot(fit.identification.u("internal_mass"), suspension.internal.mass_uncertainty)
+    assert abs(fit.identification.value("internal_mass") - suspension.internal.mass) < 3.3 * drawn
     read, _ = read_curves(fit, fit.identification.value("internal_mass"))
-    overlapping = [r.stiffness / stand.stiffness[0] for r in read if r.method == "maximum" and "6.962" in r.recording]
+    overlapping = [
+        r.stiffness / suspension.stiffness[0] for r in read if r.method == "maximum" and "6.962" in r.recording
+    ]
     assert max(abs(ratio - 1.0) for ratio in overlapping) > 0.02  # a neighbouring peak distorts the reading
     near = [replace(item, measured=_lines(item.measured, 1100.0, 1300.0)) for item in found[:1]]
     alone = _fit(near, model="translation")
@@ -407,7 +411,7 @@ TURNING = read_preset(Chirp, "chirp.chirp", sample_rate_hz=12800.0, period_s=0.6
 ABOUT_Y = [0.0, 0.0, 0.0, 0.0, 1.0, 0.0]
 
 
-def _turned(load: Load, off: float) -> Callable[[NDArray[np.float64]], NDArray[np.complex128]]:
+def _rotated(load: Load, off: float) -> Callable[[NDArray[np.float64]], NDArray[np.complex128]]:
     """Acceleration at the lever of the load over that at the lever of the base, by Cramer's rule.
 
     (m + m_i) ẍ + m h θ̈ = -(k_x + b_x s) x and m h ẍ + J θ̈ = -(k_ry + b_ry s)(θ - θ_base).
@@ -441,7 +445,7 @@ def _write(folder: Path, *, rate: bool, loads: dict[str, Load] = LOADS, chirp: C
             to_toml(suspension_rig(read_preset(SimulatedSuspension, "pitching", internal=internal), part, draws))
         )
         true = (mass, height, inertia + U_J * float(rng.standard_normal()))
-        samples = chirp_samples(chirp, draws, {"top": _turned(true, off)}, f"{name}.")
+        samples = chirp_samples(chirp, draws, {"top": _rotated(true, off)}, f"{name}.")
         channels = chirp_channels(chirp, (0.0, 0.0, BASE_M), {"top": (0.0, 0.0, TOP_M)}, (1.0, 0.0, 0.0))
         entries = [_gyroscope(channel) if rate else _placed(channel) for channel in channels]
         tables = chirp_tables(chirp, f"turned, {name}", f"../{rig_file(name)}", entries)
@@ -540,8 +544,8 @@ def test_rows_change_with_position_and_direction():
     tilts = [error.change for name, error in found.items() if name.startswith("top: direction")]
     assert [float(np.linalg.norm(tilt[:3])) for tilt in tilts] == pytest.approx([5e-3] * 2)
     for tilt in tilts:
-        turned = (seen.direction + tilt[:3]) / np.linalg.norm(seen.direction + tilt[:3])
-        np.testing.assert_allclose(tilt, Placement(seen.point_m, turned).row - seen.row, atol=3e-5)
+        direction = (seen.direction + tilt[:3]) / np.linalg.norm(seen.direction + tilt[:3])
+        np.testing.assert_allclose(tilt, Placement(seen.point_m, direction).row - seen.row, atol=3e-5)
     leaks = [error.change for name, error in found.items() if name.startswith("top: transverse")]
     assert [float(np.linalg.norm(leak[:3])) for leak in leaks] == pytest.approx([0.02 / np.sqrt(2.0)] * 2)
 

@@ -97,8 +97,8 @@ def on_two_clocks(folders: Iterable[Path], second: str, periods: int, separate_s
         with h5py.File(folder / daq["file"]) as file:
             samples = {name: np.asarray(file[name], dtype=np.float64) for name in file}
         turn = samples[second].reshape(periods, -1)
-        turned = np.fft.rfft(turn, axis=1) * np.exp(2j * np.pi * np.fft.rfftfreq(turn.shape[1]) * delay)
-        moved = np.fft.irfft(turned, turn.shape[1], axis=1).ravel()
+        shifted = np.fft.rfft(turn, axis=1) * np.exp(2j * np.pi * np.fft.rfftfreq(turn.shape[1]) * delay)
+        moved = np.fft.irfft(shifted, turn.shape[1], axis=1).ravel()
         del samples[second]
         blocks = {"first": samples, "second": {second: moved}}
         daqs = []

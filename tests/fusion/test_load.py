@@ -320,7 +320,7 @@ def test_wrong_model_files(tmp_path, content, declared, key):
     assert caught.value.values["command"] == "load"
 
 
-def test_a_model_without_uncertainty_comes_back(tmp_path):
+def test_model_without_uncertainty_is_read_back(tmp_path):
     model = LoadModel("F", "", "", 0.24, 2.36e6, 0.0)
     (tmp_path / LOAD_MODEL_FILE).write_text(
         model_text([(model, UncertaintyBasis())], "table", "", ""), encoding="utf-8"

@@ -184,7 +184,7 @@ def test_one_recording_determines_one_mass(simulated):
     assert abs(difference.value - direct.value) < 2.0 * difference.expanded
 
 
-def test_a_part_on_one_recording_is_taken_off_there(campaign, once):
+def test_part_of_one_recording_is_subtracted_from_it(campaign, once):
     part = (
         '\n[[part]]\nname = "plate"\nbody = "load"\nmass = 0.1\ndensity = 7900.0\ncentre_of_mass = [0.0, 0.0, 0.02]\n'
     )

@@ -49,10 +49,10 @@ def _carried(value: np.ndarray, noise: float, mountings: tuple[str, ...], shared
     return RepeatedResults("with load", tuple(f"r{i}" for i in range(count)), mountings, value[:, None], effects)
 
 
-def _effective(found: ScatterComponent, known: float) -> float:
+def _effective(found: ScatterComponent, variance: float) -> float:
     """Effective degrees of freedom of a mean with a known variance and that of the scatter."""
     wide, dof = float(found.wide[0]), float(found.dof[0])
-    return (wide + known) ** 2 / (wide**2 / dof) if wide > 0.0 else np.inf
+    return (wide + variance) ** 2 / (wide**2 / dof) if wide > 0.0 else np.inf
 
 
 def test_scatter_far_beyond_noise_is_that_of_the_mean():
@@ -77,7 +77,7 @@ def test_noise_and_scatter_together_have_u_and_freedom_of_the_mean_square():
     assert (explained.in_mean[0], explained.wide[0]) == (0.0, 0.0)
 
 
-def test_unbalanced_mountings_come_apart_in_the_mean_over_many():
+def test_unbalanced_mountings_are_separated_in_the_mean():
     rng, mountings = np.random.default_rng(2), ("1", "1", "1", "2", "3", "3")
     forms = nested_anova(mountings)
     assert (forms.within_dof, forms.between_dof) == (3, 2)
@@ -95,14 +95,14 @@ def test_unbalanced_mountings_come_apart_in_the_mean_over_many():
 
 @pytest.mark.parametrize(("count", "scatter"), [(4, 0.0), (3, 0.5), (5, 1.0), (3, 2.0), (3, 10.0), (4, 10.0)])
 def test_intervals_of_a_mean_contain_the_truth(count, scatter):
-    rng, held, trials = np.random.default_rng(3), 0, 1000
+    rng, covered, trials = np.random.default_rng(3), 0, 1000
     for _ in range(trials):
         value = np.hypot(1.0, scatter) * rng.standard_normal(count)
         found = dict(scatter_components(_carried(value, 1.0, ("1",) * count), ONE))[WITHIN]
         variance = 1.0 / count + found.in_mean[0]
-        held += abs(value.mean()) <= coverage_factor(_effective(found, 1.0 / count)) * np.sqrt(variance)
+        covered += abs(value.mean()) <= coverage_factor(_effective(found, 1.0 / count)) * np.sqrt(variance)
     # Whether noise explains the scatter is itself read from few recordings: 93 % of three at worst, 97 % without any.
-    assert 0.915 <= held / trials <= 0.985
+    assert 0.915 <= covered / trials <= 0.985
 
 
 def _copies(folder: Path, extra: dict[str, tuple[str, str, float]]) -> list[str]:
@@ -227,13 +227,13 @@ class _Trials:
 def test_intervals_of_masses_contain_the_truth(sizes, within, between, tmp_path):
     trials, rng = _Trials(tmp_path, sizes), np.random.default_rng(5)
     truth = {"internal_mass": SCATTERING.internal_mass_kg, "load_mass": SCATTERING.load_mass_kg}
-    held = {("internal_mass", JOINT): 0, ("load_mass", JOINT): 0, ("load_mass", "Fx"): 0}
+    covered = {("internal_mass", JOINT): 0, ("load_mass", JOINT): 0, ("load_mass", "Fx"): 0}
     for _ in range(TRIALS):
         campaign = trials.drawn(rng, within, between)
         found = {(q.name, q.component): q for q in quantities(campaign)}
-        for key in held:
-            held[key] += abs(found[key].value - truth[key[0]]) <= found[key].expanded
-    shares = {key: count / TRIALS for key, count in held.items()}
+        for key in covered:
+            covered[key] += abs(found[key].value - truth[key[0]]) <= found[key].expanded
+    shares = {key: count / TRIALS for key, count in covered.items()}
     assert all(0.93 <= share <= 0.97 for share in shares.values()), shares
 
 
@@ -272,7 +272,7 @@ def test_intervals_contain_the_truth(rig, tmp_path):
     angle = read[0][0].fit.angle_rad
     if rig is BY_NOISE:
         angle = angle[:16]
-    held = dict.fromkeys(JUDGED, 0)
+    covered = dict.fromkeys(JUDGED, 0)
     for seed in range(ROTATION_TRIALS):
         draws, recordings = Draws(seed, True), []
         for (recording, _), name in zip(read, (BARE, LOADED), strict=True):
@@ -285,8 +285,8 @@ def test_intervals_contain_the_truth(rig, tmp_path):
         campaign = RotationCampaign(tuple(recordings), records, weights, gravity, air)
         found = {(q.name, q.component): q for q in quantities(campaign)}
         for key, true in _truth(rig, draws.values).items():
-            held[key] += abs(found[key].value - true) <= found[key].expanded
-    shares = {key: count / ROTATION_TRIALS for key, count in held.items()}
+            covered[key] += abs(found[key].value - true) <= found[key].expanded
+    shares = {key: count / ROTATION_TRIALS for key, count in covered.items()}
     # A perfect interval misses by three standard deviations of 1000 trials, 2 %, once in 400; pooled ones agree better.
     assert all(0.93 <= share <= 0.97 for share in shares.values()), shares
     assert 0.94 <= np.mean(list(shares.values())) <= 0.96, shares

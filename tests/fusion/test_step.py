@@ -143,7 +143,7 @@ def test_numbers_lie_within_their_uncertainty(campaign):
         assert abs(value - true) < 1.5 * expanded
 
 
-def test_releases_tell_how_the_ropes_let_go(campaign):
+def test_releases_have_the_shapes_of_their_devices(campaign):
     table = rows(campaign / "step" / "releases.csv")
     driven = {row["recording"]: row for row in table if row["channel"] == "Fz"}
     assert len(table) == 8

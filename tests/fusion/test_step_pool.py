@@ -86,15 +86,15 @@ def test_releases_of_one_mounting_do_not_count_as_mountings():
 
 def test_the_effect_of_another_release_shape_does_not_average_out():
     """Of fifty equal releases 45 are by one device; their other shape is two standard uncertainties away."""
-    apart = 4.0 * SPREAD
-    alternative = AlternativeModels([model(VECTOR + apart, SPREAD)] * 45 + [model(VECTOR, SPREAD)] * 5, 2.0)
+    distance = 4.0 * SPREAD
+    alternative = AlternativeModels([model(VECTOR + distance, SPREAD)] * 45 + [model(VECTOR, SPREAD)] * 5, 2.0)
     pooled = pool_models([model(VECTOR, SPREAD)] * 50, ["1"] * 50, 0.0, NO_INFLUENCES, [alternative])
     u, dof = pooled.spread(np.eye(10))
-    assert u == pytest.approx(np.hypot(SPREAD / np.sqrt(50), 0.9 * apart / 2.0), rel=1e-2)
+    assert u == pytest.approx(np.hypot(SPREAD / np.sqrt(50), 0.9 * distance / 2.0), rel=1e-2)
     assert np.sqrt(np.diag(pooled.model.covariance)) == pytest.approx(u, rel=1e-9)
     assert np.all(dof == np.inf)
     budget = pooled.budget(np.eye(10), NO_INFLUENCES)
-    assert budget[OF_SHAPES] == pytest.approx(0.45 * apart, rel=1e-2)
+    assert budget[OF_SHAPES] == pytest.approx(0.45 * distance, rel=1e-2)
     assert np.sqrt(np.sum(np.square([*budget.values()]), axis=0)) == pytest.approx(u)
 
 
@@ -133,15 +133,15 @@ def test_modes_are_matched_in_rising_frequency():
 def test_intervals_of_three_releases_contain_the_truth(between, least):
     rng, size = np.random.default_rng(4), 10
     stated, blank = np.tile(np.eye(size), (3, 1, 1)), np.zeros((0, size))
-    held = []
+    covered = []
     for _ in range(300):
         truth = rng.standard_normal(size)
         readings = truth + np.sqrt(1.0 + between**2) * rng.standard_normal((3, size))
         mean = random_effects_mean(readings, stated)
         rest = (np.zeros(size), blank, mean.weight, blank, np.zeros((size, size)))
         u, dof = PooledModel(BLANK, readings, stated, mean.weight, *rest).spread(np.eye(size))
-        held.append(np.abs(mean.value - truth) <= stats.t.ppf(0.975, np.minimum(dof, 1e9)) * u)
-    assert np.mean(held) > least
+        covered.append(np.abs(mean.value - truth) <= stats.t.ppf(0.975, np.minimum(dof, 1e9)) * u)
+    assert np.mean(covered) > least
 
 
 def test_the_mean_stays_between_the_vectors():
@@ -171,8 +171,8 @@ def test_birge_ratio_of_a_mean():
 
 
 def test_two_releases_that_hardly_scatter_beyond_their_noise_do_not_lose_all_their_freedom():
-    apart = 1.05 * np.sqrt(2.0) * SPREAD  # s = 1.05 u
-    u, dof = pool_models([model(VECTOR, SPREAD), model(VECTOR + apart, SPREAD)], ["1", "1"]).spread(np.eye(10))
+    distance = 1.05 * np.sqrt(2.0) * SPREAD  # s = 1.05 u
+    u, dof = pool_models([model(VECTOR, SPREAD), model(VECTOR + distance, SPREAD)], ["1", "1"]).spread(np.eye(10))
     assert u == pytest.approx(1.05 * SPREAD / np.sqrt(2), rel=1e-4)
     assert np.all(dof > 10.0)
     mean, u_mean, one = mean_with_scatter(np.array([0.0, 1.05 * np.sqrt(2.0)]), np.ones(2))

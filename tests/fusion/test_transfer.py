@@ -117,10 +117,10 @@ def test_u_of_a_line_covers_with_noise_of_few_degrees_of_freedom(simulated, stat
         dof=np.full(count, 4.0),
     )
     one = replace(result, transfer=replace(result.transfer, ratio=drawn), random_covariance=noise)
-    held = [np.mean(np.abs(part) < U) for part, U in zip((off.real, off.imag), expanded(one, 0), strict=True)]
+    covered = [np.mean(np.abs(part) < U) for part, U in zip((off.real, off.imag), expanded(one, 0), strict=True)]
     plain = [np.mean(np.abs(part) < 2.0 * size) for part, size in zip((off.real, off.imag), _u(one), strict=True)]
     low, high = binom.ppf([1e-3, 0.999], count, 0.95) / count
-    assert all(low <= share <= high for share in held)
+    assert all(low <= share <= high for share in covered)
     assert stated or max(plain) < low  # k = 2 leaves out one line in nine
 
 

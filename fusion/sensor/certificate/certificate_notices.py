@@ -50,7 +50,7 @@ NO_CERTIFIABLE_RESULT = DeclaredNotice(
     "SC-786",
     "error",
     "expected {expected}, found none",
-    effect="The certificate has nothing to state.",
+    effect="No certificate is written.",
     remedy="Name the folder of results with `--results`.",
     link="certificate.md",
 )

@@ -306,7 +306,7 @@ def _value(row: dict[str, str], file: Path, line: int, *, ratio: bool) -> Compar
     for column in ("channel", "component", "unit"):
         texts[column] = (row.get(column) or "").strip()
         if not texts[column]:
-            raise InputError(WRONG_RESULT_CELL, file, column, found="nothing", expected="a text", line=line)
+            raise InputError(WRONG_RESULT_CELL, file, column, found="no value", expected="a text", line=line)
     phase = row.get("phase_rad") not in (None, "", "nan")
     u_phase = uncertainty("phase_rad", "k_phase" if row.get("k_phase") else "k") if phase else np.nan
     return ComparedValue(

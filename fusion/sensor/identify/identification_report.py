@@ -99,7 +99,7 @@ def numbers(component: IdentifiedComponent) -> Iterator[FoundNumber]:
         yield axis, ParameterEstimate(name, label, band.upper_hz, band.u_upper_hz, "Hz"), "sensor model"
 
 
-LIMITS = {"rise": "resonance", "drop": "fall of the output", "phase": "phase", "nothing": "nothing"}
+LIMITS = {"rise": "resonance", "drop": "fall of the output", "phase": "phase", "nothing": "none"}
 _LARGEST_CAUSES = 12
 
 

@@ -326,7 +326,7 @@ def _columns(path: Path) -> dict[str, FloatArray]:
             value = float("nan")
         if not low <= value < np.inf or wrong_size(value):
             expected = "a number of at least 0" if low == 0.0 else "a frequency above 0"
-            found, expected = (text, expected) if text else ("nothing", "a number")
+            found, expected = (text, expected) if text else ("no value", "a number")
             raise InputError(WRONG_LOAD_NUMBER, path, f"{column}, row {row}", found=found, expected=expected)
         return value
 

@@ -72,7 +72,7 @@ class LoadRow(NamedTuple):
     u_bands: FloatArray
 
     def band_hz(self, index: int) -> tuple[float, float]:
-        """Return a limit with U, of the ±5 % band (`index` 0) or ±10 % band (1)."""
+        """Return the limit of the ±5 % (`index` 0) or ±10 % band, with U."""
         return float(self.bands[index]), self.component.k * float(self.u_bands[index])
 
     @property

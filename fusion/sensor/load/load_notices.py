@@ -46,7 +46,7 @@ CONTRADICTORY_MODEL_STATEMENT = DeclaredNotice(
     "SC-605",
     "error",
     "expected the same [model] as in {file}, found different values",
-    effect="All recordings are of one sensor, so what is stated of its model must be the same.",
+    effect="All recordings are of one sensor, so they must state the same model.",
     remedy="State the same values in both files, or state them in one file only.",
     link="load.md",
 )

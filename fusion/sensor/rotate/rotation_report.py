@@ -293,7 +293,7 @@ def repeats_tables(evaluation: RotationEvaluation) -> list[Table]:
         ),
         page_column("dof", lambda scatter: f"{scatter.between_dof}"),
     ]
-    beyond = "Scatter of the weight beyond noise and what is stated, of one recording and of one mounting"
+    beyond = "Scatter of the weight beyond noise and stated errors, of one recording and of one mounting"
     scatter_table = table(beyond, columns, evaluation.repeats)
     return [Table(caption, head, "lllrrr", tuple(rows)), *([] if scatter_table is None else [scatter_table])]
 

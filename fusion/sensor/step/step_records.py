@@ -224,8 +224,8 @@ class PooledModel:
     def spread(self, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return standard uncertainties and degrees of freedom, (Q,) each, of numbers with gradients (Q, P).
 
-        u² = Σw²·(u_i² + τ²) + u_scale² + Σu_shape² + Σu_unobserved². τ² = s² - mean u_i² is the scatter beyond the stated
-        uncertainties. The degrees of freedom are those of s², combined by Welch and Satterthwaite (JCGM 100,
+        u² = Σw²·(u_i² + τ²) + u_scale² + Σu_shape² + Σu_unobserved². τ² = s² - mean u_i² is the scatter beyond the
+        stated uncertainties. The degrees of freedom are those of s², combined by Welch and Satterthwaite (JCGM 100,
         G.4.1). There, s² is enlarged by its relative variance 2/ν as in `rotation_readings`. Two vectors determine s²
         poorly. For them only τ² counts as the part with ν = 1, so that k = 12.7 remains for scatter far beyond the
         stated uncertainties.
@@ -253,7 +253,7 @@ class PooledModel:
         shared, other = {OF_SCALES: np.abs(gradient @ self.scale)}, gradient @ self.unobserved.T
         if len(self.shapes):
             shared[OF_SHAPES] = np.linalg.norm(gradient @ self.shapes.T, axis=1)
-        shared |= influences.by_cause(lambda places: np.linalg.norm(other[:, places], axis=1))
+        shared |= influences.by_cause(lambda indices: np.linalg.norm(other[:, indices], axis=1))
         whole = self.spread(gradient)[0] ** 2
         rest = whole - np.sum(np.square([*shared.values()]), axis=0)
         return {OF_RELEASES: np.sqrt(np.maximum(rest, 0.0)), **shared}
@@ -298,7 +298,10 @@ def pool_models(
     scale = scale_of(ordered[0])
     vectors, covariances = _in_coordinates(ordered, scale)
     others = [[to_coordinates(sorted_modes(model), scale) for model in other.models] for other in alternatives]
-    moved = [(np.array(own) - vectors) / other.distance for own, other in zip(others, alternatives, strict=True)]
+    moved = [
+        (np.array(alternative) - vectors) / other.distance
+        for alternative, other in zip(others, alternatives, strict=True)
+    ]
     least = ROUNDING * coordinate_sizes(vectors[0], len(ordered[0].real_hz))
     groups = [np.flatnonzero(np.array(mountings) == name) for name in dict.fromkeys(mountings)]
     within = [random_effects_mean(vectors[group], covariances[group], least) for group in groups]
@@ -306,14 +309,14 @@ def pool_models(
     if len(groups) > 1:
         vectors, covariances = np.stack([m.value for m in within]), np.stack([m.covariance for m in within])
         mean, shares = random_effects_mean(vectors, covariances, least), np.zeros(len(models))
-        for group, own, share in zip(groups, within, mean.weight, strict=True):
-            shares[group] = share * own.weight
+        for group, inner, share in zip(groups, within, mean.weight, strict=True):
+            shares[group] = share * inner.weight
     value, back = _back(ordered[0], mean, scale)
     modes, reals = len(ordered[0].frequency_hz), len(ordered[0].real_hz)
     common = u_scale * np.repeat([0.0, 1.0, 0.0, 1.0], [2 * modes, 2 * modes, reals, reals]) * value
     model = ordered[0].with_vector(value)
     other = influences.effects(lambda *part: model.altered(*part).vector)
-    shapes = np.array([shares @ own for own in moved]).reshape(-1, len(value)) @ back.T
+    shapes = np.array([shares @ change for change in moved]).reshape(-1, len(value)) @ back.T
     shared = np.concatenate([common[None], shapes, other])
     covariance = back @ mean.covariance @ back.T + shared.T @ shared
     model, scatter = replace(model, covariance=covariance), back @ mean.scatter @ back.T

@@ -123,7 +123,7 @@ def _averaged(
 # Resonances in a measured transfer function: where the peaks are, and an oscillator fitted to each.
 
 _PROMINENCE = np.log(2.0)  # of a peak in ln|H|
-_SIGNIFICANT = 8.0  # standard uncertainties by which a peak stands out
+_SIGNIFICANT = 8.0  # standard uncertainties by which a peak exceeds its surroundings
 _DOWN_TO = 1.0 / 8.0  # of the peak: lines around it that are fitted
 _FEWEST_LINES = 6
 _POOR_FIT = 2.0  # χ² per degree of freedom from which the rest of all other modes is fitted too
