@@ -1,4 +1,4 @@
-"""Figures of a campaign: curves over frequency with the scatter of recordings, all outputs, and the 6 x 6 matrix."""
+"""Figures of a campaign: curves, all outputs, cross-talk and excitation."""
 
 from __future__ import annotations
 
@@ -37,17 +37,17 @@ from shaker.labels import LOAD_COMPONENTS, typeset
 OUTPUT_MARKERS = ("circle", "square", "diamond", "triangle", "inverted_triangle", "cross")
 MOUNTING_MARKERS = ("circle", "square", "triangle", "inverted_triangle", "diamond")
 BESIDE_SHARE = 0.012
-"""How far ratios stand to the left of elements of matrices, as a share of the axis."""
+"""Shift of ratios to the left of matrix elements, as a share of the axis."""
 SPREAD_SHARE = 0.008
-"""Distance of the mountings from each other beside their frequency, as a share of the axis."""
+"""Distance between the mountings of one frequency, as a share of the axis."""
 SPREAD_OVER = 0.06
-"""What all of them take of it, at most."""
+"""Largest width of all mountings of one frequency, as a share of the axis."""
 IN_LEGEND = 12
-"""Mountings that the legend names each; more of them are one entry."""
+"""Largest number of mountings with an entry in the legend; the others have one together."""
 BETWEEN_POINTS = 121
-"""Number of places at which the interpolated curve is drawn."""
+"""Number of frequencies at which the interpolated curve is drawn."""
 LARGEST_MAPS = 6
-"""Number of frequencies whose cross-talk is drawn: those spread evenly over all."""
+"""Largest number of frequencies whose cross-talk is drawn, evenly chosen from all."""
 MAPS_BESIDE = 2
 CELL_IN = 0.42
 DARK_ABOVE = 0.55
@@ -60,11 +60,11 @@ def draw_curve(
     drives: Iterable[ExcitedLine],
     stated: StatedMatrix | None = None,
 ) -> Figure:
-    """Draw magnitude (relative to static where that is stated) and phase of one element over frequency.
+    """Draw magnitude (its deviation from static if stated) and phase over frequency.
 
-    `points`: those of the element, of single recordings and of matrices; `curves` and `drives`: all of the campaign,
-    from which the curve between the points is taken, and, below each, the single recordings if several are behind a
-    point; `stated`: of the sensor's matrix, where elements of single recordings rest on it.
+    `points`: those of the element, of single recordings and of matrices; `curves` and `drives`: all of the campaign.
+    They give the interpolated curve and, if points have several recordings, these below each panel. `stated`: the
+    stated matrix for elements of single recordings.
     """
     first, frequency = points[0], np.array([point.frequency_hz for point in points])
     title = f"output {first.channel} per load {first.component}"
@@ -120,9 +120,9 @@ def draw_curve(
 
 
 def draw_outputs(curve: SensitivityCurve, main: int) -> Figure:
-    """Draw the magnitude of every output over frequency, relative to the `main` one, which belongs to the load.
+    """Draw the magnitude of every output over frequency, relative to the `main` one.
 
-    The axis is logarithmic; arrows where a value is below its U.
+    The axis is logarithmic; arrows are upper bounds of values below their U.
     """
     load = LOAD_COMPONENTS[curve.elements[0][1]]
     rows = [
@@ -158,7 +158,7 @@ def draw_outputs(curve: SensitivityCurve, main: int) -> Figure:
 
 
 def draw_crosstalk(cross_talks: Sequence[CrossTalk]) -> Figure | None:
-    """Draw maps of cross-talk, numbers in the cells, one colour scale for all; None where none is known."""
+    """Draw maps of cross-talk with numbers and one colour scale; None without cross-talk."""
     if not cross_talks:
         return None
     chosen = np.linspace(0, len(cross_talks) - 1, min(len(cross_talks), LARGEST_MAPS)).round().astype(int)
@@ -183,7 +183,7 @@ def draw_crosstalk(cross_talks: Sequence[CrossTalk]) -> Figure | None:
 
 
 def draw_excitation(fits: Sequence[MatrixFit]) -> Figure | None:
-    """Draw the singular values of the loads at every frequency and the level below which a matrix is refused."""
+    """Draw the singular values of the loads at every frequency, and their limit."""
     if not fits:
         return None
     drawn = empty_figure("excitation", 2.9)
@@ -209,12 +209,12 @@ def draw_excitation(fits: Sequence[MatrixFit]) -> Figure | None:
 
 
 def _right_end(frequency_hz: FloatArray) -> float:
-    """Right end of the frequency axis."""
+    """Return the right end of the frequency axis."""
     return 1.06 * float(frequency_hz.max(initial=1.0))
 
 
 def _draw_between(panels: Sequence[Panel], behind: Iterable[tuple[SensitivityCurve, int]], factor: float) -> None:
-    """Draw the interpolated element with its U, of the first curve that has enough points."""
+    """Draw the interpolated element with its U, of the first curve with enough points."""
     for curve, element in behind:
         usable = np.isfinite(curve.value[:, element])
         if np.count_nonzero(usable) < MIN_POINTS:
@@ -234,7 +234,7 @@ def _draw_between(panels: Sequence[Panel], behind: Iterable[tuple[SensitivityCur
 def _draw_bars(
     panel: Panel, frequency: FloatArray, kinds: Sequence[str], value: FloatArray, expanded: FloatArray
 ) -> None:
-    """Points of the curve with error bars: dots for single recordings, diamonds for elements of the matrix."""
+    """Draw points of the curve with error bars, with one marker per kind."""
     looks = {
         "ratio": ("circle", BLUE, "ratio, U"),
         "element": ("circle", BLUE, "element, U"),
@@ -248,7 +248,7 @@ def _draw_bars(
 
 
 def _draw_mountings(panel: Panel, recorded: Sequence[tuple[float, str]], off: FloatArray, right: float) -> None:
-    """Single recordings of given frequency and mounting, off the curve (R,), each mounting beside its frequency."""
+    """Draw single recordings relative to the curve (R,), each mounting slightly shifted in frequency."""
     mountings, all_hz = (np.array(column) for column in ([m for _, m in recorded], [f for f, _ in recorded]))
     names = np.unique(mountings)
     step = right * min(SPREAD_SHARE, SPREAD_OVER / len(names))
@@ -263,7 +263,7 @@ def _draw_mountings(panel: Panel, recorded: Sequence[tuple[float, str]], off: Fl
 
 
 def _map(found: CrossTalk) -> FloatArray:
-    """Return size or upper bound (C, 6) of every element in per cent, NaN at the main ones."""
+    """Return size or upper bound (C, 6) of every element in per cent."""
     size = 100.0 * np.abs(found.value)
     bound = np.where(found.holds_zero, size + 100.0 * found.half_axis, size)
     bound[np.arange(len(found.main)), list(found.main)] = np.nan
@@ -271,7 +271,7 @@ def _map(found: CrossTalk) -> FloatArray:
 
 
 def _draw_map(panel: Panel, found: CrossTalk, scale: Scale) -> None:
-    """One map with its numbers: an upper bound where the region holds zero."""
+    """Draw one map with its numbers; an upper bound if the region includes zero."""
     shown = _map(found)
     i, j = (place.ravel() for place in np.indices(shown.shape))
     names = [f"output {found.channels[a]} under {found.components[b]}" for a, b in zip(i, j, strict=True)]

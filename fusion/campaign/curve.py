@@ -1,4 +1,4 @@
-"""One curve over frequency per element: ratio against amplitude, values between frequencies, relative to static."""
+"""Sensitivity curves over frequency: linearity, interpolation and values relative to static."""
 
 from __future__ import annotations
 
@@ -48,16 +48,16 @@ from shaker.labels import LOAD_COMPONENTS
 
 
 SERIES = 1.2
-"""Least ratio of the largest to the smallest amplitude of a series."""
+"""Smallest ratio of the largest to the smallest amplitude of a series."""
 
 
 @dataclass(frozen=True)
 class Linearity:
-    """How the sensor's elements, or ratios, change with amplitude in N recordings of one frequency and direction.
+    """Change of the sensor's elements, or ratios, with amplitude in N recordings of one excitation.
 
     `amplitude` (N,) of the driven load; `slope` (C,): relative change per N or N·m, complex; `change` (C,): from the
-    smallest to the largest amplitude, with `covariance` (C, 2, 2) of (Re, Im) and `dof`; `linear` (C,): whether its
-    95 % region holds zero. `kind`: of what.
+    smallest to the largest amplitude, with `covariance` (C, 2, 2) of (Re, Im) and `dof`; `linear` (C,): whether its 95
+    % region includes zero. `kind`: ratio or element.
     """
 
     frequency_hz: float
@@ -77,9 +77,9 @@ class Linearity:
 def find_linearity(
     drives: Iterable[ExcitedLine], capacity: Sequence[float] | None = None, stated: StatedMatrix | None = None
 ) -> tuple[Linearity, ...]:
-    """Return what changes with amplitude wherever one excitation was recorded at amplitudes 1.2 apart.
+    """Return the linearity of every excitation whose amplitudes have a ratio of 1.2 or more.
 
-    Of the sensor's elements where what is `stated` of its matrix gives them, as means and curves do.
+    It is that of the sensor's elements if the stated matrix gives them, as for means and curves.
     """
     found = []
     for group in group_excitations(drives, capacity, separate_amplitudes=False):
@@ -93,9 +93,9 @@ def find_linearity(
 def linearity(drives: Sequence[ExcitedLine], component: int, stated: StatedMatrix | None = None) -> Linearity:
     """Return the slope of elements or ratios over amplitude by generalised least squares.
 
-    S_n/S̄ = a + b·(A_n - Ā), slope b/a; scales common to all recordings cancel, since their covariance is kept. Scatter
-    beyond what is stated enlarges the covariance by chi-square per degree of freedom (Birge 1932, Phys. Rev. 40, 207).
-    Only outputs with a reading other than zero in all recordings have a slope.
+    S_n/S̄ = a + b·(A_n - Ā), slope b/a. Common scale errors cancel, since their covariance is included. Scatter beyond
+    the stated uncertainties enlarges the covariance by chi-square per degree of freedom (Birge 1932, Phys. Rev. 40,
+    207). Only outputs with a reading other than zero in all recordings have a slope.
     """
     channels = [name for name in common_outputs(drives) if all(drive.output(name) != 0.0 for drive in drives)]
     known = known_matrix_of(drives, component, stated)
@@ -134,10 +134,10 @@ def linearity(drives: Sequence[ExcitedLine], component: int, stated: StatedMatri
 def _slope(
     readings: FloatArray, own: FloatArray, shared: Sequence[Shared], places: FloatArray, c: int
 ) -> tuple[complex, FloatArray, float]:
-    """Relative slope of channel c over places (N,), its covariance (2, 2), and chi-square.
+    """Return the relative slope of channel c, its covariance (2, 2), and chi-square.
 
-    What all readings share are unknowns of the fit with a reading of zero ± 1 each; what some share makes these one
-    block of the covariance. Time and memory thus grow as the readings, not as their square.
+    Errors that all readings share are unknowns of the fit with a prior of zero ± 1 each; those that some share are
+    blocks of the covariance. Time and memory grow with the number of readings, not with its square.
     """
     count, both = len(readings), np.array([c, c + readings.shape[1] // 2])
     own = own[:, both[:, None], both]
@@ -168,11 +168,11 @@ def _slope(
 
 
 Shared = tuple[list[int], FloatArray]
-"""Some readings, and what acts on all of them."""
+"""Rows of the readings that share unknowns, and the effects on them."""
 
 
 def _blocks(count: int, shared: Sequence[Shared]) -> list[tuple[list[int], list[Shared]]]:
-    """All `count` readings in blocks without anything shared between them, each with what is shared within."""
+    """Return all `count` readings in blocks without shared errors between them."""
     pairs = [(rows[0], row) for rows, _ in shared for row in rows]
     first, other = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
     graph = coo_array((np.ones(len(pairs)), (first, other)), shape=(count, count))
@@ -190,9 +190,9 @@ def _blocks(count: int, shared: Sequence[Shared]) -> list[tuple[list[int], list[
 
 MIN_POINTS = 5
 _LENGTHS = np.geomspace(0.05, 10.0, 6)
-"""Correlation lengths tried first, in units of the range of ln f."""
+"""Correlation lengths of the first grid, in units of the range of ln f."""
 _SIZES = np.geomspace(1e-6, 1.0, 7)
-"""Standard deviations tried first, in units of the values."""
+"""Standard deviations of the first grid, in units of the values."""
 _JITTER = 1e-9
 """Standard deviation in units of the values that keeps matrices of noiseless points regular."""
 _DIGITS = 1e-13
@@ -200,9 +200,9 @@ _DIGITS = 1e-13
 
 @dataclass(frozen=True)
 class Weights:
-    """Values at Q frequencies as sums over K points: `weight` (Q, K), rows of sum 1.
+    """Weights (Q, K) of K points in the values at Q frequencies; rows have the sum 1.
 
-    `variance` (Q,): by what lies between the points, in squares of the values' unit; `dof`: of its estimate.
+    `variance` (Q,): of the interpolation, in squares of the values' unit; `dof`: of its estimate.
     """
 
     weight: FloatArray
@@ -213,12 +213,12 @@ class Weights:
 def interpolation_weights(
     frequency_hz: FloatArray, value: FloatArray, variance: FloatArray, wanted_hz: FloatArray
 ) -> Weights:
-    """Return how values (K,) of random `variance` (K,) predict those at other frequencies (Q,).
+    """Return the weights of values (K,) with random `variance` (K,) for other frequencies (Q,).
 
-    Universal kriging over ln f: a parabola in f, which is what stiffness, mass and damping make far below a resonance,
-    plus a stationary process of Matérn's kind with ν = 5/2 (Rasmussen & Williams 2006, Gaussian Processes, 2.7 and
-    eq. 4.17). Its size and length by restricted maximum likelihood; where points left out are predicted worse than
-    that (mean of their normalised squares, ibid. eq. 5.12), its variance is enlarged.
+    Universal kriging over ln f. The trend is a parabola in f, as stiffness, mass and damping give far below a
+    resonance. The remainder is a stationary process of Matérn's kind with ν = 5/2 (Rasmussen & Williams 2006, Gaussian
+    Processes, 2.7 and eq. 4.17). Its size and length follow from restricted maximum likelihood. If left-out points are
+    predicted worse than that (mean of their normalised squares, ibid. eq. 5.12), its variance is enlarged.
     """
     if len(frequency_hz) < MIN_POINTS:
         raise ValueError(f"frequency_hz: expected at least {MIN_POINTS} points, found {len(frequency_hz)}")
@@ -251,14 +251,14 @@ def interpolation_weights(
 
 
 def _matern(distance: FloatArray, log_parameters: FloatArray) -> FloatArray:
-    """Matérn covariance, ν = 5/2, of standard deviation and length given by their logarithms."""
+    """Return the Matérn covariance, ν = 5/2, for the logarithms of standard deviation and length."""
     size, length = np.exp(log_parameters)
     ratio = np.sqrt(5.0) * distance / length
     return np.asarray(size**2 * (1.0 + ratio + ratio**2 / 3.0) * np.exp(-ratio))
 
 
 def _restricted_maximum(distance: FloatArray, contrasts: FloatArray, data: FloatArray, noise: FloatArray) -> FloatArray:
-    """Logarithms of size and length of greatest restricted likelihood: the best of a grid, refined."""
+    """Return the logarithms of size and length of greatest restricted likelihood."""
     from scipy.optimize import minimize
 
     span = float(np.max(distance))
@@ -266,7 +266,7 @@ def _restricted_maximum(distance: FloatArray, contrasts: FloatArray, data: Float
     left = contrasts.T @ data
 
     def cost(parameters: FloatArray) -> float:
-        """Minus twice the log-likelihood of what contrasts free of the trend leave, up to a constant."""
+        """Return minus twice the log-likelihood of the contrasts, up to a constant."""
         inside = np.clip(parameters, bounds[:, 0], bounds[:, 1])
         readings = _matern(distance, inside) + np.diag(noise + _DIGITS * np.exp(2.0 * inside[0]))
         root = np.linalg.cholesky(contrasts.T @ readings @ contrasts)
@@ -287,11 +287,13 @@ INTERPOLATION = "interpolation"
 
 @dataclass(frozen=True)
 class SensitivityCurve:
-    """E elements of the sensitivity at K frequencies: ratios, elements of single recordings, or of matrices.
+    """E elements of the sensitivity at K frequencies.
 
-    `elements`: channel and component of each; `value` (K, E), NaN where there is none; `uncertainty` of K lines, with
-    names that hold between recordings, so that what frequencies share is known; `recordings`: those behind each line,
-    none where it was interpolated.
+    `kind`: ratios, elements of single recordings, or of matrices.
+
+    `elements`: channel and component of each; `value` (K, E), NaN if there is none; `uncertainty` of K lines with
+    campaign-wide names, which includes correlations between frequencies; `recordings`: those of each line, empty if
+    interpolated.
     """
 
     kind: Literal["ratio", "element", "matrix"]
@@ -321,13 +323,12 @@ def ratio_curves(
     stated: StatedMatrix | None = None,
     mean: Mean = mean_ratio,
 ) -> tuple[SensitivityCurve, ...]:
-    """Return one curve per driven component: all outputs over it, every frequency the mean of its repeats.
+    """Return one curve per driven component: all outputs over it, averaged over repeats.
 
-    With what is `stated` of the matrix, curves of the sensor's elements instead, where that allows them.
-
-    Recordings of one excitation count as repeats whatever their amplitude. Of several excitations that drive the same
-    component at one frequency (other lever arms) the one with the least of other components is on the curve. `mean`:
-    in place of `mean_ratio` (`means_once`).
+    With a `stated` matrix, curves of the sensor's elements are returned where it allows them. Recordings of one
+    excitation are repeats whatever their amplitude. If several excitations drive the same component at one frequency
+    (other lever arms), the one with the smallest other components is used. `mean`: replaces `mean_ratio`
+    (`cached_mean_ratio`).
     """
     groups: dict[int, list[tuple[float, tuple[ExcitedLine, ...]]]] = {}
     for group in group_excitations(drives, capacity, separate_amplitudes=False):
@@ -350,7 +351,7 @@ def ratio_curves(
 
 
 def matrix_curve(fits: Sequence[MatrixFit]) -> SensitivityCurve:
-    """Return the elements of matrices at several frequencies, of one sensor, as one curve."""
+    """Return the elements of matrices of one sensor at several frequencies as one curve."""
     ordered = sorted(fits, key=lambda fit: fit.frequency_hz)
     if not ordered or any(fit.channels != ordered[0].channels for fit in ordered):
         raise ValueError("fits: expected matrices of the same outputs, found others or none")
@@ -367,7 +368,7 @@ def matrix_curve(fits: Sequence[MatrixFit]) -> SensitivityCurve:
 
 
 def relative_curve(curve: SensitivityCurve, static: ArrayLike, u_static: ArrayLike) -> SensitivityCurve | None:
-    """Return the elements over their static sensitivity, of those that have one; None where none has.
+    """Return the elements over their static sensitivity; None if no element has one.
 
     `static` (C, 6), in the order of the curve's channels, with standard uncertainties `u_static` (C, 6).
     """
@@ -390,11 +391,11 @@ def relative_curve(curve: SensitivityCurve, static: ArrayLike, u_static: ArrayLi
 
 
 def interpolate(curve: SensitivityCurve, frequency_hz: FloatArray) -> SensitivityCurve:
-    """Return the curve at other frequencies within its range, with the uncertainty of the points and between them.
+    """Return the curve at other frequencies within its range, with its uncertainty.
 
-    Real and imaginary part of every element are weighted sums of its points (`fusion.campaign.curve`); what
-    points share acts on the sum as on them, since the weights add up to 1, and noise averages as the weights let it.
-    An element of fewer than five points has no value.
+    Real and imaginary part of every element are weighted sums of its points (`interpolation_weights`). Shared errors
+    act on the sum as on the points, since the weights add up to 1; noise averages according to the weights. An element
+    of fewer than five points has no value.
     """
     wanted = np.asarray(frequency_hz, dtype=np.float64)
     lines, count = curve.value.shape
@@ -421,7 +422,7 @@ def interpolate(curve: SensitivityCurve, frequency_hz: FloatArray) -> Sensitivit
 
 
 def _ratio_curve(component: int, means: Sequence[RepeatMean]) -> SensitivityCurve:
-    """Curve of all outputs over one component."""
+    """Return the curve of all outputs over one component."""
     channels = tuple(dict.fromkeys(name for mean in means for name in mean.channels))
     parts = [_all_channels(mean, channels) for mean in means]
     return SensitivityCurve(
@@ -436,7 +437,7 @@ def _ratio_curve(component: int, means: Sequence[RepeatMean]) -> SensitivityCurv
 
 
 def _all_channels(mean: RepeatMean, channels: Sequence[str]) -> tuple[ComplexArray, Uncertainty]:
-    """Values and uncertainty in the order of all channels, NaN where this frequency has none."""
+    """Return values and uncertainty in the order of all channels, NaN if missing."""
     have, want = len(mean.channels), len(channels)
     value = np.full(want, complex(np.nan, np.nan))
     matrix = np.zeros((2 * want, 2 * have))
@@ -452,7 +453,7 @@ def _all_channels(mean: RepeatMean, channels: Sequence[str]) -> tuple[ComplexArr
 
 
 def _interpolated(curve: SensitivityCurve, weight: FloatArray, between: FloatArray, dof: float) -> Uncertainty:
-    """Uncertainty of weighted sums (Q, K, 2E) of the points, and of what lies between them (Q, 2E)."""
+    """Return the uncertainty of weighted sums (Q, K, 2E) of points, and of the interpolation."""
     size = np.abs(curve.value)
     size = np.where(size > 0.0, size, np.inf)
     random = [_averaged(part, weight, size) for part in curve.uncertainty.random]
@@ -464,10 +465,10 @@ def _interpolated(curve: SensitivityCurve, weight: FloatArray, between: FloatArr
 
 
 def _averaged(part: Contribution, weight: FloatArray, size: FloatArray) -> Contribution:
-    """Noise of weighted sums of lines; its degrees of freedom by Welch and Satterthwaite over relative variances.
+    """Return the noise of weighted sums of lines, with degrees of freedom by Welch–Satterthwaite.
 
-    What mountings differ by may be the same at all frequencies of a mounting, a place for instance: it does not average
-    over them, (Σ w·e)² ≤ Σ|w|·Σ|w|·e².
+    The degrees of freedom use relative variances. Differences of mountings may be equal at all frequencies of a
+    mounting, such as a position error: they do not average out, (Σ w·e)² ≤ Σ|w|·Σ|w|·e².
     """
     known = np.nan_to_num(part.covariance)
     if part.label == BETWEEN:
@@ -490,8 +491,8 @@ def _averaged(part: Contribution, weight: FloatArray, size: FloatArray) -> Contr
 class CurvePoint:
     """One element of the sensitivity at one frequency.
 
-    `channel` and `component` by name; `element`: the value; `relative`: over its static sensitivity, None where that
-    is not stated; `recordings` and `mountings` behind it; `kind`: ratio, element or matrix.
+    `channel` and `component` by name; `element`: the value; `relative`: over its static sensitivity, None if that is
+    not stated; number of `recordings` and `mountings`; `kind`: ratio, element or matrix.
     """
 
     frequency_hz: float
@@ -508,7 +509,7 @@ class CurvePoint:
 def single_points(
     curve: SensitivityCurve, element: int, drives: Iterable[ExcitedLine], stated: StatedMatrix | None = None
 ) -> list[tuple[float, str, Polar]]:
-    """Return frequency, mounting and value of every recording behind one element of a curve of ratios or elements."""
+    """Return frequency, mounting and value of every recording in one element of a curve."""
     c, component = curve.elements[element]
     channel = curve.channels[c]
     behind = {(name, k) for k, names in enumerate(curve.recordings) for name in names}
@@ -525,5 +526,5 @@ def single_points(
 
 
 def curve_elements(curve: SensitivityCurve) -> list[list[Polar | None]]:
-    """Return every element (K lines of E) with magnitude and phase, None where there is no value."""
+    """Return magnitude and phase of every element (K lines of E), or None."""
     return polar_elements(curve.value, curve.uncertainty)

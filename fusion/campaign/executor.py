@@ -1,7 +1,7 @@
-"""Who computes the tasks of a run, one at a time each: processes of this machine, or the workers of a Dask cluster.
+"""Parallel computation by processes of this machine or workers of a Dask cluster.
 
-Linear algebra adds in an order that depends on its threads, so that with another number of them the last digits of a
-result change. Everything a run computes is therefore done with one of them, wherever it is computed.
+The order of sums in linear algebra depends on the number of threads, and with it the last digits of a result. Therefore
+every task runs with one thread.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ log = logging.getLogger("shakercal")
 
 LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS")
 ONE_THREAD = dict.fromkeys((*LIMITS, "OPENCV_FOR_THREADS_NUM"), "1")
-"""What a process has to be started with for its libraries to use one thread each."""
+"""Environment of a process whose libraries use one thread each."""
 
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Let linear algebra compute with one thread."""
+    """Limit linear algebra to one thread."""
     import scipy.linalg  # noqa: F401  (brings a linear algebra of its own, which is to be limited too)
     from threadpoolctl import threadpool_limits
 
@@ -54,7 +54,7 @@ def one_blas_thread() -> Iterator[None]:
 
 
 def with_one_thread(function: Callable[..., Any], *arguments: Any) -> Any:
-    """Call a function while every library computes with one thread."""
+    """Call a function while every library is limited to one thread."""
     import cv2
     from threadpoolctl import threadpool_limits
 
@@ -78,33 +78,35 @@ _ALONE = threading.Lock()  # threads of one process share the logger and what th
 
 @dataclass(frozen=True, eq=False)
 class LoggedResult(LocalResult):
-    """What a task returned or raised, and what it logged."""
+    """Returned value or exception of a task, and its log records."""
 
     log_records: tuple[logging.LogRecord, ...] = ()
 
     def __reduce__(self) -> tuple[Callable[..., LoggedResult], tuple[bytes]]:
-        """Travel in one piece: a cluster hands over large arrays apart, read where they lie in a message.
+        """Pickle the result in one piece.
 
-        There they begin at any byte, and kernels and sums over such an array are others than over one that numpy made.
+        A cluster transfers large arrays separately and reads them where they are in a message. They are then unaligned,
+        and kernels and sums give other last digits than with arrays allocated by numpy.
         """
         return _arrived, (pickle.dumps((self.value, self.error, self.log_records)),)
 
     def log(self, name: str) -> None:
-        """Log what the task logged, behind the name of what it was about."""
+        """Log the records of the task after the name of its subject."""
         for record in self.log_records:
             if log.isEnabledFor(record.levelno):
                 log.log(record.levelno, "%s: %s", name, record.getMessage())
 
 
 def _arrived(packed: bytes) -> LoggedResult:
-    """Return the answer that has travelled."""
     return LoggedResult(*pickle.loads(packed))
 
 
 def call(function: Callable[..., Any], *arguments: Any) -> LoggedResult:
-    """Call a function, one at a time in a process; answers among its arguments are opened.
+    """Call a function, one at a time in a process, and return its result.
 
-    What it logs is kept instead of told here. An exception carries the place it came from as its note.
+    Results among its arguments are unwrapped.
+
+    Its log records are collected. An exception has its traceback as a note.
     """
     keeper = _Keeper()
     with _ALONE:
@@ -123,7 +125,7 @@ def call(function: Callable[..., Any], *arguments: Any) -> LoggedResult:
 
 
 class _Keeper(logging.Handler):
-    """Keeps records as plain text, which can go to another process."""
+    """Handler that collects records as plain text, which can be sent to another process."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -138,17 +140,20 @@ class _Keeper(logging.Handler):
 
 
 ATTEMPTS = 3
-"""How often a task is begun before the death of its workers counts as the task's own failure."""
+"""How often a task is started before the end of its workers counts as a failure of the task."""
 SHUTDOWN_S = 5.0
-"""How long a worker may take to end when it is told to, or to start."""
+"""Time that a worker has to start, or to end after a request."""
 SIGNAL_DELAY_S = 0.5
-"""How long the end of this process may take to be known after that of a worker."""
+"""Time by which the end of this process may be noticed later than that of a worker."""
 STOP_RANK = 1 << 60
 
 
 @dataclass(order=True)
 class _Task:
-    """One call that waits for a worker; the lowest rank is the next, then the first come."""
+    """One call that waits for a worker.
+
+    The lowest rank is the next, then the first submitted.
+    """
 
     rank: int
     number: int
@@ -158,7 +163,10 @@ class _Task:
 
 
 class Workers:
-    """A number of processes, each led by a thread of this one; at the end of `with` they all end."""
+    """Processes that are each served by a thread of this one.
+
+    All end at the end of `with`.
+    """
 
     patience_s = 0.0  # one that died computes nothing any more
 
@@ -179,7 +187,7 @@ class Workers:
         return self
 
     def __exit__(self, *reason: object) -> None:
-        """End the workers, whatever they are doing; tasks without an answer are cancelled."""
+        """End the workers at once; tasks without a result are cancelled."""
         self._stopper.close()
         for _ in self._leaders:
             self.submit(-STOP_RANK, call)
@@ -191,7 +199,7 @@ class Workers:
         self._stop.close()
 
     def _kill(self) -> None:
-        """End all workers at once; waits for none of the locks that the process's first thread may hold."""
+        """End all workers at once, without waiting for locks of the main thread."""
         with suppress(OSError):
             self._stopper.close()
         self._starting.acquire(timeout=SHUTDOWN_S)  # one that is being started would tell that its parent is gone
@@ -199,9 +207,11 @@ class Workers:
             worker.kill()
 
     def submit(self, rank: int, function: Callable[..., Any], *arguments: Any) -> Future[LoggedResult]:
-        """Have a module's function called by a worker; of the tasks that wait, the lowest rank comes first.
+        """Submit a function of a module to a worker.
 
-        Futures among the arguments are done: the function receives what they hold.
+        The task of the lowest rank is started first.
+
+        Futures among the arguments must be done; the function receives their results.
         """
         self._number += 1
         held = tuple(argument.result() if isinstance(argument, Future) else argument for argument in arguments)
@@ -210,7 +220,7 @@ class Workers:
         return task.future
 
     def _lead(self) -> None:
-        """Hand tasks to a worker, and to another when it dies, until the workers are to end."""
+        """Send tasks to a worker, and to a new one if it dies."""
         worker: _Worker | None = None
         while (task := self._queue.get()).rank > -STOP_RANK:
             try:
@@ -228,7 +238,10 @@ class Workers:
         return status
 
     def _complete(self, task: _Task, worker: _Worker | None) -> _Worker | None:
-        """Have a task computed and return the worker that is still there; a task that ends its workers fails."""
+        """Complete a task and return the worker that still runs.
+
+        A task that ends its workers fails.
+        """
         for _ in range(ATTEMPTS):
             if self._stop.poll():
                 break
@@ -274,7 +287,7 @@ class _Worker:
         other.close()
 
     def ask(self, task: tuple[Callable[..., Any], tuple[Any, ...]], stop: Any) -> LoggedResult | None:
-        """Have the process compute a task; None when it died meanwhile or `stop` was closed."""
+        """Compute a task in the process; return None if it died or `stop` was closed."""
         try:
             self._connection.send(task)
             if self._connection in wait([self._connection, self._process.sentinel, stop]):
@@ -284,13 +297,13 @@ class _Worker:
         return None
 
     def kill(self) -> None:
-        """End the process at once and wait until it is gone."""
+        """End the process at once and wait for its end."""
         with suppress(ValueError, OSError):  # that has been closed
             self._process.kill()
             self._process.join(SHUTDOWN_S)
 
     def end(self) -> int | None:
-        """End the process and return its exit status; what it was making is removed by whoever runs it."""
+        """End the process and return its exit status; the caller removes its unfinished files."""
         self._connection.close()
         self._process.terminate()
         self._process.join(SHUTDOWN_S)
@@ -304,9 +317,9 @@ class _Worker:
 
 @contextmanager
 def _without_interruptions() -> Iterator[None]:
-    """Block interruptions in this thread, and in a process that it starts meanwhile.
+    """Block interruptions in this thread, and in a process that it starts.
 
-    A terminal interrupts all processes; the first one ends the others, also while they start.
+    A terminal interrupts all processes; the first one ends the others, also during their start.
     """
     if sys.platform == "win32":
         yield
@@ -320,7 +333,7 @@ def _without_interruptions() -> Iterator[None]:
 
 
 def _serve(connection: Connection) -> None:
-    """Answer one task after another until the other side is gone."""
+    """Compute one task after another until the connection is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     logging.getLogger().addHandler(logging.NullHandler())
@@ -343,7 +356,7 @@ def _serve(connection: Connection) -> None:
 
 
 def _end_with_parent() -> None:
-    """Wait for the end of the process that started this one, which cannot tell when it is killed, and end too."""
+    """End this process as soon as its parent has ended, also if that was killed."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
@@ -354,22 +367,22 @@ def _end_with_parent() -> None:
 
 
 ANSWER_S, RETRY_S = 10.0, 0.2
-"""How long a scheduler may take to answer, and what passes between two attempts."""
+"""Time that a scheduler has to answer, and pause between two attempts."""
 SCHEDULER_PORT = 8786
-"""Where Dask's schedulers listen unless told otherwise."""
+"""Default port of Dask's schedulers."""
 OPTION = "--scheduler"
 
 
 SCHEDULER_TIMEOUT_S = 300.0
-"""How long a scheduler that is gone is waited for; whoever starts it again may need some minutes."""
+"""How long a run waits for a lost scheduler; to start it again may take some minutes."""
 BUSY_TIMEOUT_S = 600.0
-"""How long a worker waits for a recording that another one, cut off from the scheduler, still computes."""
+"""How long a worker waits for a recording that a disconnected worker may still compute."""
 
 
 class Cluster:
-    """The workers that a Dask scheduler has; they see the same files as this process, by the same paths.
+    """Workers of a Dask scheduler, with access to the same files as this process.
 
-    What they were to do is asked for again where the scheduler is started anew at its address.
+    Tasks are submitted again if the scheduler is restarted at its address.
     """
 
     patience_s = BUSY_TIMEOUT_S
@@ -382,19 +395,24 @@ class Cluster:
 
     @property
     def size(self) -> int:
-        """How many workers there are at present."""
+        """Current number of workers."""
         return len(self._client.nthreads())
 
     def submit(self, rank: int, function: Callable[..., Any], *arguments: Any) -> ClusterTask:
-        """Have a module's function called by a worker; of the tasks that wait, the lowest rank comes first.
+        """Submit a function of a module to a worker.
 
-        Answers among the arguments are there: the function receives what they hold, from wherever that is. A worker
-        that dies is nobody's loss: Dask computes again, elsewhere, what it had.
+        The task of the lowest rank is started first.
+
+        Tasks among the arguments must be done; the function receives their results. Dask repeats the tasks of a worker
+        that dies.
         """
         return ClusterTask(self, rank, (function, *arguments))
 
     def client(self) -> Client:
-        """Return the connection to the scheduler, a new one where it was lost; `ComputeError` where none answers."""
+        """Return the connection to the scheduler, renewed if it was lost.
+
+        Raise `ComputeError` if none answers.
+        """
         from distributed import Client
 
         with self._reconnecting:
@@ -412,13 +430,13 @@ class Cluster:
             return self._client
 
     def end(self) -> None:
-        """Give up the connection; the scheduler and its workers stay."""
+        """Close the connection; the scheduler and its workers keep running."""
         self.ended = True
         self._client.close()
 
 
 class ClusterTask:
-    """The answer of a task, asked for again where the scheduler lost it or its workers died."""
+    """Task of a cluster, submitted again if the scheduler lost it or its workers died."""
 
     def __init__(self, cluster: Cluster, rank: int, task: tuple[Any, ...]) -> None:
         self._cluster, self._rank, self._task = cluster, rank, task
@@ -428,7 +446,7 @@ class ClusterTask:
         self._begin()
 
     def _begin(self) -> None:
-        """Have the task computed, after those among its arguments that the scheduler has lost."""
+        """Submit the task, after those among its arguments that the scheduler has lost."""
         client, held = self._cluster.client(), []
         for argument in self._task:
             if isinstance(argument, ClusterTask) and argument.future.cancelled():
@@ -438,7 +456,7 @@ class ClusterTask:
         self.future.add_done_callback(self._ended)
 
     def _ended(self, future: ClusterFuture[LoggedResult]) -> None:
-        """Fetch the answer; called in a thread of its own as soon as there is one or none will be."""
+        """Fetch the result; called in a separate thread when the task has ended."""
         from distributed import CancelledError
         from distributed.scheduler import KilledWorker
 
@@ -459,17 +477,17 @@ class ClusterTask:
             self._answer.set_exception(error)
 
     def add_done_callback(self, told: Callable[[ClusterTask], object]) -> None:
-        """Have a function called as soon as there is an answer or none will be."""
+        """Call a function when the task has ended."""
         self._answer.add_done_callback(lambda _: told(self))
 
     def result(self) -> LoggedResult:
-        """Return the answer; `ComputeError` where the cluster has none."""
+        """Return the result; raise `ComputeError` if the cluster has none."""
         return self._answer.result()
 
 
 @contextmanager
 def connect_cluster(address: str) -> Iterator[Cluster]:
-    """Yield the cluster whose scheduler answers at an address such as tcp://10.0.0.1:8786; leave it as it is."""
+    """Yield the cluster whose scheduler answers at an address such as tcp://10.0.0.1:8786."""
     try:
         from distributed import Client
     except ImportError as error:
@@ -502,5 +520,5 @@ def connect_cluster(address: str) -> Iterator[Cluster]:
 
 
 def _version() -> str:
-    """Return the version of the program in the process that is asked."""
+    """Return the version of the program in this process."""
     return __version__

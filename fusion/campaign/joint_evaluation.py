@@ -1,4 +1,4 @@
-"""What the recordings of a campaign say together."""
+"""Joint evaluation of the recordings of a campaign: matrices, curves, repeats, linearity."""
 
 from __future__ import annotations
 
@@ -56,14 +56,14 @@ P = TypeVar("P")
 
 @dataclass(frozen=True)
 class CampaignEvaluation:
-    """All that several recordings of one sensor yield together.
+    """Joint results of several recordings of one sensor.
 
-    `name` of the campaign; `recorded`: what could be evaluated, in order; `failed`: why others could not, by folder;
-    `curves`: ratios by driven component, the sensor's elements likewise where its matrix is stated, elements of
-    matrices; `relative`: each over its static sensitivity, None where none is stated; `repeats`: every excitation that
-    was recorded more than once; `matrices` and `cross_talks` (none where rated loads are not stated): one per frequency
-    that determines a matrix; `refused`: why the other frequencies do not; `unknowns`: what all say together of those
-    of the rig, none where nothing of it is in the loads.
+    `name` of the campaign; `recorded`: evaluated recordings in order; `failed`: reasons of the others by folder;
+    `curves`: ratios by driven component, elements of the sensor if its matrix is stated, and elements of matrices;
+    `relative`: each over its static sensitivity, None if not stated; `repeats`: every excitation that was recorded more
+    than once; `matrices` and `cross_talks` (none without rated loads): one per frequency that determines a matrix;
+    `refused`: notices for the other frequencies; `unknowns`: joint estimates of the unknowns of the rig, none if the
+    loads do not depend on them.
     """
 
     name: str
@@ -82,7 +82,7 @@ class CampaignEvaluation:
 
     @property
     def excited_lines(self) -> tuple[ExcitedLine, ...]:
-        """Return the driven lines of all recordings."""
+        """Driven lines of all recordings."""
         return tuple(drive for entry in self.recorded for drive in entry.excited_lines)
 
 
@@ -92,11 +92,10 @@ def evaluate_campaign(
     failed: Mapping[str, str],
     keep: Callable[[ExcitedLine], ExcitedLine] = lambda d: d,
 ) -> CampaignEvaluation:
-    """Evaluate the recordings of a campaign together, in the order given.
+    """Evaluate the recordings of a campaign together, in the given order.
 
-    A name that occurs twice gets the folder's beside it, since unknowns of single recordings are known by the
-    recording's name. Recordings of several sensors have nothing to say together. `keep`: where drives are put whose
-    load the campaign knows better than their recording.
+    A recording name that occurs twice is extended by the folder, since it identifies unknowns of single recordings.
+    Several sensors give no joint results. `keep`: stores lines whose load is corrected by the joint estimate.
     """
     known, sensor, unknowns, notices = _joined(name, recorded, failed, keep)
     driven = [drive for entry in known for drive in entry.excited_lines] if sensor is not None else []
@@ -147,7 +146,7 @@ def _joined(
     failed: Mapping[str, str],
     keep: Callable[[ExcitedLine], ExcitedLine],
 ) -> tuple[tuple[RecordingResults, ...], SensorFacts | None, tuple[JointUnknown, ...], list[Notice]]:
-    """Return recordings under names and with loads that hold in the campaign, its sensor, its unknowns, and notices."""
+    """Return recordings with unique names and corrected loads, the sensor, the unknowns, and notices."""
     count = Counter(entry.name for entry in recorded)
     known = []
     for entry in recorded:
@@ -171,7 +170,7 @@ def _joined(
 
 
 def _attempt(what: str, make: Callable[[], tuple[Joint, ...]], notices: list[Notice]) -> tuple[Joint, ...]:
-    """Return joint results, or say why there are none: recordings that do not fit together keep their own results."""
+    """Return joint results, or add a notice if these recordings do not allow them."""
     try:
         return make()
     except ValueError as error:
@@ -189,9 +188,9 @@ def _over_static(curve: SensitivityCurve, sensor: SensorFacts | None) -> Sensiti
 
 
 def main_channel(evaluation: CampaignEvaluation, channels: Sequence[str], component: int) -> int:
-    """Return which of the outputs belongs to a load component.
+    """Return the index of the output that belongs to a load component.
 
-    The one of the same name, else the largest by static sensitivity, else the largest found.
+    It is the one of the same name, else the largest by static sensitivity, else the largest result.
     """
     if LOAD_COMPONENTS[component] in channels:
         return list(channels).index(LOAD_COMPONENTS[component])
@@ -210,9 +209,9 @@ def main_channel(evaluation: CampaignEvaluation, channels: Sequence[str], compon
 def _fit_matrices(
     drives: Sequence[ExcitedLine], channels: Sequence[str]
 ) -> tuple[tuple[MatrixFit, ...], tuple[Notice, ...]]:
-    """Return the matrix of every frequency that determines one, and why the others do not.
+    """Return the matrix of every frequency that determines one, and notices for the others.
 
-    Ratios need no matrix, so that missing excitations are worth a remark; a fit that fails is a surprise.
+    Ratios need no matrix: missing excitations are a note, a failed fit is a warning.
     """
     fits: list[MatrixFit] = []
     refused: dict[tuple[Severity, str], list[float]] = {}
@@ -235,7 +234,7 @@ def _fit_matrices(
 
 
 def curve_points(evaluation: CampaignEvaluation) -> tuple[CurvePoint, ...]:
-    """Return all points of all curves: curve by curve, frequencies ascending."""
+    """Return all points of all curves, curve by curve, with ascending frequency."""
     mounting = {entry.name: entry.mounting for entry in evaluation.recorded}
     unit = "" if evaluation.sensor is None else evaluation.sensor.unit
     points = []
@@ -267,11 +266,11 @@ def curve_points(evaluation: CampaignEvaluation) -> tuple[CurvePoint, ...]:
 
 
 FULL_HEADLINES = 2
-"""Number of driven components up to which the end of the curve has a headline, too."""
+"""Largest number of driven components for which the end of the curve has a headline, too."""
 
 
 def main_points(evaluation: CampaignEvaluation, points: Sequence[CurvePoint]) -> dict[str, list[CurvePoint]]:
-    """Return the points of the outputs that belong to their load, by component: ratios before elements of matrices."""
+    """Return the points of the main outputs by component: ratios before elements of matrices."""
     found: dict[str, list[CurvePoint]] = {}
     for place, component in enumerate(LOAD_COMPONENTS):
         own = [point for point in points if point.component == component]
@@ -283,7 +282,7 @@ def main_points(evaluation: CampaignEvaluation, points: Sequence[CurvePoint]) ->
 
 
 def headlines(evaluation: CampaignEvaluation, mains: dict[str, list[CurvePoint]]) -> list[Headline]:
-    """The results to remember: every main sensitivity at its lowest frequency, its course, the largest cross-talk."""
+    """Return the main results: every main sensitivity, its change with frequency, the largest cross-talk."""
     found = []
     for points in mains.values():
         best = best_points(points)
@@ -310,14 +309,14 @@ def headlines(evaluation: CampaignEvaluation, mains: dict[str, list[CurvePoint]]
 
 
 def best_points(points: Sequence[CurvePoint]) -> list[CurvePoint]:
-    """Return the points of the `best_kind`, ascending in frequency."""
+    """Return the points of the `best_kind` with ascending frequency."""
     return sorted(best_kind(points, lambda point: point.kind), key=lambda point: point.frequency_hz)
 
 
 def best_kind(points: Sequence[P], kind_of: Callable[[P], str]) -> list[P]:
-    """Return those of the points of one element over frequency whose kind comes nearest to the sensor's sensitivity.
+    """Return the points of the kind that is closest to the sensor's sensitivity.
 
-    Elements of matrices, unless single recordings give elements, or else ratios, at more frequencies.
+    Elements of matrices are best, unless elements of single recordings, or else ratios, exist at more frequencies.
     """
     kinds = {kind: [point for point in points if kind_of(point) == kind] for kind in ("matrix", "element", "ratio")}
     single = kinds["element"] or kinds["ratio"]
@@ -325,7 +324,7 @@ def best_kind(points: Sequence[P], kind_of: Callable[[P], str]) -> list[P]:
 
 
 def curve_tables(mains: dict[str, list[CurvePoint]]) -> list[Table]:
-    """One table per main element over frequency, ratios first, its unit in the head."""
+    """Return one table per main element over frequency, ratios first."""
     tables = []
     for points in mains.values():
         first = points[0]
@@ -339,7 +338,7 @@ def curve_tables(mains: dict[str, list[CurvePoint]]) -> list[Table]:
 
 
 def _curve_columns(exponent: int, magnitude: str) -> list[TableColumn[CurvePoint]]:
-    """Columns of a table of points, magnitudes in units of a power of ten."""
+    """Return the columns of a table of points, with a common power of ten."""
 
     def from_static(point: CurvePoint) -> str:
         over = point.relative
@@ -357,7 +356,7 @@ def _curve_columns(exponent: int, magnitude: str) -> list[TableColumn[CurvePoint
 
 
 def _scatter_headline(evaluation: CampaignEvaluation) -> list[Headline]:
-    """What mounting anew changes, over all excitations that were mounted more than once."""
+    """Return the effect of a new mounting over all excitations with several mountings."""
     known = [found for found in evaluation.repeats if found.between_dof and found.within_dof]
     if not known:
         return []
@@ -371,7 +370,7 @@ def _scatter_headline(evaluation: CampaignEvaluation) -> list[Headline]:
 
 
 def _crosstalk_headline(evaluation: CampaignEvaluation) -> list[Headline]:
-    """The largest cross-talk that has been shown."""
+    """Return the largest cross-talk that has been shown."""
     best: tuple[float, CrossTalk, int, int] | None = None
     for found in evaluation.cross_talks:
         least = np.where(found.holds_zero, -np.inf, np.abs(found.value) - found.half_axis)

@@ -80,7 +80,10 @@ from shakercal._common.notices import gather
 
 
 class CrossTalkElement(NamedTuple):
-    """One element of the cross-talk, with the larger half axis of its 95 % region and whether that holds zero."""
+    """One element of the cross-talk, with the larger half axis of its 95 % region.
+
+    `holds_zero`: whether that region includes zero.
+    """
 
     frequency_hz: float
     channel: str
@@ -119,9 +122,11 @@ CROSSTALK: list[TableColumn[CrossTalkElement]] = [
 
 
 def campaign_tables(evaluation: CampaignEvaluation, folders: Sequence[Path]) -> dict[str, Iterable[str]]:
-    """Return every joint table in parts, by file name; `folders`: of the recordings, in the order of the rows.
+    """Return every joint table in parts, by file name.
 
-    The matrices stand among the sensitivities, with the campaign in place of a recording.
+    `folders`: of the recordings in order of the rows.
+
+    The matrices are rows of the sensitivities, with the campaign as their recording.
     """
     tables: dict[str, Iterable[str]] = {name: merged_table(name, folders) for name in MERGED_FILES}
     tables[SENSITIVITY_FILE] = chain(tables[SENSITIVITY_FILE], _of_matrices(evaluation))
@@ -132,7 +137,7 @@ def campaign_tables(evaluation: CampaignEvaluation, folders: Sequence[Path]) -> 
 
 
 def _of_matrices(evaluation: CampaignEvaluation) -> Iterator[str]:
-    """Yield the rows of every matrix among the sensitivities."""
+    """Yield the rows of every matrix for the table of sensitivities."""
     if evaluation.sensor is not None:
         for fit in evaluation.matrices:
             elements = sensitivity_elements(fit.sensitivity(evaluation.sensor.unit), evaluation.name)
@@ -140,7 +145,7 @@ def _of_matrices(evaluation: CampaignEvaluation) -> Iterator[str]:
 
 
 def _beside_the_main(found: CrossTalk) -> Iterator[CrossTalkElement]:
-    """Yield every element beside the main ones."""
+    """Yield every element except the main ones."""
     (elements,) = polar_elements(found.value.reshape(1, -1), found.uncertainty)
     for (c, j), value in zip(np.ndindex(found.value.shape), elements, strict=True):
         if found.main[c] != j and value is not None:
@@ -155,7 +160,10 @@ JOINT_FIELDS = ("curves", "repeats", "linearity", "matrices", "cross_talks", "un
 
 
 def campaign_h5(evaluation: CampaignEvaluation, files: Sequence[str]) -> bytes:
-    """Return the content of campaign.h5; `files` are the names of all joint files. Equal input gives equal bytes."""
+    """Return the content of campaign.h5; `files` are the names of all joint files.
+
+    Equal input gives equal bytes.
+    """
 
     def fill(file: Group) -> None:
         file.attrs["format"] = RESULT_FORMAT
@@ -180,7 +188,7 @@ def campaign_h5(evaluation: CampaignEvaluation, files: Sequence[str]) -> bytes:
 
 
 def campaign_origin(recorded: Sequence[RecordingResults]) -> Provenance:
-    """Return the inputs of all recordings, with the settings and versions that the first was evaluated with."""
+    """Return the inputs of all recordings, with settings and versions of the first."""
     hashes: dict[str, str] = {}
     for entry in recorded:
         for name, digest in entry.origin.input_hashes.items():
@@ -193,11 +201,11 @@ def campaign_origin(recorded: Sequence[RecordingResults]) -> Provenance:
 
 
 MOST_ROWS = 1000
-"""Recordings and input files beyond which a page that lists all would no longer open well."""
+"""Largest number of recordings and input files on the page; longer pages are slow to open (chosen)."""
 
 
 def recordings_table(evaluation: CampaignEvaluation) -> Table | None:
-    """Every recording that could be evaluated, its name leading to its report, then the others with the reason."""
+    """Return the table of recordings with links to their reports, failed ones last."""
     blank = "\N{NO-BREAK SPACE}"
 
     def name(entry: RecordingResults) -> str:
@@ -233,7 +241,7 @@ def recordings_table(evaluation: CampaignEvaluation) -> Table | None:
 
 
 def _agreement_table(evaluation: CampaignEvaluation) -> Table | None:
-    """How every recording agrees with the matrix that all others give, one column per frequency."""
+    """Return the agreement of every recording with the matrix of all others."""
     fits = evaluation.matrices
     if not any(np.isfinite(item.normalised_deviation) for fit in fits for item in fit.agreement):
         return None
@@ -255,7 +263,7 @@ def _agreement_table(evaluation: CampaignEvaluation) -> Table | None:
 
 
 def _rank_sentences(evaluation: CampaignEvaluation) -> list[str]:
-    """What the excitations determine where they tell the six columns apart least, or what is missing."""
+    """Return sentences on the weakest independent load, or on missing excitations."""
     sentences, fits = [], evaluation.matrices
     if fits:
         least = min(fits, key=lambda fit: float(fit.excitation.singular[-1]))
@@ -270,10 +278,10 @@ def _rank_sentences(evaluation: CampaignEvaluation) -> list[str]:
 
 
 def repeats_table(evaluation: CampaignEvaluation) -> Table | None:
-    """What recordings and mountings of one excitation scatter by, for the output that belongs to the load."""
+    """Return the scatter of recordings and mountings of one excitation, for the main output."""
 
     def expanded(found: RepeatMean) -> tuple[str, str]:
-        """U of the mean in per cent, and its factor."""
+        """Return U of the mean in per cent, and its coverage factor."""
         channel = main_channel(evaluation, found.channels, found.component)
         ((element,),) = polar_elements(found.value[None, [channel]], found.uncertainty.at([channel]))
         if element is None:
@@ -281,7 +289,7 @@ def repeats_table(evaluation: CampaignEvaluation) -> Table | None:
         return small(100.0 * element.expanded_magnitude / element.magnitude), f"{element.k:.2f}"
 
     def percent(found: RepeatMean, share: FloatArray) -> str:
-        """A standard deviation: a dash where nothing tells it, zero where nothing is left."""
+        """Return a standard deviation; a dash if it is not determined."""
         own = share[main_channel(evaluation, found.channels, found.component)]
         return DASH if not np.isfinite(own) else small(100.0 * own) if own > 0.0 else "0"
 
@@ -304,10 +312,10 @@ def repeats_table(evaluation: CampaignEvaluation) -> Table | None:
 
 
 def linearity_table(evaluation: CampaignEvaluation) -> Table | None:
-    """How the sensitivity changes with amplitude, for the output that belongs to the load."""
+    """Return the change of the sensitivity with amplitude, for the main output."""
 
     def change(found: Linearity) -> tuple[str, str, str]:
-        """Change of magnitude and phase with U, and the verdict."""
+        """Return the change of magnitude and phase with U, and the verdict."""
         channel = main_channel(evaluation, found.channels, found.component)
         size, u = complex(found.change[channel]), polar(1.0 + 0.0j, found.covariance[channel], found.dof)
         magnitude = scaled_html(100.0 * size.real, 100.0 * u.expanded_magnitude, 0)
@@ -333,7 +341,7 @@ def linearity_table(evaluation: CampaignEvaluation) -> Table | None:
 
 
 def unknowns_table(evaluation: CampaignEvaluation) -> Table | None:
-    """What all recordings together say of every unknown of the rig: first what they know best."""
+    """Return the joint estimates of the unknowns of the rig, best ones first."""
 
     def value(found: JointUnknown) -> str:
         unit = "" if found.unit == "1" else found.unit
@@ -354,7 +362,10 @@ def unknowns_table(evaluation: CampaignEvaluation) -> Table | None:
 
 
 def _crosstalk_table(found: CrossTalk) -> Table:
-    """Cross-talk at one frequency in per cent: outputs down, loads across; an upper bound where a region holds zero."""
+    """Return the cross-talk at one frequency in per cent.
+
+    An upper bound if a region includes zero.
+    """
     rows = []
     for c, channel in enumerate(found.channels):
         cells: list[str] = [f"output {channel}"]
@@ -377,7 +388,10 @@ def _crosstalk_table(found: CrossTalk) -> Table:
 
 
 def render_campaign(evaluation: CampaignEvaluation) -> str:
-    """HTML text of the page; style and figures are inside, nothing is fetched from elsewhere."""
+    """Return the HTML text of the page.
+
+    Style and figures are included, no other file is loaded.
+    """
     mains = main_points(evaluation, curve_points(evaluation))
     ratios = [curve for curve in evaluation.curves if curve.kind == "ratio" and len(curve.channels) > 1]
     stated = None if evaluation.sensor is None else evaluation.sensor.stated_matrix
@@ -418,7 +432,7 @@ def render_campaign(evaluation: CampaignEvaluation) -> str:
 
 
 def _subject(evaluation: CampaignEvaluation) -> list[tuple[str, str]]:
-    """What was measured: sensor, rigs, recordings, mountings, frequencies."""
+    """Return sensor, rigs, recordings, mountings and frequencies."""
     facts, sensor, recorded = [], evaluation.sensor, evaluation.recorded
     if sensor is not None:
         facts.append(("Sensor", f"{sensor.name}, serial number {sensor.serial}" if sensor.serial else sensor.name))
@@ -437,11 +451,11 @@ def _subject(evaluation: CampaignEvaluation) -> list[tuple[str, str]]:
 
 
 def write_campaign(top: Path, name: str, folders: Sequence[Path], failed: Mapping[str, str]) -> list[Path]:
-    """Write the joint files of the campaign `name` into the folder `top` and return their paths.
+    """Write the joint files of a campaign into the folder `top` and return their paths.
 
-    `folders`: results folders of the recordings that could be evaluated, in the order of the tables; everything is
-    read from them, so that equal results give equal files. `failed`: folders of the others, by name, and why there is
-    no result. The files appear together, or not at all where results are replaced while they are read.
+    `folders`: results folders of the evaluated recordings in the order of the tables. All data are read from them, so
+    that equal results give equal files. `failed`: reasons by folder of the others. The files appear together, or none
+    if results change while they are read.
     """
     return join_campaign(top, name, folders, failed)[1]
 
@@ -449,7 +463,7 @@ def write_campaign(top: Path, name: str, folders: Sequence[Path], failed: Mappin
 def join_campaign(
     top: Path, name: str, folders: Sequence[Path], failed: Mapping[str, str]
 ) -> tuple[CampaignEvaluation, list[Path]]:
-    """Write the joint files as `write_campaign` does, and return what they tell, too."""
+    """Write the joint files as `write_campaign` does, and return the evaluation, too."""
     inputs = InputFiles.without_hashes(folder / file for folder in folders for file in (*MERGED_FILES, RESULT_FILE))
     with ExitStack() as stack:
         with report_write_errors(top):
@@ -461,7 +475,7 @@ def join_campaign(
 
 
 def _shelved(entry: RecordingResults, shelf: DiskStore) -> RecordingResults:
-    """Return a recording of which the large tables are on the shelf."""
+    """Return a recording whose large tables are on disk."""
     knowledge = None if entry.knowledge is None else shelf.store(entry.knowledge())
     return replace(entry, excited_lines=tuple(map(shelf.put, entry.excited_lines)), knowledge=knowledge)
 

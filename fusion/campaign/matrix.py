@@ -1,4 +1,4 @@
-"""The complex 6 x 6 matrix and its cross-talk."""
+"""Complex 6 x 6 sensitivity matrix at one frequency, and its cross-talk."""
 
 from __future__ import annotations
 
@@ -42,15 +42,15 @@ DISAGREEMENT = "disagreement of the recordings"
 DISCREPANCY_RANGE = (1e-9, 10.0)
 RANK_TOLERANCE = 1e-9
 REJECT_CHI2 = 100.0
-"""Chi-square per degree of freedom beyond which readings are not described by what is stated."""
+"""Chi-square per degree of freedom above which the stated uncertainties do not describe the readings."""
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """How one drive agrees with the matrix that all others give.
+    """Agreement of one line with the matrix of all others.
 
-    `normalised_deviation`: root of chi-square per degree of freedom of its outputs (1 is expected, NaN where the others
-    do not determine a matrix); `readings`: number of real readings it was judged by.
+    `normalised_deviation`: root of chi-square per degree of freedom of its outputs (1 is expected; NaN if the others do
+    not determine a matrix); `readings`: number of real readings in this test.
     """
 
     recording: str
@@ -64,11 +64,10 @@ class Agreement:
 class MatrixFit:
     """Matrix `value` (C, 6) of outputs over loads at one frequency.
 
-    `uncertainty` (K = 1) of its 6C elements, channel by channel, its unknowns under names that hold between
-    recordings; `load_size` (6,): largest loads of the drives; `excitation`: how well they tell the columns apart;
-    `chi2` and `dof` as stated uncertainties give them; `discrepancy`: what had to be added, relative to the outputs, 0
-    where the recordings agree; `agreement` of every drive, `worst`: the one that agrees least, None where nothing tests
-    it.
+    `uncertainty` (K = 1) of its 6C elements, channel by channel, with unknowns under campaign-wide names; `load_size`
+    (6,): largest loads of the lines; `excitation`: how well the lines separate the columns; `chi2` and `dof` with the
+    stated uncertainties; `discrepancy`: additional standard deviation relative to the outputs, 0 if the recordings
+    agree; `agreement` of every line.
     """
 
     frequency_hz: float
@@ -85,12 +84,12 @@ class MatrixFit:
 
     @property
     def worst(self) -> Agreement | None:
-        """Return the drive that agrees least with the others."""
+        """Line that agrees least with the others; None if there is no test."""
         tested = [item for item in self.agreement if np.isfinite(item.normalised_deviation)]
         return max(tested, key=lambda item: item.normalised_deviation, default=None)
 
     def sensitivity(self, unit: str) -> Sensitivity:
-        """Return the matrix as a sensitivity of one line, `unit` being that of the outputs."""
+        """Return the matrix as a sensitivity of one line; `unit` is that of the outputs."""
         return Sensitivity(
             frequency_hz=np.array([self.frequency_hz]),
             value=self.value[None],
@@ -105,16 +104,18 @@ class MatrixFit:
 
 
 def fit_matrix(drives: Sequence[ExcitedLine], channels: Sequence[str] | None = None) -> MatrixFit:
-    """Return the matrix S of outputs = S · load at the frequency of several drives, by maximum likelihood.
+    """Return the matrix S of outputs = S · load at one frequency, by maximum likelihood.
 
-    Loads and outputs err, and what drives share is one unknown for all of them (`fusion.campaign.matrix_solve`). All
-    six columns are determined or none: where the drives do not excite six independent loads,
-    `MissingExcitationError` says what to add, and only ratios of single recordings are left. Where recordings disagree
-    beyond what is stated (chi-square at 1 %, noise that was estimated counted as such, `estimated_noise`), every output
-    gets the further standard deviation τ·max_j|S_ij|·|load| that makes chi-square equal its degrees of freedom (Paule &
-    Mandel 1982, J. Res. NBS 87, 377); within one mounting and direction it counts as one error, since mounting anew is
-    its usual cause. `channels`: order of the outputs, by default that of the drives; one that is not recorded in enough
-    drives has no row.
+    Loads and outputs have errors; a shared error is one unknown for all lines (`fusion.campaign.matrix_solve`). Either
+    all six columns are determined or none. If the lines do not excite six independent loads, `MissingExcitationError`
+    names the missing ones.
+
+    Recordings may disagree beyond the stated uncertainties (chi-square at 1 %, with estimated noise as in
+    `estimated_noise`). Then every output gets the further standard deviation τ·max_j|S_ij|·|load| that makes chi-square
+    equal its degrees of freedom (Paule & Mandel 1982, J. Res. NBS 87, 377). Within one mounting and direction it is one
+    error, since a new mounting is its usual cause.
+
+    `channels`: order of the outputs, by default that of the lines; an output with too few recordings has no row.
     """
     if not drives:
         raise ValueError("drives: expected at least one, found none")
@@ -166,7 +167,7 @@ def fit_matrix(drives: Sequence[ExcitedLine], channels: Sequence[str] | None = N
 
 
 def _agreement(stack: Stack, solution: MatrixSolution) -> tuple[Agreement, ...]:
-    """Every drive's outputs against what all others say of them."""
+    """Return the agreement of every line's outputs with all others."""
     judged = []
     for r, (drive, usable) in enumerate(zip(stack.drives, np.tile(stack.usable, (1, 2)), strict=True)):
         rows, own = np.flatnonzero(usable), (solution.projector[r], solution.projected_residual[r], solution.size[r])
@@ -177,7 +178,7 @@ def _agreement(stack: Stack, solution: MatrixSolution) -> tuple[Agreement, ...]:
 
 
 def _solve(stack: Stack) -> tuple[MatrixSolution, MatrixSolution, float]:
-    """Solution, what stated uncertainties alone say of it, and the relative disagreement it needs (0: none)."""
+    """Return the solution, that with stated uncertainties alone, and the relative disagreement (0: none)."""
     start = judge(stack)
     if start.chi2 < REJECT_CHI2 * max(start.dof, 1):
         plain = solve(stack)
@@ -188,13 +189,13 @@ def _solve(stack: Stack) -> tuple[MatrixSolution, MatrixSolution, float]:
 
 
 def _spread(stack: Stack, tau: float) -> FloatArray:
-    """Standard deviations (R, C) of real and imaginary parts of the outputs for a relative disagreement."""
+    """Return standard deviations (R, C) of both parts of the outputs for a relative disagreement."""
     matrix = judge(stack).matrix
     return np.asarray(tau * np.linalg.norm(stack.load, axis=1)[:, None] * np.max(np.abs(matrix), axis=1))
 
 
 def _disagreeing(stack: Stack) -> tuple[MatrixSolution, float]:
-    """Solution with the relative disagreement that makes chi-square its degrees of freedom, approached from above."""
+    """Return the solution with the relative disagreement that makes chi-square equal its degrees of freedom."""
     unit = _spread(stack, 1.0)
 
     def excess(log_tau: float) -> float:
@@ -216,7 +217,7 @@ def _disagreeing(stack: Stack) -> tuple[MatrixSolution, float]:
 
 
 def _uncertainty(stack: Stack, solution: MatrixSolution, tau: float) -> Uncertainty:
-    """Uncertainty of the 6C elements in their units: readings' own errors, shared unknowns, disagreement."""
+    """Return the uncertainty of the 6C elements: individual errors, shared unknowns, disagreement."""
     random: tuple[Contribution, ...] = ()
     for r, gain in enumerate(solution.gain):
         parts = [*random, *stack.output_noise[r].transformed(gain[None]).random]
@@ -245,11 +246,11 @@ def _uncertainty(stack: Stack, solution: MatrixSolution, tau: float) -> Uncertai
 
 @dataclass(frozen=True)
 class CrossTalk:
-    """Output i under the rated load j, relative to its output under its own rated load, at one frequency.
+    """Output i under the rated load j, relative to its output under its rated main load.
 
-    `value` (C, 6) complex, 1 at the main elements; `main` (C,): component of each channel; `uncertainty` (K = 1) of
-    the 6C values, channel by channel; `half_axis` (C, 6): larger half axis of the 95 % region in the complex plane;
-    `holds_zero` (C, 6): whether that region holds zero, so that no cross-talk has been shown.
+    `value` (C, 6) complex, 1 at the main elements; `main` (C,): component of each channel; `uncertainty` (K = 1) of the
+    6C values, channel by channel; `half_axis` (C, 6): larger half axis of the 95 % region in the complex plane;
+    `holds_zero` (C, 6): whether that region includes zero, so that no cross-talk has been shown.
     """
 
     frequency_hz: float
@@ -263,9 +264,10 @@ class CrossTalk:
 
 
 def main_components(value: ComplexArray, capacity: FloatArray) -> tuple[int, ...]:
-    """Return for every channel of a matrix (C, 6) the component (0..5) it is made for.
+    """Return the main component (0..5) of every channel of a matrix (C, 6).
 
-    The one whose rated load moves it most; where two channels answer most to the same load, their order decides.
+    It is the component whose rated load gives the largest output. If two channels have the same one, their order
+    decides.
     """
     largest = np.argmax(np.abs(value) * capacity, axis=1)
     if len(set(largest.tolist())) == len(largest):
@@ -276,7 +278,7 @@ def main_components(value: ComplexArray, capacity: FloatArray) -> tuple[int, ...
 def cross_talk(fit: MatrixFit, capacity: Sequence[float]) -> CrossTalk:
     """Return c_ij = S_ij·capacity_j/(S_im·capacity_m), m the main component of channel i, with its uncertainty.
 
-    dc_ij = (capacity_j/capacity_m)·(dS_ij - S_ij·dS_im/S_im)/S_im: errors that a row has in common cancel.
+    dc_ij = (capacity_j/capacity_m)·(dS_ij - S_ij·dS_im/S_im)/S_im: common errors of a row cancel.
     """
     rated = np.asarray(capacity, dtype=np.float64)
     check_shape("capacity", rated, (LOADS,))

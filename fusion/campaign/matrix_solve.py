@@ -29,12 +29,12 @@ LINE_SPACING = "lines apart"
 
 @dataclass(frozen=True)
 class Stack:
-    """R drives at one frequency, loads in units of `load_size` (6,), outputs of `output_size` (C,).
+    """R lines at one frequency; loads in units of `load_size` (6,), outputs of `output_size` (C,).
 
-    `load` (R, 6), `output` (R, C) with NaN where there is no reading; `load_noise`, `output_noise`: what is each
-    drive's own, by drive; `unknowns` (E): what drives share or load and outputs share. Of them up to A act on one
-    drive: `acting` (R, A) says which (-1: no further one), `load_effect` (R, A, 6) how they change its load for one
-    standard uncertainty, `output_effect` (R, A, C) its outputs, relative to these.
+    `load` (R, 6), `output` (R, C) with NaN if there is no reading; `load_noise`, `output_noise`: individual errors of
+    each line; `unknowns` (E): those that lines share, or load and outputs share. Up to A of them act on one line:
+    `acting` (R, A) lists them (-1: none), `load_effect` (R, A, 6) is their effect on the load for one standard
+    uncertainty, `output_effect` (R, A, C) that on the outputs, relative to these.
     """
 
     drives: tuple[ExcitedLine, ...]
@@ -52,40 +52,41 @@ class Stack:
 
     @property
     def frequency_hz(self) -> float:
-        """Return the mean frequency of the drives."""
+        """Mean frequency of the lines."""
         return float(np.mean([drive.frequency_hz for drive in self.drives]))
 
     @property
     def usable(self) -> BoolArray:
-        """Return which outputs (R, C) have a reading."""
+        """Which outputs (R, C) have a reading."""
         return np.isfinite(self.output)
 
     @cached_property
     def individual_load_covariance(self) -> FloatArray:
-        """Return the covariance (R, 12, 12) of every drive's load without what drives share."""
+        """Covariance (R, 12, 12) of every line's load without shared errors."""
         return np.concatenate([noise.covariance for noise in self.load_noise])
 
     @cached_property
     def individual_output_covariance(self) -> FloatArray:
-        """Return the covariance (R, 2C, 2C) of every drive's outputs without what drives share."""
+        """Covariance (R, 2C, 2C) of every line's outputs without shared errors."""
         return np.concatenate([noise.covariance for noise in self.output_noise])
 
     def load_covariance(self) -> FloatArray:
-        """Return the whole covariance (R, 12, 12) of every drive's load, common errors included."""
+        """Return the total covariance (R, 12, 12) of every line's load, including shared errors."""
         effect = real_stack(self.load_effect)
         return np.asarray(self.individual_load_covariance + effect.swapaxes(1, 2) @ effect)
 
     @cached_property
     def order(self) -> EliminationOrder:
-        """Return in which order unknowns are eliminated."""
+        """Order in which unknowns are eliminated."""
         acts = np.any(self.load_effect != 0.0, axis=2) | np.any(self.output_effect != 0.0, axis=2)
         return elimination_order(np.where(acts, self.acting, -1), len(self.unknowns))
 
 
 def stack_drives(drives: Sequence[ExcitedLine], channels: Sequence[str]) -> Stack:
-    """Return drives as one stack, their outputs in the order of `channels`; a channel not recorded has no reading.
+    """Return lines as one stack with outputs in the order of `channels`.
 
-    Each component of the load is measured in its largest among the drives, each output likewise.
+    A channel that was not recorded has no reading. The unit of each load component and each output is its largest
+    value.
     """
     if not drives:
         raise ValueError("drives: expected at least one, found none")
@@ -136,7 +137,7 @@ def stack_drives(drives: Sequence[ExcitedLine], channels: Sequence[str]) -> Stac
 
 
 def _size(values: ComplexArray) -> FloatArray:
-    """Largest magnitude of each column, 1 where there is none."""
+    """Return the largest magnitude of each column, 1 if there is none."""
     largest = np.max(np.where(np.isfinite(values), np.abs(values), 0.0), axis=0)
     return np.where(largest > 0.0, largest, 1.0)
 
@@ -144,7 +145,7 @@ def _size(values: ComplexArray) -> FloatArray:
 def _outputs_in_order(
     uncertainty: Uncertainty, drive: ExcitedLine, channels: tuple[str, ...], size: FloatArray
 ) -> Uncertainty:
-    """Uncertainty of the outputs by the names wanted, in units of their size; zero where there is no reading."""
+    """Return the uncertainty of the outputs in the order of `channels`, in units of `size`."""
     have, want = len(drive.channels), len(channels)
     matrix = np.zeros((2 * want, 2 * have))
     for row, channel in enumerate(channels):
@@ -155,10 +156,11 @@ def _outputs_in_order(
 
 
 def _with_slopes(stack: Stack) -> Stack:
-    """Stack with one complex unknown per channel more: how its sensitivity changes over lines that lie side by side.
+    """Return the stack with the change of each channel's sensitivity with frequency as an unknown.
 
-    An output at f is that at the mean f₀ times 1 + s·ln(f/f₀); s has the standard uncertainty `SLOPE` in real and in
-    imaginary part, so that lines apart cost what they must, and lines of one frequency nothing.
+    The lines of one group may have slightly different frequencies. An output at f is that at the mean f₀ times 1 +
+    s·ln(f/f₀); s has the standard uncertainty `SLOPE` in its real and imaginary part. Equal frequencies add no
+    uncertainty.
     """
     away = np.log(np.array([drive.frequency_hz for drive in stack.drives]) / stack.frequency_hz)
     if np.ptp(away) <= SAME_LINE:
@@ -185,15 +187,15 @@ def _with_slopes(stack: Stack) -> Stack:
 
 
 MIN_SINGULAR = 10.0
-"""Least size of an excitation in its standard uncertainties: its elements of the matrix are then known to 10 %."""
+"""Smallest size of an excitation in its standard uncertainties; matrix elements then have an uncertainty of 10 %."""
 MIN_SHARE = 1e-3
-"""Least size of an excitation beside the largest, every component in units of its largest load."""
+"""Smallest size of an excitation relative to the largest, every component in units of its largest load."""
 MEMBER = 0.05
-"""Share of a missing direction above which a component takes part in it."""
+"""Share of a missing direction above which a component belongs to it."""
 TOGETHER = 0.1
-"""Correlation in the missing directions above which components are told together."""
+"""Correlation in the missing directions above which components are reported together."""
 FLOOR = 1e-9
-"""Standard uncertainty, relative to a load's size, below which no load is known."""
+"""Smallest standard uncertainty of a load relative to its size, for numerical stability."""
 
 HOW = {
     "Fx": "a recording driven along x",
@@ -206,7 +208,7 @@ HOW = {
 
 
 class MissingExcitationError(ValueError):
-    """The recordings do not excite six independent loads: `missing` names the components, alone or together."""
+    """The recordings do not excite six independent loads; `missing` lists the components in groups."""
 
     def __init__(self, text: str, missing: tuple[tuple[str, ...], ...]) -> None:
         super().__init__(text)
@@ -215,11 +217,12 @@ class MissingExcitationError(ValueError):
 
 @dataclass(frozen=True)
 class LoadExcitation:
-    """How strongly R drives excite six independent loads.
+    """Strength of the six independent loads that R lines excite.
 
-    `singular` (6,): of the loads whitened by their covariance, largest first: amplitude of an independent load in its
-    standard uncertainties; `share` (6,): singular values of the loads, every component in units of its own size,
-    relative to the largest. `missing`: components that are not excited, alone or only in fixed proportion.
+    `singular` (6,): singular values of the loads whitened by their covariance, largest first: amplitude of an
+    independent load in its standard uncertainties. `share` (6,): singular values of the loads, every component in units
+    of its largest value, relative to the largest. `missing`: components that are not excited, alone or only in fixed
+    proportion.
     """
 
     singular: FloatArray
@@ -228,25 +231,24 @@ class LoadExcitation:
 
     @property
     def determines(self) -> bool:
-        """Return whether all six columns of a matrix can be determined."""
+        """Whether all six columns of a matrix can be determined."""
         return not self.missing
 
 
 def excitation(stack: Stack, drives: Sequence[int] | NDArray[np.int64] | None = None) -> LoadExcitation:
-    """Return how strongly some of the drives (all by default) excite six independent loads.
+    """Return the strength of the six independent loads that some lines (default: all) excite.
 
-    With w_r the loads and Γ_r their complex covariances, the whitened singular values are the roots of
-    vᴴ(Σ w̄_r w_rᵀ)v / vᴴ(Σ Γ̄_r)v at its extremes, a generalised eigenvalue problem: a direction v that is not excited
-    has 1 or less. A direction counts as excited where vᴴ(Σ w̄_r w_rᵀ)v exceeds the squares of both `LEAST_SINGULAR`
-    standard uncertainties and `LEAST_SHARE` of the largest excitation; the others are the negative eigenspace of the
-    difference.
+    With w_r the loads and Γ_r their complex covariances, the whitened singular values are the roots of vᴴ(Σ w̄_r w_rᵀ)v
+    / vᴴ(Σ Γ̄_r)v at its extremes, a generalised eigenvalue problem: a direction v that is not excited has 1 or less. A
+    direction is excited if vᴴ(Σ w̄_r w_rᵀ)v exceeds the squares of both `MIN_SINGULAR` standard uncertainties and
+    `MIN_SHARE` of the largest excitation. The others are the negative eigenspace of the difference.
     """
     chosen = np.arange(len(stack.load)) if drives is None else np.asarray(drives, dtype=np.int64)
     return _excitation(stack.load[chosen], np.sum(stack.load_covariance()[chosen], axis=0))
 
 
 def drives_excite(drives: Sequence[ExcitedLine]) -> LoadExcitation:
-    """Return `excitation` of drives that are not stacked yet, which takes no table of all unknowns by all drives."""
+    """Return `excitation` of lines without stacking them, which needs less memory."""
     size = np.tile(_size(np.stack([drive.load for drive in drives])), 2)
     covariance = np.sum([drive.load_uncertainty.covariance[0] for drive in drives], axis=0)
     load = np.stack([drive.load for drive in drives]) / size[:LOADS]
@@ -254,7 +256,7 @@ def drives_excite(drives: Sequence[ExcitedLine]) -> LoadExcitation:
 
 
 def _excitation(load: ComplexArray, both: FloatArray) -> LoadExcitation:
-    """How strongly loads (R, 6) with the sum of their covariances (12, 12) excite six independent ones."""
+    """Return the excitation of loads (R, 6) with the sum of their covariances (12, 12)."""
     from scipy.linalg import eigh
 
     signal = load.conj().T @ load
@@ -275,7 +277,7 @@ def _excitation(load: ComplexArray, both: FloatArray) -> LoadExcitation:
 
 
 def require_six(found: LoadExcitation, drives: int) -> None:
-    """Raise `MissingExcitationError` unless the drives excite six independent loads, saying what to add."""
+    """Raise `MissingExcitationError` unless the lines excite six independent loads."""
     if found.determines:
         return
     told, wanted = [], []
@@ -289,7 +291,7 @@ def require_six(found: LoadExcitation, drives: int) -> None:
 
 
 def _missing(projector: ComplexArray) -> tuple[tuple[str, ...], ...]:
-    """Components of the missing directions: each alone, or those that occur in fixed proportion together."""
+    """Return the components of the missing directions, alone or in groups of fixed proportion."""
     size = np.diag(projector).real
     members = [j for j in range(LOADS) if size[j] > MEMBER]
     groups: list[list[int]] = []
@@ -311,13 +313,13 @@ ITERATIONS = 100
 CONVERGED = 1e-7
 """Largest step, in standard uncertainties, at which the iteration ends."""
 NOISE_FLOOR = 1e-4
-"""Smallest noise of a reading relative to the common errors in it: invisible in U, and sums keep their digits."""
+"""Smallest noise of a reading relative to its common errors; it has no visible effect on U and keeps digits."""
 DIGITS = 1e-10
 
 
 @dataclass(frozen=True)
 class LinearisationPoint:
-    """Where the likelihood is linearised: matrix (C, 6), loads (R, 6), errors (E,)."""
+    """Linearisation point of the likelihood: matrix (C, 6), loads (R, 6), errors (E,)."""
 
     matrix: ComplexArray
     load: ComplexArray
@@ -326,14 +328,14 @@ class LinearisationPoint:
 
 @dataclass(frozen=True)
 class MatrixSolution:
-    """Matrix, loads and unknowns that fit a stack best, in its units.
+    """Matrix, loads and unknowns of greatest likelihood of a stack, in its units.
 
-    `matrix` (C, 6), `load` (R, 6), `errors` (E,) in standard uncertainties; `point`: about which the model was linear.
-    Of the 2C real readings of every drive, zero where there is none: `residual` (R, 2C) of the outputs at the measured
-    loads, `noise` (R, 2C, 2C), `size` (R, 2C) of noise and unknowns together, `gain` (R, 12C, 2C) from readings to [Re,
-    Im] of the matrix, `through` (R, 2C, 12) from the loads to the readings. Of the projector P of all readings, with
-    `chi2` = residualᵀ·P·residual of `dof` degrees of freedom, `left` (R, 2C) is P·residual, `projector` (R, 2C, 2C)
-    that between readings of one drive; `step`: the last one, in standard uncertainties of the elements.
+    `matrix` (C, 6), `load` (R, 6), `errors` (E,) in standard uncertainties; `point`: linearisation point. Every line
+    has 2C real readings, zero if missing: `residual` (R, 2C) of the outputs at the measured loads, `noise` (R, 2C, 2C),
+    `size` (R, 2C) of noise and unknowns together, `gain` (R, 12C, 2C) from readings to [Re, Im] of the matrix,
+    `load_design` (R, 2C, 12) from loads to readings. P is the projector of all readings, `chi2` = residualᵀ·P·residual
+    with `dof` degrees of freedom: `projected_residual` (R, 2C) is P·residual, `projector` (R, 2C, 2C) its blocks of one
+    line. `step`: the last step, in standard uncertainties of the elements.
     """
 
     matrix: ComplexArray
@@ -354,11 +356,11 @@ class MatrixSolution:
 
 @dataclass(frozen=True)
 class _Linear:
-    """The model of R drives about a point: changes of the outputs, zero where there is no reading.
+    """Linear model of R lines about a point, zero if there is no reading.
 
     `residual` (R, 2C), `design` (R, 2C, 12C) for the matrix, `through` (R, 2C, 12) for the loads, `effects` (R, 2C, A)
-    for the unknowns; `load_step` (R, 12, 12) from errors of the readings of the loads to the loads themselves; `noise`
-    (R, 2C, 2C), one where there is no reading.
+    for the unknowns; `load_step` (R, 12, 12) from errors of the measured loads to the loads; `noise` (R, 2C, 2C), one
+    if there is no reading.
     """
 
     residual: FloatArray
@@ -372,12 +374,13 @@ class _Linear:
 def solve(stack: Stack, discrepancy: FloatArray | None = None) -> MatrixSolution:
     """Return the matrix S, the loads L_r and the unknowns e of greatest likelihood.
 
-    Readings are l_r = L_r + E_r(L_r)·e + noise and y_r = (1 + Σ_k ρ_rk·e_k) ∘ (S·L_r) + noise, e with unit priors, E_r
-    following the size of the fitted load and ρ relative, so that no reading that happens to be low gains weight by its
-    common error (D'Agostini 1994, Nucl. Instrum. Methods A 346, 306). Gauss-Newton over S, L and e, in which L and e
-    are eliminated: generalised least squares with the effective covariance of y - S·l and the design at the fitted
-    loads (York 1969, Earth Planet. Sci. Lett. 5, 320, for a line). `discrepancy` (R, C): further standard deviations
-    of the real and the imaginary part of the outputs.
+    Readings are l_r = L_r + E_r(L_r)·e + noise and y_r = (1 + Σ_k ρ_rk·e_k) ∘ (S·L_r) + noise, e with unit priors. E_r
+    follows the size of the fitted load and ρ is relative, so that a low reading gets no more weight by its common error
+    (D'Agostini 1994, Nucl. Instrum. Methods A 346, 306).
+
+    Gauss-Newton over S, L and e, in which L and e are eliminated: generalised least squares with the effective
+    covariance of y - S·l and the design at the fitted loads (York 1969, Earth Planet. Sci. Lett. 5, 320, for a line).
+    `discrepancy` (R, C): further standard deviations of the real and the imaginary part of the outputs.
     """
     extra = np.zeros(stack.output.shape) if discrepancy is None else discrepancy
     solution = _step(stack, _start(stack), extra)
@@ -389,7 +392,7 @@ def solve(stack: Stack, discrepancy: FloatArray | None = None) -> MatrixSolution
 
 
 def estimated_noise(stack: Stack, solution: MatrixSolution) -> EstimatedNoise:
-    """Return how well the noise of loads and outputs is known that a solution's readings were judged by."""
+    """Return the degrees of freedom of the noise of loads and outputs in a solution."""
     parts = []
     for r, usable in enumerate(np.tile(stack.usable, (1, 2))):
         rows = r * len(usable) + np.flatnonzero(usable)
@@ -405,17 +408,17 @@ def estimated_noise(stack: Stack, solution: MatrixSolution) -> EstimatedNoise:
 
 
 def judge(stack: Stack, solution: MatrixSolution | None = None) -> MatrixSolution:
-    """Return one step from a solution, or from the start, with stated uncertainties only: what they say of it.
+    """Return one step from a solution, or from the start, with stated uncertainties only.
 
-    Where readings disagree a thousandfold, the greatest likelihood drives the unknowns far beyond where the model is
-    linear, and what it says of a single reading is meaningless; one step does not.
+    If readings disagree a thousandfold, the greatest likelihood moves the unknowns far beyond the linear range of the
+    model, and the deviation of a single reading has no meaning. One step avoids this.
     """
     point = _start(stack) if solution is None else LinearisationPoint(solution.matrix, solution.load, solution.errors)
     return _step(stack, point, np.zeros(stack.output.shape))
 
 
 def changes(stack: Stack, solution: MatrixSolution) -> FloatArray:
-    """Return by how much every unknown changes [Re, Im] of the matrix for one standard uncertainty (E, 12C)."""
+    """Return the change of the matrix by one standard uncertainty of every unknown (E, 12C)."""
     total = np.zeros((len(stack.unknowns), solution.gain.shape[1]))
     for group in stack.order.chunks():
         drives = np.concatenate([own for own, _ in group])
@@ -425,7 +428,7 @@ def changes(stack: Stack, solution: MatrixSolution) -> FloatArray:
 
 
 def _start(stack: Stack) -> LinearisationPoint:
-    """Matrix by least squares as if the loads were exact."""
+    """Return the matrix by least squares with exact loads as the first point."""
     rows = [
         np.linalg.lstsq(stack.load[usable], stack.output[usable, c], rcond=None)[0]
         for c, usable in enumerate(stack.usable.T)
@@ -434,7 +437,7 @@ def _start(stack: Stack) -> LinearisationPoint:
 
 
 def _linearise(stack: Stack, point: LinearisationPoint, drives: IntArray) -> _Linear:
-    """First-order model of the readings of some drives about a point."""
+    """Return the first-order model of the readings of some lines about a point."""
     channels, acting = len(stack.channels), point.errors[stack.acting[drives]]
     load, given, output = point.load[drives], stack.load[drives], stack.output[drives]
     of_load, of_output = stack.load_effect[drives], stack.output_effect[drives]
@@ -469,10 +472,10 @@ def _linearise(stack: Stack, point: LinearisationPoint, drives: IntArray) -> _Li
 
 @dataclass(frozen=True)
 class _White:
-    """Readings of K drives whitened by all that is their own, for a least squares in the other unknowns.
+    """Readings of K lines, whitened by their individual errors.
 
     `turn` (K, 2C, 2C) whitens; `columns` (K, 2C, M + P): effects of up to M unknowns of a group, then of the wide
-    unknowns, design, residual (P columns). `groups`: slice of the drives and number of unknowns of each group.
+    unknowns, design, residual (P columns). `groups`: slice of the lines and number of unknowns of each group.
     """
 
     drives: IntArray
@@ -482,10 +485,10 @@ class _White:
     groups: tuple[tuple[slice, int], ...]
 
     def group(self, place: slice, count: int, width: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return what a group's own `count` unknowns leave of its `width` last columns.
+        """Eliminate the `count` unknowns of a group from its `width` last columns.
 
-        Of the system [L B; 1 0] of its rows: Q (n, count) of L, B (n, P) less what Q takes of it, and the rows that
-        are left for the system of all groups.
+        Of the system [L B; 1 0] of its rows: Q (n, count) of L, B (n, P) less its projection on Q, and the remaining
+        rows for the system of all groups.
         """
         rows = self.columns[place].reshape(-1, self.columns.shape[2])
         within, rest = rows[:, :count], rows[:, -width:]
@@ -498,7 +501,7 @@ class _White:
 
 
 def _whitened(stack: Stack, point: LinearisationPoint, discrepancy: FloatArray) -> Iterator[_White]:
-    """Yield the readings of all drives, linearised and whitened."""
+    """Yield the readings of all lines, linearised and whitened."""
     order, readings = stack.order, real_stack(stack.output)
     digits = (DIGITS * np.max(np.abs(readings[np.isfinite(readings)]))) ** 2
     extra = np.tile(discrepancy**2, 2)
@@ -530,9 +533,12 @@ def _whitened(stack: Stack, point: LinearisationPoint, discrepancy: FloatArray) 
 
 
 def _upper(stack: Stack, point: LinearisationPoint, discrepancy: FloatArray, width: int) -> FloatArray:
-    """Triangular factor (P - 1, P) of the system of all drives in wide unknowns and matrix, the right side last.
+    """Return the triangular factor (P - 1, P) of the system of all lines.
 
-    The system [A X y; 1 0 0], whitened, is equivalent to a covariance noise + A·Aᵀ but keeps its digits.
+    Its unknowns are the wide ones and the matrix.
+
+    The right side is the last column. The system [A X y; 1 0 0], whitened, is equivalent to a covariance noise + A·Aᵀ
+    but keeps its digits.
     """
     upper, pending = np.eye(len(stack.order.wide), width), list[FloatArray]()
     for white in _whitened(stack, point, discrepancy):
@@ -544,7 +550,7 @@ def _upper(stack: Stack, point: LinearisationPoint, discrepancy: FloatArray, wid
 
 
 def _step(stack: Stack, point: LinearisationPoint, discrepancy: FloatArray) -> MatrixSolution:
-    """One Gauss-Newton step: generalised least squares for the matrix, then loads and errors from what is left."""
+    """Return one Gauss-Newton step: generalised least squares for the matrix, then loads and errors."""
     drives, channels = stack.output.shape
     known, shape, wide = np.tile(stack.usable, (1, 2)), (drives, 2 * channels, 2 * channels), len(stack.order.wide)
     width = wide + 2 * LOADS * channels + 1
@@ -597,7 +603,7 @@ def _step(stack: Stack, point: LinearisationPoint, discrepancy: FloatArray) -> M
 
 
 def _shift(stack: Stack, point: LinearisationPoint, errors: FloatArray) -> ComplexArray:
-    """Return by how much errors (E,) change the loads (R, 6), which are as large as at a point."""
+    """Return the changes of the loads (R, 6) by errors (E,) at a point."""
     weight = stack.load.conj() / np.sum(np.abs(stack.load) ** 2, axis=1, keepdims=True)
     size = np.sum(weight * point.load, axis=1, keepdims=True)
     return np.asarray((errors[stack.acting][:, None] @ stack.load_effect)[:, 0] * size)

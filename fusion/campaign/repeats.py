@@ -1,4 +1,4 @@
-"""Mean over repeats and mountings of one driven line."""
+"""Mean over repeats and mountings of one excitation."""
 
 from __future__ import annotations
 
@@ -29,24 +29,24 @@ from shaker.sine.phasor import real_stacked_diagonal
 from shakercal._common.notices import Notice
 
 SAME_FREQUENCY = 1e-4
-"""Relative difference of frequencies at which a sensitivity is the same."""
+"""Relative difference of frequencies within which a sensitivity does not change."""
 SAME_DIRECTION = 1e-3
 SAME_LOAD = 0.05
-"""Difference of any load component (moments over 0.1 m), relative to the driven one, within one excitation."""
+"""Largest difference of a load component (moments over 0.1 m) within one excitation, relative to the driven one."""
 WITHIN, BETWEEN = "repeatability", "mounting anew"
 PHASE_DIFFERENCES = "phases that differ"
-"""Label of what a mean of complex values lacks in magnitude because of them."""
+"""Label of the possible loss of magnitude in a mean of complex values with different phases."""
 LEVERS = np.array([1.0, 1.0, 1.0, *np.full(3, 1.0 / BODY_SIZE_M)])
 
 
 @dataclass(frozen=True)
 class RepeatMean:
-    """Mean over N recordings of one excitation: the sensor's elements of the driven load, else ratios of the outputs.
+    """Mean over N recordings of one excitation: elements of the sensor, or ratios of the outputs.
 
-    `component`: 0..5, of the load; `amplitude`: its mean. `value` (C,), `uncertainty` (K = 1) with names that hold
-    between recordings; `recordings`, `mountings` (N,), `weight` (N,) in the mean. `within`, `between` (C,): relative
-    standard deviation of a recording and of a mounting beyond what is stated for them, with `within_dof` (N - M) and
-    `between_dof` (M - 1); NaN where there are no degrees of freedom. `kind`: what was averaged.
+    `component`: 0..5, of the load; `amplitude`: its mean. `value` (C,), `uncertainty` (K = 1) with campaign-wide names;
+    `recordings`, `mountings` (N,), `weight` (N,) in the mean. `within`, `between` (C,): relative standard deviation of
+    a recording and of a mounting beyond the stated uncertainties, with `within_dof` (N - M) and `between_dof` (M - 1);
+    NaN without degrees of freedom. `kind`: what was averaged.
     """
 
     frequency_hz: float
@@ -67,7 +67,7 @@ class RepeatMean:
 
 
 def drive_element(drive: ExcitedLine, known: PriorMatrix) -> tuple[ComplexArray, Uncertainty]:
-    """Return the sensor's elements (E,) of one drive by what is known of the matrix, otherwise as `drive_ratio`."""
+    """Return the sensor's elements (E,) of one line by a given matrix, otherwise as `drive_ratio`."""
     of_load, of_outputs = drive.campaign_uncertainties()
     places = [drive.channels.index(channel) for channel in known.channels]
     outputs, load = drive.outputs[None, places], drive.load[None]
@@ -77,7 +77,7 @@ def drive_element(drive: ExcitedLine, known: PriorMatrix) -> tuple[ComplexArray,
 
 
 def known_matrix_of(drives: Sequence[ExcitedLine], component: int, stated: StatedMatrix | None) -> PriorMatrix | None:
-    """Return what is known of the matrix of the outputs that all drives have, None where nothing is."""
+    """Return the stated matrix of the outputs that all lines have, or None."""
     usable = common_outputs(drives)
     if stated is None or not usable:
         return None
@@ -85,9 +85,9 @@ def known_matrix_of(drives: Sequence[ExcitedLine], component: int, stated: State
 
 
 def drive_ratio(drive: ExcitedLine, component: int, channels: Sequence[str]) -> tuple[ComplexArray, Uncertainty]:
-    """Return output over one load component of one drive (C,), with names that hold between recordings (K = 1).
+    """Return output over one load component of one line (C,), with its uncertainty (K = 1).
 
-    dS = (dU - S·dL)/L; what outputs and load share acts on both.
+    dS = (dU - S·dL)/L; unknowns that outputs and load share act on both.
     """
     of_load, of_outputs = drive.campaign_uncertainties()
     places = [drive.channels.index(channel) for channel in channels]
@@ -101,7 +101,7 @@ def drive_ratio(drive: ExcitedLine, component: int, channels: Sequence[str]) -> 
 def drive_value(
     drive: ExcitedLine, component: int, channels: Sequence[str], known: PriorMatrix | None
 ) -> tuple[ComplexArray, Uncertainty]:
-    """Return the sensor's elements of some outputs (C,) in one drive where its matrix is `known`, otherwise ratios."""
+    """Return the sensor's elements of some outputs (C,) if its matrix is given, otherwise ratios."""
     if known is None:
         return drive_ratio(drive, component, channels)
     value, uncertainty = drive_element(drive, known)
@@ -112,7 +112,7 @@ def drive_value(
 def drive_values(
     drives: Sequence[ExcitedLine], component: int, stated: StatedMatrix | None, channels: Sequence[str]
 ) -> tuple[Literal["ratio", "element"], list[tuple[ComplexArray, Uncertainty]]]:
-    """Return what is told of some outputs: the sensor's elements where the matrix as stated gives all, else ratios."""
+    """Return elements of some outputs if the stated matrix gives all of them, otherwise ratios."""
     known = known_matrix_of(drives, component, stated)
     if known is not None and not set(channels) <= {known.channels[row] for row in known.rows}:
         known = None
@@ -126,11 +126,11 @@ def find_repeats(
     stated: StatedMatrix | None = None,
     mean: Mean | None = None,
 ) -> tuple[RepeatMean, ...]:
-    """Return the drives in groups of one excitation, each with its mean, ascending in frequency.
+    """Return the mean of every group of lines of one excitation, ascending in frequency.
 
     One excitation: frequencies within 1e-4, directions within 1e-3, and every load component (moments over 0.1 m)
-    within 5 % of the driven one. `stated`: of the sensor's matrix, with which means are of elements where it allows
-    that. `mean`: in place of `mean_ratio` (`means_once`).
+    within 5 % of the driven one. `stated`: of the sensor's matrix; it allows means of elements. `mean`: replaces
+    `mean_ratio` (`cached_mean_ratio`).
     """
     mean = mean_ratio if mean is None else mean
     groups = [(group, driven_component(group[0].direction, capacity)) for group in group_excitations(drives, capacity)]
@@ -140,9 +140,9 @@ def find_repeats(
 def group_excitations(
     drives: Iterable[ExcitedLine], capacity: Sequence[float] | None = None, *, separate_amplitudes: bool = True
 ) -> tuple[tuple[ExcitedLine, ...], ...]:
-    """Return the drives in groups of one excitation, ascending in frequency.
+    """Return the lines in groups of one excitation, ascending in frequency.
 
-    With `amplitudes_apart` false loads are compared after they have been scaled to one amplitude.
+    If `separate_amplitudes` is false, loads are compared after scaling to one amplitude.
     """
     groups: list[list[ExcitedLine]] = []
     near: list[list[ExcitedLine]] = []
@@ -162,7 +162,10 @@ def group_excitations(
 
 
 def _same(first: ExcitedLine, other: ExcitedLine, component: int, *, amplitudes_apart: bool) -> bool:
-    """Whether two drives are one excitation; phases follow the start of the recording, and a sign is one of them."""
+    """Return whether two lines are one excitation.
+
+    Phases and signs of the load do not count.
+    """
     if abs(np.log(other.frequency_hz / first.frequency_hz)) > SAME_FREQUENCY:
         return False
     if len(first.direction) != len(other.direction):
@@ -177,20 +180,20 @@ def _same(first: ExcitedLine, other: ExcitedLine, component: int, *, amplitudes_
 
 
 def mean_ratio(drives: Sequence[ExcitedLine], component: int, known: PriorMatrix | None = None) -> RepeatMean:
-    """Return the mean over recordings of one excitation of output over a load component, of elements if `known`.
+    """Return the mean over recordings of one excitation, of output over load or of elements.
 
-    Everything that mountings do not share (noise, unknowns of a recording and of a mounting, stated or not) is in what
-    their M means differ by, and enters by that alone: Σw_m·(y_m - y)²/(M - 1) with M - 1 degrees of freedom and weights
-    of sum 1, that of Hartung & Knapp 2001 (Statistics in Medicine 20, 3875) and Sidik & Jonkman 2002. Recordings of one
-    mounting take the place of mountings where there is but one. No variance has to be found positive for that, and none
-    is taken for zero because few mountings happen to agree. Unknowns that all share do not average away.
+    The M means of the mountings differ by everything that mountings do not share (noise, unknowns of a recording and of
+    a mounting, stated or not). This scatter alone is its uncertainty: Σw_m·(y_m - y)²/(M - 1) with M - 1 degrees of
+    freedom and weights of sum 1 (Hartung & Knapp 2001, Statistics in Medicine 20, 3875; Sidik & Jonkman 2002). If there
+    is one mounting, its recordings are used instead. This needs no positive variance component, and close agreement of
+    few mountings by chance does not give a zero variance. Shared unknowns do not average out.
 
-    Recordings and mountings weigh by the inverse of their own variances in the best known channel. For these, and to be
-    told: one-way random effects, unbalanced, mean squares within and between mountings from which what is stated for
-    them is taken off with all its correlations; what is left are variances of a recording (N - M degrees of freedom)
-    and of a mounting (M - 1) beyond what is stated, none where negative (Searle, Casella & McCulloch 1992, Variance
-    Components, 3.6). Bounds of no known unknown, such as motion that no instrument observes, may be alike in all
-    recordings and do not average away. Only channels with a reading in all recordings have a value.
+    Recordings and mountings have weights by the inverse of their variances in the channel of smallest uncertainty. The
+    variances for weights and report are one-way random effects, unbalanced: mean squares within and between mountings,
+    less the stated uncertainties with all correlations. The remainders are variances of a recording (N - M degrees of
+    freedom) and of a mounting (M - 1), zero if negative (Searle, Casella & McCulloch 1992, Variance Components, 3.6).
+    Bounds without a known unknown, such as unobserved motion, may be equal in all recordings and do not average out.
+    Only channels with a reading in all recordings have a value.
     """
     usable = common_outputs(drives)
     if not usable:
@@ -239,10 +242,10 @@ Mean = Callable[[Sequence[ExcitedLine], int, PriorMatrix | None], RepeatMean]
 
 
 def cached_mean_ratio() -> Mean:
-    """Return `mean_ratio` that computes the mean of the same drives once, as long as these are there.
+    """Return a `mean_ratio` that computes the mean of the same lines only once.
 
-    Curves take recordings of all amplitudes together, repeats those of one, which often are the same; what is known of
-    the matrix follows from the drives.
+    Curves average recordings of all amplitudes, repeats those of one amplitude; these are often the same. The matrix
+    follows from the lines.
     """
     found: dict[tuple[object, ...], RepeatMean] = {}
 
@@ -256,14 +259,14 @@ def cached_mean_ratio() -> Mean:
 
 
 def frequencies_text(frequency_hz: Sequence[float]) -> str:
-    """Say at which frequencies: one, or how many from where to where."""
+    """Return the text for one frequency, or for the number and range of several."""
     if len(frequency_hz) == 1:
         return f"{frequency_hz[0]:.6g} Hz"
     return f"{len(frequency_hz)} frequencies, {min(frequency_hz):.6g} to {max(frequency_hz):.6g} Hz"
 
 
 def repeat_notices(means: Iterable[RepeatMean]) -> tuple[Notice, ...]:
-    """Say once for all frequencies what means of several recordings leave out of U, and how little two tell."""
+    """Return one notice per kind for the frequencies with one mounting or only two repeats."""
     places: dict[str, list[float]] = {}
     for mean in means:
         recordings, mountings = len(mean.recordings), mean.between_dof + 1
@@ -281,10 +284,11 @@ def repeat_notices(means: Iterable[RepeatMean]) -> tuple[Notice, ...]:
 
 
 class NestedAnova(NamedTuple):
-    """Sums of squares of N readings within and between M mountings, as projections of the readings.
+    """Sums of squares of N readings within and between M mountings, as projections.
 
-    `place` (N,): the mounting of each reading; `sizes` (M,): of the mountings. `within_dof` N - M, `between_dof` M - 1;
-    `each`: recordings per mounting in the expectation of the mean square between them, NaN of one mounting.
+    `mounting_index` (N,): the mounting of each reading; `sizes` (M,): of the mountings. `within_dof` N - M,
+    `between_dof` M - 1; `each`: recordings per mounting in the expectation of the mean square between them, NaN for one
+    mounting.
     """
 
     mounting_index: IntArray
@@ -294,11 +298,17 @@ class NestedAnova(NamedTuple):
     each: float
 
     def within(self, values: FloatArray, rows: IntArray | None = None) -> FloatArray:
-        """Return values (N, ...) less the mean of their mounting; of `rows`, where all others are zero."""
+        """Return values (N, ...) less the mean of their mounting.
+
+        `rows`: the rows that are given; all others are zero.
+        """
         return np.asarray(values - self._means(values, rows))
 
     def between(self, values: FloatArray, rows: IntArray | None = None) -> FloatArray:
-        """Return the means of the mountings of values (N, ...) less the mean of all; of `rows` as above."""
+        """Return the means of the mountings less the total mean.
+
+        `rows`: the rows that are given; all others are zero.
+        """
         return np.asarray(self._means(values, rows) - np.sum(values, axis=0) / len(self.mounting_index))
 
     def _means(self, values: FloatArray, rows: IntArray | None) -> FloatArray:
@@ -311,7 +321,7 @@ class NestedAnova(NamedTuple):
 
 
 def nested_anova(mountings: Sequence[str]) -> NestedAnova:
-    """Return the analysis of variance of recordings (N,) by the mounting of each (Searle et al. 1992, 3.6)."""
+    """Return the analysis of variance of recordings (N,) by mounting (Searle et al. 1992, 3.6)."""
     kinds = {mounting: number for number, mounting in enumerate(dict.fromkeys(mountings))}
     place = np.array([kinds[mounting] for mounting in mountings])
     sizes, count, dof = np.bincount(place).astype(np.float64), len(place), len(kinds) - 1
@@ -321,7 +331,7 @@ def nested_anova(mountings: Sequence[str]) -> NestedAnova:
 
 @dataclass(frozen=True)
 class _Scatter:
-    """Covariances (2C, 2C) of relative values beyond what is stated: of a recording and of a mounting."""
+    """Covariances (2C, 2C) of relative values beyond the stated ones."""
 
     within: FloatArray
     between: FloatArray
@@ -330,12 +340,12 @@ class _Scatter:
 
 
 def common_outputs(drives: Sequence[ExcitedLine]) -> list[str]:
-    """Return the outputs that have a reading in all drives."""
+    """Return the outputs that have a reading in all lines."""
     return [name for name in drives[0].channels if all(np.isfinite(drive.output(name)) for drive in drives)]
 
 
 def unweighted_mean(values: Sequence[ComplexArray]) -> ComplexArray:
-    """Return the mean (C,) that values are measured in, 1 for an output that is dead."""
+    """Return the mean (C,) of values, 1 for an output without a signal."""
     mean = np.mean(values, axis=0)
     return np.asarray(np.where(mean == 0.0, 1.0, mean))
 
@@ -351,7 +361,7 @@ def relative_to_mean(
 def split_covariance(
     values: Sequence[tuple[ComplexArray, Uncertainty]],
 ) -> tuple[FloatArray, list[tuple[list[int], FloatArray]]]:
-    """Covariances (N, 2C, 2C) of what readings have alone, and effects (E, n, 2C) of what n of the readings share."""
+    """Return individual covariances (N, 2C, 2C) and the effects (E, n, 2C) of shared unknowns."""
     acts: dict[str, list[tuple[int, FloatArray]]] = {}
     for n, (_, uncertainty) in enumerate(values):
         for influence in uncertainty.influences:
@@ -371,13 +381,13 @@ def split_covariance(
 
 
 def _components(values: Sequence[tuple[ComplexArray, Uncertainty]], mountings: Sequence[str]) -> _Scatter:
-    """Variance components of a recording and of a mounting by the analysis of variance."""
+    """Return the variance components of a recording and of a mounting."""
     readings, forms = np.array([real_stack(value) for value, _ in values]), nested_anova(mountings)
     size = readings.shape[1]
     own, shared = split_covariance(values)
 
     def mean_square(form: Callable[..., FloatArray], diagonal: FloatArray, dof: int) -> FloatArray:
-        """Mean square of a projection with a diagonal (N,), less what stated uncertainties make of it."""
+        """Return the mean square of a projection, less its expectation by stated uncertainties."""
         stated = np.einsum("n,nij->ij", diagonal, own)
         for rows, effect in shared:
             turned = effect.swapaxes(0, 1)
@@ -385,7 +395,7 @@ def _components(values: Sequence[tuple[ComplexArray, Uncertainty]], mountings: S
         return np.asarray((readings.T @ form(readings) - stated) / dof)
 
     def positive(matrix: FloatArray) -> FloatArray:
-        """Nearest covariance of a symmetric matrix: negative variances are none."""
+        """Return the nearest covariance of a symmetric matrix, with negative variances set to zero."""
         values, vectors = np.linalg.eigh((matrix + matrix.T) / 2.0)
         return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
@@ -402,8 +412,10 @@ def _components(values: Sequence[tuple[ComplexArray, Uncertainty]], mountings: S
 def _weights(
     values: Sequence[tuple[ComplexArray, Uncertainty]], mountings: Sequence[str], scatter: _Scatter
 ) -> FloatArray:
-    """Weights (N,) of recordings in the mean: recordings of a mounting by the inverse of their own variance, mountings
-    by that of what their recordings and mounting anew leave, both in the best known channel.
+    """Return the weights (N,) of recordings in the mean.
+
+    Recordings of a mounting have the inverse of their individual variance, mountings that of their mean and of a new
+    mounting, both in the channel of smallest uncertainty.
     """
     # What no other recording shares: noise, and unknowns of the recording.
     seen = Counter(influence.name for _, uncertainty in values for influence in uncertainty.influences)
@@ -426,9 +438,9 @@ def _of_mean(
     mountings: Sequence[str],
     plain: ComplexArray,
 ) -> Uncertainty:
-    """Return the uncertainty of the weighted mean: unknowns that groups of recordings share, and what these scatter by.
+    """Return the uncertainty of the weighted mean: shared unknowns, and the scatter of groups.
 
-    Groups are mountings, or recordings where all are of one mounting; a single recording has what is stated for it.
+    Groups are mountings, or recordings of the only mounting; a single recording has its stated uncertainty.
     """
     weighted = [u.scaled(np.full((1, len(plain)), w, np.complex128)) for w, (_, u) in zip(weight, values, strict=True)]
     total = Uncertainty(
@@ -460,10 +472,10 @@ def _of_mean(
 def _bounds(
     weight: FloatArray, uncertainties: Sequence[Uncertainty], drives: Sequence[ExcitedLine]
 ) -> tuple[Contribution, ...]:
-    """Return what bounds of motion that no instrument observes, and open explanations, make of a mean.
+    """Return the contribution of bounds (unobserved motion, undetermined explanations) to a mean.
 
-    They may act alike in all recordings, which then differ by nothing and average nothing away: Σw·C bounds the
-    covariance of a mean of effects that are fully correlated. `SECOND` is a difference between recordings.
+    They may be equal in all recordings and then do not average out: Σw·C bounds the covariance of a mean of fully
+    correlated effects. `SECOND_ORDER` is a difference between recordings and is excluded.
     """
     parts = (
         replace(part, covariance=w * part.covariance)
@@ -475,11 +487,11 @@ def _bounds(
 
 
 def _turned_apart(values: ComplexArray, weight: FloatArray) -> Contribution:
-    """Return what the mean of complex values (N, C) may lack in magnitude because their phases differ.
+    """Return the possible loss of magnitude in a mean of values (N, C) with different phases.
 
-    Values that are turned apart by φ_n have a mean that is short by Σw·φ²/2; noise, which shifts them, shortens
-    nothing. Of the scatter across the mean as much may be turns as exceeds that along it: a bound, u = 1/√3 of it.
-    Of a mean below its scatter nothing is told.
+    The mean of values with phase differences φ_n is short by Σw·φ²/2; noise does not shorten it. The scatter across the
+    mean may be due to phases as far as it exceeds that along it: a bound, u = 1/√3 of it. A mean below its scatter
+    gives no bound.
     """
     mean = weight @ values
     off = np.divide(values, mean, out=np.full_like(values, 2.0), where=mean != 0.0) - 1.0

@@ -21,14 +21,14 @@ if TYPE_CHECKING:
     from fusion.campaign.recording_results import RecordingResults
 
 AS_STATED = 0.95
-"""Standard uncertainty after the joint estimate over that stated, above which an unknown stays as stated."""
+"""Ratio of the joint to the stated standard uncertainty above which an unknown counts as stated (chosen)."""
 NOISE = "noise of the joint estimate of unknowns"
-"""Label of what the noise of all recordings leaves of unknowns that they estimate together."""
+"""Label of the noise of all recordings in their joint estimate of unknowns."""
 SECOND_ORDER_U = 0.05
-"""Standard uncertainty, in that stated, by which an unknown as one recording sees it differs from that of the rig.
+"""Standard uncertainty, in the stated one, of the difference between an unknown in one recording and in the rig.
 
-What first order leaves: a direction 10 mrad off shortens a reading by 5e-5, a tenth of the u of a laser's scale, and
-recordings with little noise would take such differences for contradictions.
+It allows for errors of first order: a direction error of 10 mrad shortens a reading by 5e-5, a tenth of the u of a
+laser's scale. Recordings with little noise would otherwise contradict each other.
 """
 SECOND_ORDER = "unknowns beyond first order"
 ROUNDING = 1e-12
@@ -36,13 +36,14 @@ ROUNDING = 1e-12
 
 @dataclass(frozen=True)
 class Knowledge:
-    """What the readings of one recording say of its E unknowns: posterior mean and covariance, in their u.
+    """Estimate of the E unknowns of one recording by its readings, in their u.
 
-    `about` (E): the unknowns; `shared` (E,): those that other recordings may have, too, and that act on its load
-    through the motion alone. With A₀ = A at no errors, K its change by one u of each shared unknown, N all else that
-    is uncertain, P = N⁻¹ - N⁻¹X(XᵀN⁻¹X)⁻¹XᵀN⁻¹ and E the effects of the shared unknowns on the readings y = X·A + E·ε
-    + n, readings tell of ε through EᵀPy = M·ε + noise of covariance M alone, M = EᵀPE. What they tell of it holds of
-    the rig as far as ε = ε_rig + η, η of covariance T what first order leaves: squares of `BEYOND` and `products` (E,).
+    `descriptions` (E): the unknowns; `shared` (E,): those that other recordings may have, too, and that act on the load
+    through the motion alone. A₀ = A at no errors, K its change by one u of each shared unknown, N all other
+    uncertainty, P = N⁻¹ - N⁻¹X(XᵀN⁻¹X)⁻¹XᵀN⁻¹ and E the effects of the shared unknowns on the readings y = X·A + E·ε +
+    n. The readings determine ε through EᵀPy = M·ε + noise of covariance M alone, M = EᵀPE. The estimate applies to the
+    rig with ε = ε_rig + η, where η has the covariance T of second-order effects: squares of `SECOND_ORDER_U` and
+    `products` (E,).
     """
 
     descriptions: tuple[UnknownDescription, ...]
@@ -53,7 +54,10 @@ class Knowledge:
 
     @classmethod
     def of(cls, influences: Sequence[Influence], both: Sequence[str], *numbers: FloatArray) -> Knowledge:
-        """Return it of unknowns as they act on the motion; `both`: those that act on the load by themselves, too."""
+        """Return the estimate for unknowns of the motion.
+
+        `both`: those that also act on the load directly.
+        """
         about = tuple(
             intern_unknown(i.name, i.label, i.u, i.unit, i.scope, i.type, i.dof, i.distribution) for i in influences
         )
@@ -62,42 +66,44 @@ class Knowledge:
 
     @cached_property
     def second_order(self) -> FloatArray:
-        """Return T, of which the off-diagonal elements are zero."""
+        """T, whose off-diagonal elements are zero."""
         return np.diag(SECOND_ORDER_U**2 + self.products[self.shared] ** 2)
 
     @cached_property
     def inverse(self) -> FloatArray:
-        """Return 1 + M, the inverse of the covariance of the shared unknowns, all others marginalised."""
+        """1 + M, the inverse of the covariance of the shared unknowns, all others marginalised."""
         return np.asarray(np.linalg.inv(self.covariance[np.ix_(self.shared, self.shared)]))
 
     @cached_property
     def attenuation(self) -> FloatArray:
-        """Return (1 + MT)⁻¹, which what a recording tells of the rig passes, and transposed what it is told."""
+        """(1 + MT)⁻¹, the attenuation of information between recording and rig by second-order effects."""
         size = np.eye(len(self.inverse))
         return np.asarray(np.linalg.inv(size + (self.inverse - size) @ self.second_order))
 
     @property
     def information(self) -> FloatArray:
-        """Return what the recording tells of the rig: (1 + MT)⁻¹M."""
+        """Information of the recording on the unknowns of the rig: (1 + MT)⁻¹M."""
         product = self.attenuation @ (self.inverse - np.eye(len(self.inverse)))
         return np.asarray((product + product.T) / 2.0)
 
     @property
     def score(self) -> FloatArray:
-        """Return (1 + MT)⁻¹EᵀPy."""
+        """(1 + MT)⁻¹EᵀPy."""
         return np.asarray(self.attenuation @ self.inverse @ self.estimate[self.shared])
 
     @property
     def local(self) -> FloatArray:
-        """Return EᵀP times the effects of the unknowns that are not shared, on the readings."""
+        """EᵀP times the effects of the unshared unknowns on the readings."""
         return np.asarray(-self.inverse @ self.covariance[np.ix_(self.shared, ~self.shared)])
 
 
 @dataclass(frozen=True)
 class JointUnknown:
-    """One unknown of the rig: `estimate` and `remaining` uncertainty over the stated `u` (in `unit`) by the campaign.
+    """Campaign's estimate of one unknown of the rig, relative to its stated `u` (in `unit`).
 
-    `recordings`: how many tell of it, by more than 1 % of its u each.
+    `estimate` and `remaining` uncertainty are ratios to `u`.
+
+    `recordings`: how many recordings reduce its uncertainty by more than 1 % each.
     """
 
     name: str
@@ -110,13 +116,13 @@ class JointUnknown:
 
     @property
     def is_as_stated(self) -> bool:
-        """Return whether the campaign leaves it as stated."""
+        """Whether the campaign leaves it as stated."""
         return self.remaining > AS_STATED
 
 
 @dataclass(frozen=True)
 class _Source:
-    """A recording and where its knowledge comes from."""
+    """A recording and a callable for its estimate of unknowns."""
 
     recording: str
     mounting: str
@@ -125,7 +131,7 @@ class _Source:
 
 @dataclass(frozen=True)
 class _Member:
-    """One recording of a mounting: where its shared unknowns stand among the wide, then those of the mounting."""
+    """One recording of a mounting; `places`: indices of its shared unknowns, wide ones first."""
 
     source: _Source
     places: IntArray
@@ -133,7 +139,7 @@ class _Member:
 
 @dataclass(frozen=True)
 class _Mounted:
-    """The recordings of one mounting: information and score of W wide unknowns and n of the mounting, joined."""
+    """Joint information and score of W wide unknowns and n of the mounting."""
 
     members: tuple[_Member, ...]
     about: tuple[UnknownDescription, ...]
@@ -143,13 +149,13 @@ class _Mounted:
 
     @cached_property
     def conditional(self) -> FloatArray:
-        """Return the covariance (n, n) of the mounting's unknowns where the wide ones are known."""
+        """Covariance (n, n) of the mounting's unknowns for given wide ones."""
         own = self.information[self.wide :, self.wide :]
         return np.asarray(np.linalg.inv(np.eye(len(own)) + own))
 
     @cached_property
     def slope(self) -> FloatArray:
-        """Return by how much (n, W) the wide unknowns lower the estimate of those of the mounting."""
+        """Coefficients (n, W) of the wide unknowns in the estimate of those of the mounting."""
         return np.asarray(self.conditional @ self.information[self.wide :, : self.wide])
 
     def of_wide(self) -> tuple[FloatArray, FloatArray]:
@@ -161,12 +167,12 @@ class _Mounted:
 
 @dataclass(frozen=True)
 class JointEstimate:
-    """Posterior of what recordings of a campaign share: `estimate` (W,) and `covariance` (W, W) of wide unknowns.
+    """Posterior of unknowns that recordings of a campaign share: `estimate` (W,) and `covariance` (W, W).
 
-    Every recording's information adds up, 1 + ΣM_i, the score likewise (Plackett 1950, Biometrika 37, 149: least
-    squares to which observations are added). Unknowns of one mounting are eliminated mounting by mounting, so that time
-    grows as the recordings. `about`: the wide unknowns, those of the rig and, where all recordings are of one mounting,
-    of that.
+    The information of the recordings adds up, 1 + ΣM_i, and so does the score (Plackett 1950, Biometrika 37, 149: least
+    squares with added observations). Unknowns of one mounting are eliminated mounting by mounting, so that time grows
+    linearly. `descriptions`: the wide unknowns, those of the rig and, if there is only one mounting, those of the
+    mounting.
     """
 
     campaign: str
@@ -180,7 +186,7 @@ class JointEstimate:
 
     @classmethod
     def of(cls, campaign: str, recorded: Sequence[RecordingResults]) -> JointEstimate:
-        """Return what recordings tell together."""
+        """Return the joint estimate of recordings."""
         sources = tuple(_Source(e.name, e.mounting, e.knowledge) for e in recorded if e.knowledge is not None)
         single = len({source.mounting for source in sources}) < 2
         about: dict[str, UnknownDescription] = {}
@@ -206,13 +212,13 @@ class JointEstimate:
         return replace(joint, information=information, covariance=covariance, estimate=covariance @ score)
 
     def unknowns(self) -> tuple[JointUnknown, ...]:
-        """Return what the campaign says of every wide unknown."""
+        """Return the campaign's estimate of every wide unknown."""
         remaining = np.sqrt(np.diag(self.covariance))
         columns = self.descriptions, self.estimate.tolist(), remaining.tolist(), self.recordings.tolist()
         return tuple(JointUnknown(*about[:4], *numbers) for about, *numbers in zip(*columns, strict=True))
 
     def _mounted(self) -> Iterator[_Mounted]:
-        """Yield the recordings of every mounting, joined."""
+        """Yield the joint recordings of every mounting."""
         wide = {about[0]: place for place, about in enumerate(self.descriptions)}
         groups: dict[str, list[_Source]] = {}
         for source in self.sources:
@@ -242,7 +248,7 @@ class JointEstimate:
         return estimate, np.block([[self.covariance, mixed.T], [mixed, mounted.conditional - mixed @ slope.T]])
 
     def contradicting(self) -> tuple[str, ...]:
-        """Return the recordings that contradict, at 1 % together, what all others say of the unknowns they share."""
+        """Return the recordings that contradict all others, at 1 % for all tests together."""
         found: list[tuple[float, str]] = []
         for mounted in self._mounted():
             estimate, covariance = self._all(mounted)
@@ -254,7 +260,7 @@ class JointEstimate:
         return tuple(name for p, name in sorted(found) if p < limit)
 
     def corrections(self) -> Iterator[tuple[str, JointCorrection]]:
-        """Yield for every recording what carries the joint estimate into its loads."""
+        """Yield the correction of the loads of every recording by the joint estimate."""
         root = _root(self.information)
         for mounted in self._mounted():
             estimate, _ = self._all(mounted)
@@ -263,10 +269,10 @@ class JointEstimate:
 
 
 def _contradiction(known: Knowledge, estimate: FloatArray, covariance: FloatArray) -> float:
-    """Return how likely a recording's readings lie as far from what all others say of its unknowns, or further.
+    """Return the probability that a recording deviates this far from the estimate of all others.
 
     Without it the joint estimate has S = (S_joint⁻¹ - M)⁻¹; the score less M times that has the covariance M + MSM.
-    Only directions count of which the recording by itself knows more than 1 % beyond what is stated.
+    Only directions count whose uncertainty this recording alone reduces by more than 1 %.
     """
     values, vectors = np.linalg.eigh(known.information)
     kept = values > 1.0 / UNTESTED**2 - 1.0
@@ -283,13 +289,13 @@ def _contradiction(known: Knowledge, estimate: FloatArray, covariance: FloatArra
 
 @dataclass(frozen=True)
 class JointCorrection:
-    """What the joint estimate changes of a recording's loads, to first order in the unknowns.
+    """Correction of a recording's loads by the joint estimate, to first order in the unknowns.
 
-    A load l found with its recording's own estimate ε_i becomes l - K·(ε - ε_i), K = e·(1 + M) of its influences e.
-    What is then uncertain of it is (a) what is its own, N carried through: influences of its own unknowns and noise
-    lose what went through ε_i; (b) K·(ε - ε_joint), which of the wide unknowns is S·ε less S times the noise of all
-    scores, of covariance ΣM: the first by their names, the second by unknowns of the campaign; of those of the
-    mounting, where the wide are known, it is by their names a symmetric root of what is left.
+    A load l with its recording's estimate ε_i becomes l - K·(ε - ε_i), K = e·(1 + M) of its influences e. Its
+    uncertainty has two parts. (a) The individual part N: influences of unshared unknowns and noise lose their effect
+    through ε_i. (b) K·(ε - ε_joint): for the wide unknowns, S·ε less S times the noise of all scores, of covariance ΣM.
+    The first appears under their names, the second as unknowns of the campaign. For those of the mounting, given the
+    wide ones, it is a symmetric root of the remaining covariance under their names.
     """
 
     joint: JointEstimate
@@ -299,7 +305,7 @@ class JointCorrection:
     root: FloatArray
 
     def of(self, drive: ExcitedLine) -> ExcitedLine:
-        """Return a drive with the load and its uncertainty as the campaign knows them."""
+        """Return a line with the load and its uncertainty by the joint estimate."""
         known, wide = self.member.source.known(), self.mounted.wide
         uncertainty = drive.load_uncertainty
         old = {influence.name: influence for influence in uncertainty.influences}
@@ -344,9 +350,10 @@ def _root(matrix: FloatArray) -> FloatArray:
 
 
 def _without(random: Sequence[Contribution], lost: FloatArray) -> tuple[Contribution, ...]:
-    """Return contributions (K = 1) that add up to a covariance less by `lost` (12, 12), and to none below zero.
+    """Return contributions (K = 1) whose sum is a covariance less `lost` (12, 12).
 
-    Each is turned by R^½(1 - R^-½·D·R^-½)^½R^-½, R being their sum and D what is lost: nothing where D is nothing.
+    Each is transformed by R^½(1 - R^-½·D·R^-½)^½R^-½, R being their sum and D `lost`; this is the identity if D is
+    zero.
     """
     total = np.sum([part.covariance[0] for part in random], axis=0)
     size = np.sqrt(np.maximum(np.diag(total), 0.0))
@@ -363,9 +370,9 @@ def _without(random: Sequence[Contribution], lost: FloatArray) -> tuple[Contribu
 def apply_joint_estimate(
     campaign: str, recorded: Sequence[RecordingResults], keep: Callable[[ExcitedLine], ExcitedLine]
 ) -> tuple[tuple[RecordingResults, ...], tuple[JointUnknown, ...], tuple[Notice, ...]]:
-    """Return recordings whose loads rest on the joint estimate of all unknowns they share, and what that says.
+    """Return recordings whose loads use the joint estimate of all shared unknowns, with notices.
 
-    Where a recording contradicts the others, all keep what they have. `keep`: where changed drives are put.
+    If a recording contradicts the others, all keep their individual estimates. `keep`: stores changed lines.
     """
     joint = JointEstimate.of(campaign, recorded)
     if len(joint.sources) < 2 or not joint.descriptions:
@@ -388,7 +395,6 @@ def apply_joint_estimate(
 
 
 def _notices(unknowns: Sequence[JointUnknown], aside: int) -> tuple[Notice, ...]:
-    """Say what the campaign knows better than a recording, and what it takes as stated."""
     better = [unknown for unknown in unknowns if not unknown.is_as_stated]
     text = f"of {len(unknowns)} unknowns of the rig that readings may tell of, all recordings together know "
     text += f"{len(better)} better than stated; the others stay as stated"

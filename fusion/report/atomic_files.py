@@ -1,8 +1,8 @@
-"""How results are written: whole or not at all, by one run at a time, and nothing left of a run that was ended.
+"""Atomic writing of result files under a lock, and removal of unfinished files.
 
-Everything that a command leaves goes through `write_file`. What is being made stands under a hidden name beside its
-place (`.NAME-RANDOM.part`); who makes it holds the lock of that place (`.NAME.shakercal-lock`), which the system gives
-free when the process ends, however it ends. Whoever gets a lock thus knows that what was being made is nobody's.
+Everything that a command writes passes `write_file`. An unfinished file or folder has a hidden name next to its final
+path (`.NAME-RANDOM.part`). The writing process has the lock of that path (`.NAME.shakercal-lock`). The operating system
+releases the lock when the process ends. A process that gets the lock can therefore remove unfinished files.
 """
 
 from __future__ import annotations
@@ -25,25 +25,25 @@ from fusion.errors import ComputeError
 
 LOCK = "shakercal-lock"
 INTERNAL_NAME = re.compile(rf"\.(?P<name>.+?)(-[0-9a-f]{{12}}\.(?P<kind>part|old|aside)|\.{LOCK})", re.DOTALL)
-"""Names of what is being made (`part`), of what it replaces (`old`; single files: `aside`), and of locks."""
+"""Names of unfinished files (`part`), of files they replace (`old`; single files: `aside`), and of locks."""
 CHECKPOINT_SUFFIX = ".so-far"
 LOCK_POLL_S = 0.2  # between looks for a lock to become free
 ABANDONED_AGE_S = 86_400.0
-"""Age after which something half-made is taken for abandoned where the file system has no locks."""
+"""Age after which an unfinished file counts as abandoned on a file system without locks; chosen: one day."""
 LONG_PATH = 240
-"""Characters of a path from which on Windows, unless long paths are enabled there, says that there is no such file."""
+"""Length of a path from which Windows reports a missing file, unless long paths are enabled (MAX_PATH is 260)."""
 _ATTEMPTS = 100
-"""How often a folder that another run removes meanwhile is made anew."""
+"""How often a folder is created again that another run removes at the same time."""
 LOCK_BUSY_ERRNOS = {errno.EAGAIN, errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK}
-"""What a system says of a lock that somebody else holds; anything else says that there are none."""
+"""Error numbers of a lock that another process has; any other error means that the file system has no locks."""
 
 # One place that writes.
 
 
 def write_file(path: Path, content: str | bytes | Iterable[str]) -> None:
-    """Write a new file, text as UTF-8 with its line ends as they are; every byte of a result passes here.
+    """Write a new file; text as UTF-8 with unchanged line ends.
 
-    Text may come in parts, where all of it is too much for the memory.
+    Every byte of a result passes this function. Text may be given in parts, so that it need not fit into memory.
     """
     with path.open("wb") as stream:
         for part in (content,) if isinstance(content, str | bytes) else content:
@@ -51,7 +51,10 @@ def write_file(path: Path, content: str | bytes | Iterable[str]) -> None:
 
 
 def write_files(folder: Path, contents: Mapping[str, str | bytes | Iterable[str]]) -> list[str]:
-    """Write new files into a folder, those of names such as `below/name` below it, and return the names."""
+    """Write new files into a folder and return their names.
+
+    A name such as `below/name` creates the subfolder.
+    """
     for name, content in contents.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         write_file(folder / name, content)
@@ -59,7 +62,7 @@ def write_files(folder: Path, contents: Mapping[str, str | bytes | Iterable[str]
 
 
 def write_atomically(path: Path, content: str | bytes) -> None:
-    """Write a file that appears whole or not at all."""
+    """Write a file that appears completely or not at all."""
     place = path.parent.resolve() / path.name
     with report_write_errors(path), file_lock(place):
         remove_abandoned(place.parent, place.name)
@@ -70,7 +73,7 @@ def write_atomically(path: Path, content: str | bytes) -> None:
 
 @contextmanager
 def report_write_errors(place: Path) -> Iterator[None]:
-    """Tell what the system refuses meanwhile, such as a full disk, in one sentence about the place of the results."""
+    """Convert an `OSError` into a `ComputeError` that names the place of the results."""
     try:
         yield
     except OSError as error:
@@ -90,15 +93,15 @@ def report_write_errors(place: Path) -> Iterator[None]:
 
 _held: dict[Path, int | None] = {}
 _made: set[Path] = set()
-"""Locks of this process, and what it is making."""
+"""Locks and unfinished paths of this process."""
 
 
 @contextmanager
 def file_lock(place: Path, patience_s: float = 0.0) -> Iterator[None]:
-    """Hold the lock of a file or folder that is to be written, and make the folder it is to stand in.
+    """Lock a file or folder that is to be written, and create its parent folder.
 
-    Where another process still holds it after `patience_s`, this is a `ComputeError`. The lock is gone afterwards, and
-    so are folders that were made for nothing.
+    If another process still has the lock after `patience_s`, a `ComputeError` is raised. At the end the lock and new
+    empty folders are removed.
     """
     place = place.resolve()
     lock = _lock_of(place)
@@ -120,13 +123,16 @@ def file_lock(place: Path, patience_s: float = 0.0) -> Iterator[None]:
 
 
 def staging_dir(place: Path) -> Path:
-    """Return the folder in which `place` is made: the one it stands in, or itself where that is another disk's."""
+    """Return the folder in which `place` is prepared.
+
+    It is the parent folder, or `place` itself if that is a mount point or its parent is not writable.
+    """
     within = place.is_dir() and (os.path.ismount(place) or not os.access(place.parent, os.W_OK | os.X_OK))
     return place if within else place.parent
 
 
 def is_internal_name(name: str) -> bool:
-    """Whether a name is that of what a run makes, of its lock, or of what it has found so far."""
+    """Return whether a name is that of an unfinished file, a lock or a checkpoint."""
     return INTERNAL_NAME.fullmatch(name) is not None or (name.startswith(".") and name.endswith(CHECKPOINT_SUFFIX))
 
 
@@ -135,7 +141,10 @@ def _lock_of(place: Path) -> Path:
 
 
 def _locked(lock: Path, place: Path) -> int | None:
-    """Create and lock a file and return its handle, None where the file system has no locks."""
+    """Create and lock a file and return its handle.
+
+    Returns None if the file system has no locks.
+    """
     for attempt in count(1):
         try:
             lock.parent.mkdir(parents=True, exist_ok=True)
@@ -160,7 +169,10 @@ def _locked(lock: Path, place: Path) -> int | None:
 
 
 def _lock(handle: int) -> None:
-    """Lock an open file until it is closed or the process ends; an `OSError` where somebody else has locked it."""
+    """Lock an open file until it is closed or the process ends.
+
+    Raises `OSError` if another process has locked it.
+    """
     if sys.platform == "win32":
         import msvcrt
 
@@ -172,7 +184,7 @@ def _lock(handle: int) -> None:
 
 
 def _free(lock: Path, folders: Sequence[Path]) -> None:
-    """Give a lock free where it is held, and remove folders that stayed empty."""
+    """Release a lock of this process and remove empty folders."""
     if lock in _held:
         handle, windows = _held[lock], sys.platform == "win32"
         with contextlib.suppress(OSError):
@@ -193,13 +205,13 @@ def _free(lock: Path, folders: Sequence[Path]) -> None:
 
 
 def _hidden(place: Path, kind: str) -> Path:
-    """Return a name beside a place that nobody else has."""
+    """Return a unique hidden name next to a path."""
     return staging_dir(place) / f".{place.name}-{os.urandom(6).hex()}.{kind}"
 
 
 @contextmanager
 def temporary_path(place: Path) -> Iterator[Path]:
-    """Yield a name that is free, under which a place is made; what stands there in the end is removed."""
+    """Yield an unused path for an unfinished file or folder; remove it at the end."""
     path = _hidden(place, "part")
     _made.add(path)
     with cleanup_on_signal(partial(_remove, path)):
@@ -207,7 +219,10 @@ def temporary_path(place: Path) -> Iterator[Path]:
 
 
 def _remove(path: Path) -> None:
-    """Remove a file or a folder, if it is there; threads that still write into it find it no more."""
+    """Remove a file or folder if it exists.
+
+    A folder is renamed first, so that threads of this process cannot write into it any more.
+    """
     if path.is_dir() and not path.is_symlink():
         gone = path.with_name(re.sub(r"[0-9a-f]{12}\.[a-z]+$", f"{os.urandom(6).hex()}.part", path.name))
         with contextlib.suppress(OSError):
@@ -221,10 +236,10 @@ def _remove(path: Path) -> None:
 
 
 def remove_abandoned(folder: Path, name: str | None = None) -> list[Path]:
-    """Remove from a folder what runs that are gone were making there, of one `name` or of all; return its paths.
+    """Remove unfinished files of ended runs from a folder and return their paths.
 
-    What they had put aside and not replaced goes back to its place. Where the file system has no locks, something that
-    has not changed for a day counts as abandoned.
+    `name` restricts this to one result; None means all. Files that such a run had moved away and not replaced are moved
+    back. On a file system without locks, a file counts as abandoned after one day without a change.
     """
     folder, removed = folder.resolve(), []
     # Of many thousands of results only what is hidden becomes a path.
@@ -254,7 +269,7 @@ def remove_abandoned(folder: Path, name: str | None = None) -> list[Path]:
 
 
 def _restore(aside: Path, place: Path) -> None:
-    """Put back what was moved out of a place and never replaced."""
+    """Move back the files that a run had moved away and not replaced."""
     if aside.suffix == ".old":
         if not place.exists():
             os.replace(aside, place)
@@ -267,11 +282,11 @@ def _restore(aside: Path, place: Path) -> None:
 
 
 class Checkpoint:
-    """Files in a hidden folder beside that of the results, `.NAME.so-far`, or in it where it is another disk's.
+    """Checkpoints of a run in a hidden folder `.NAME.so-far` next to its results.
 
-    They are there until the results are written.
+    The folder is inside that of the results if the latter is a mount point. It exists until the results are written.
 
-    `key`: makes that of everything that decides what they hold; files of another key are nobody's.
+    `key` returns a text that identifies all inputs of the files; files of another key are ignored.
     """
 
     def __init__(self, place: Path, key: Callable[[], str]) -> None:
@@ -285,14 +300,14 @@ class Checkpoint:
         return self._make_key()
 
     def get(self, name: str) -> bytes | None:
-        """Return what was kept under a name, None where nothing was."""
+        """Return the content of a file, None if there is none."""
         file = self._folder / f"{name}.{self._key}"
         with contextlib.suppress(OSError):
             return file.read_bytes()
         return None
 
     def put(self, name: str, content: bytes) -> bool:
-        """Keep something, whole or not at all, and return whether that is done; where not, the run goes on without."""
+        """Write a file completely or not at all, and return whether it was written."""
         file = self._folder / f"{name}.{self._key}"
         with contextlib.suppress(OSError):
             self._folder.mkdir(parents=True, exist_ok=True)
@@ -302,7 +317,7 @@ class Checkpoint:
         return False
 
     def remove(self) -> None:
-        """Remove all that was kept, of other keys too."""
+        """Remove all files, also those of other keys."""
         shutil.rmtree(self._folder, ignore_errors=True)
 
 
@@ -315,10 +330,11 @@ def write_together(
     earlier: Callable[[], Sequence[str]],
     ready: Callable[[], None] = lambda: None,
 ) -> list[Path]:
-    """Have `make` write files into a new folder and name them, last the one that says that all are there; move them.
+    """Write files into a new folder and move them to their places together.
 
-    A failure leaves `folder` as it was. What an `earlier` run has written there makes way; all other files stay.
-    `ready` is asked before anything is moved and raises what speaks against it. Names may be such as `below/name`.
+    `make` writes the files and returns their names; the last one marks complete results. A failure leaves `folder`
+    unchanged. The files `earlier` of a previous run are replaced; all other files stay. `ready` is called before files
+    are moved and may raise an exception. Names may contain a subfolder: `below/name`.
     """
     folder = folder.resolve()
     with report_write_errors(folder), file_lock(folder):
@@ -333,7 +349,10 @@ def write_together(
 
 
 def _put_in_place(part: Path, folder: Path, names: Sequence[str], earlier: Sequence[str]) -> None:
-    """Put finished files in place: the folder as a whole, else, where it holds files of others, file by file."""
+    """Move finished files into place.
+
+    The folder is replaced as a whole, or file by file if it contains other files.
+    """
     if not folder.exists():
         os.replace(part, folder)
         return
@@ -365,7 +384,7 @@ def _put_in_place(part: Path, folder: Path, names: Sequence[str], earlier: Seque
 
 
 def _holds_only(folder: Path, names: Sequence[str]) -> bool:
-    """Whether a folder holds nothing but files of some names."""
+    """Return whether a folder contains only files of these names."""
     tops = {Path(name).parts[0] for name in names}
     if any(entry.name not in tops for entry in folder.iterdir()):
         return False
@@ -378,9 +397,9 @@ def _move(file: Path, place: Path) -> None:
 
 
 def _swapped(part: Path, folder: Path) -> bool:
-    """Put one folder in the place of another; false where the system does not give the place free.
+    """Replace one folder by another; return False if the system refuses.
 
-    Whoever is killed in between leaves the old one under a hidden name, from which the next run puts it back.
+    A process that is killed in between leaves the old folder under a hidden name; the next run moves it back.
     """
     old = _hidden(folder, "old")
     try:

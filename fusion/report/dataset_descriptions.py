@@ -1,4 +1,4 @@
-"""What stands in HDF5 files of results, told in the files: unit, name in words and named axes of every data set."""
+"""Unit, description and named axes of every data set in result files."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from shaker.labels import AXES, LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS, 
 
 
 class DatasetDescription(NamedTuple):
-    """What is told of a data set: names of its axes, its unit, its name in words; empty: by the rules below.
+    """Description of a data set; an empty field is filled by rules.
 
-    `axes`: of a data set of one axis in the group or above it, else any name. `unit`: ASCII; `value` for that of the
-    values of its group, `squared` for the products of those, `.` for the unit of each row in `unit` beside it.
+    `axes`: names of its axes. A name refers to the data set of one axis in the group or above it. `unit`: ASCII;
+    `value` for the unit of the group's values, `squared` for products of these, `.` for one unit per row as in the data
+    set `unit`. `text`: name in words.
     """
 
     axes: str = ""
@@ -37,7 +38,7 @@ SPREAD = {
     "first_low": "lower end of the 95 % interval by first order",
     "first_high": "upper end of the 95 % interval by first order",
 }
-"""What is told of the draws of a real quantity."""
+"""Descriptions of the statistics of Monte Carlo draws of a real quantity."""
 DATASETS = {
     "frequency_hz": DatasetDescription(K, "Hz", "frequency"),
     "u_frequency_hz": DatasetDescription(K),
@@ -264,7 +265,7 @@ DATASETS = {
         "channels components", "1", "output under a rated load over that under its own"
     ),
 }
-"""By the tail of the path: the longest that fits counts, `*` stands for any name."""
+"""Descriptions by the end of the path: the longest match counts, `*` matches any name."""
 _TAILS: dict[str, list[list[str]]] = {}
 for _name in DATASETS:
     _TAILS.setdefault(_name.rpartition("/")[2], []).append(_name.split("/"))
@@ -273,9 +274,9 @@ SUFFIXES = {
     "_rad_per_s": "rad/s", "_per_s": "1/s", "_hz": "Hz", "_rad": "rad", "_s": "s", "_m": "m", "_m2": "m^2",
     "_px": "px", "_kg": "kg", "_n": "N", "_relative": "1", "_db": "dB",
 }  # fmt: skip
-"""Units that the names of fields end with."""
+"""Units by the ending of a field's name."""
 PHASORS = {"frequency_hz", "value", "covariance", "channels", "unit"}
-"""What a group of phasors holds, in whatever file."""
+"""Members of a group of phasors, in any file."""
 
 
 OTHERS = {
@@ -293,17 +294,17 @@ OTHERS = {
     "estimate": DatasetDescription(unit="1", text="estimate of the unknown over its u"),
     "remaining": DatasetDescription(unit="1", text="u after the estimate over u before"),
 }
-"""What is told of the data sets of other commands, by their names alone; `.` where `unit` beside it has as many."""
+"""Descriptions of data sets of other commands by name; `.` if `unit` in the same group has as many rows."""
 OVER = ("frequency_hz", "time_s")
-"""Axes of these, where they stand beside a data set as long."""
+"""Axes of data sets of the same length in the same group."""
 
 
 def describe(top: Group) -> None:
-    """Give every data set `units` and `long_name` as far as they are known, and its axes names as dimension scales.
+    """Set `units`, `long_name` and dimension scales of every data set.
 
-    `units` is ASCII: one unit, `[a, b]` where they differ along the last axis (for Re and again for Im where that is
-    twice as long), `[a, b]^2` for products of the units of row and column, `[unit]` where `unit` beside it has them.
-    Files of other commands say so of their phasors, and of what names say by themselves.
+    `units` is ASCII: one unit; `[a, b]` if they differ along the last axis (for Re and again for Im if that is twice as
+    long); `[a, b]^2` for products of the units of row and column; `[unit]` if the data set `unit` has them. In files of
+    other commands only phasors and names with a known ending or meaning are described.
     """
     whole = "mounting" in top.attrs or "curves" in top
     for path, group, data in sorted(top.datasets(), key=lambda one: (one[0].count("/"), len(one[2].shape), one[0])):
@@ -328,19 +329,19 @@ def describe(top: Group) -> None:
 
 
 def _along(group: Group, own: str, shape: tuple[int, ...], name: str) -> bool:
-    """Whether the first axis of a data set is what a data set of this name beside it says."""
+    """Return whether the data set of this name has the coordinates of the first axis."""
     beside = group.get(name)
     return isinstance(beside, Data) and own != name and len(shape) > 0 and beside.shape == shape[:1]
 
 
 def _told(path: str) -> DatasetDescription:
-    """Return what the table has of a path: of the longest tail that fits, one without `*` before one with it."""
+    """Return the description for the longest match of a path, one without `*` first."""
     return _told_of(tuple(path.strip("/").split("/")[-_LONGEST:]))
 
 
 @cache
 def _told_of(names: tuple[str, ...]) -> DatasetDescription:
-    """Return what the table has of the last names of a path."""
+    """Return the description for the last names of a path."""
     parts = [re.sub(r"^\w+_uncertainty$", "uncertainty", part) for part in names]
     fitting = [
         tail
@@ -363,7 +364,7 @@ def _words(path: str) -> str:
 
 
 def _unit(group: Group, name: str, shape: tuple[int, ...], told: DatasetDescription) -> str:
-    """Return the unit of a data set, empty where nothing tells it."""
+    """Return the unit of a data set, empty if unknown."""
     rules: dict[str, Callable[[], str]] = {
         "": lambda: next((unit for suffix, unit in SUFFIXES.items() if name.endswith(suffix)), ""),
         ".": lambda: _listed(group["unit"].values, "[unit]") if group["unit"].shape[0] == shape[-1] else "",
@@ -387,12 +388,12 @@ def _unit(group: Group, name: str, shape: tuple[int, ...], told: DatasetDescript
 
 
 def _squared(listed: str) -> str:
-    """Return what products of these units have."""
+    """Return the unit of products."""
     return listed if listed in ("", "1") else f"{listed}^2" if listed[0] == "[" else f"({listed})^2"
 
 
 def _is_matrix(group: Group) -> bool:
-    """Whether the values of a group stand over channels and load components."""
+    """Return whether the values of a group are over channels and load components."""
     top = group.name.split("/")
     return "uncertainty" not in top and (top[1:2] == ["matrices"] or top[1:] in (["sensitivity"], ["element"]))
 
@@ -403,24 +404,24 @@ def _sensitivity_units(group: Group) -> list[str]:
 
 
 def _listed(units: Iterable[str], several: str = "") -> str:
-    """Return the one unit of all, else `several`, by default all in brackets."""
+    """Return the common unit, else `several`, by default all units in brackets."""
     units = [str(unit) for unit in units]
     return units[0] if len(set(units)) == 1 else (several or f"[{', '.join(units)}]") if units else ""
 
 
 def _output_unit(group: Group) -> str:
-    """Return the unit of the outputs that sensitivities of a group are of."""
+    """Return the unit of the outputs of a group's sensitivities."""
     return str(group.attrs.get("unit", group.top["sensor"].attrs["unit"] if "sensor" in group.top else ""))
 
 
 def _owner(group: Group) -> tuple[Group, str]:
-    """Return the group whose values an uncertainty is of, and which of its values (`plane`, `residual`)."""
+    """Return the group whose uncertainty this is, and which of its values (`plane`, `residual`)."""
     found = re.match(r"(.*)/(?:(\w+)_)?uncertainty(/.*)?$", group.name)
     return (group.top[found[1].strip("/")], found[2] or "") if found else (group, "")
 
 
 def _units_of_values(group: Group) -> list[str]:
-    """Return the unit of each value of a group, or of what an uncertainty or a group of details belongs to."""
+    """Return the units of the values of a group or of its parent."""
     owner, which = _owner(group)
     top = owner.name.split("/")[1:]
     stated = next((inner for inner in ("unit", "phasors/unit") if inner in owner), None)
@@ -454,7 +455,10 @@ def _units_of_values(group: Group) -> list[str]:
 
 
 def _scale(own: Group, name: str, length: int) -> Data:
-    """Return the dimension scale of an axis: of the data set's group, or of one above it, made where there is none."""
+    """Return the dimension scale of an axis from this group or one above it.
+
+    Create it if missing.
+    """
     group = own
     while True:
         near = group.get(name)
@@ -482,7 +486,7 @@ def _scale(own: Group, name: str, length: int) -> Data:
 
 
 def _coordinate(group: Group, name: str, length: int) -> Any:
-    """Return what an axis says at each place, None where nothing does."""
+    """Return the coordinates of an axis, None if only its length is known."""
     owner, which = _owner(group)
     labels = _labels(owner, which) if name in ("row", "column", "element") else []
     places = [owner, *(owner[inner] for inner in ("phasors", "fit/phasors") if inner in owner)]

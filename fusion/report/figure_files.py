@@ -1,4 +1,4 @@
-"""Figures as files: what `fusion.report.figure` describes, as PNG or PDF by matplotlib, as SVG by `still`."""
+"""Figures as files: PNG or PDF by matplotlib, SVG by `static_figure`."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ from fusion.report.static_figure import static_svg
 
 RASTER_DPI = 200
 RASTER_ABOVE = 500
-"""Number of points above which they are drawn as an image inside the vector graphics."""
+"""Number of points above which they are a raster image inside the vector graphics."""
 UNDATED: dict[str, dict[str, Any]] = {"svg": {"Date": None, "Creator": None}, "pdf": {"CreationDate": None}, "png": {}}
 STYLE = mpl.rc_params_from_file(Path(__file__).with_name("templates") / "figures.mplstyle", use_default_template=False)
 LINE_RASTER_ABOVE = 2_000
@@ -56,7 +56,7 @@ SHAPES = {
 
 @dataclass(frozen=True)
 class PrintedFigure:
-    """One figure: an identifier, a title, a caption of one or two sentences, and the SVG text."""
+    """One figure as SVG text with an identifier, a title and a caption."""
 
     name: str
     title: str
@@ -66,31 +66,34 @@ class PrintedFigure:
 
 @contextmanager
 def drawing(name: str) -> Iterator[None]:
-    """Apply the style, and make identifiers inside the SVG depend on the figure's name only."""
+    """Apply the style, with SVG identifiers that depend only on the name of the figure."""
     settings: Any = {**STYLE, "svg.hashsalt": name}
     with mpl.rc_context(settings):
         yield
 
 
 def new_figure(height_in: float, width_in: float = WIDTH_IN) -> Canvas:
-    """Empty figure of the page's width."""
+    """Return an empty figure of the page's width."""
     return Canvas(figsize=(width_in, height_in))
 
 
 def figure_bytes(figure: Canvas, kind: str) -> bytes:
-    """Turn a figure into a png, svg or pdf file without a date."""
+    """Return a figure as a png, svg or pdf file without a date."""
     stream = io.BytesIO()
     figure.savefig(stream, format=kind, dpi=RASTER_DPI, metadata=UNDATED[kind])
     return stream.getvalue()
 
 
 def finish(figure: Canvas, name: str, title: str, caption: str) -> PrintedFigure:
-    """Turn a figure into SVG text without date or other metadata that would change from run to run."""
+    """Return a figure as SVG text without a date."""
     return PrintedFigure(name, title, caption, figure_bytes(figure, "svg").decode())
 
 
 def render_figure(figure: Figure, kind: str = "svg") -> bytes:
-    """Draw a figure as the bytes of a `kind` of file: svg, png or pdf; the same from run to run."""
+    """Return a figure as a file: svg, png or pdf.
+
+    Equal figures give equal bytes.
+    """
     if kind == "svg":
         return static_svg(figure).encode()
     with drawing(figure.name):
@@ -98,7 +101,7 @@ def render_figure(figure: Figure, kind: str = "svg") -> bytes:
 
 
 def _canvas(figure: Figure) -> Canvas:
-    """All panels of a figure in the page's width."""
+    """Return all panels of a figure in the page's width."""
     rows, columns = len(figure.heights), len(figure.widths)
     canvas = new_figure(figure.height_in)
     shared: Any = {"sharex": "col" if figure.shared_x else False, "sharey": "row" if figure.shared_y else False}
@@ -119,7 +122,7 @@ def _canvas(figure: Figure) -> Canvas:
 
 
 def _lay_out(figure: Figure, every: Any, legend_in: float) -> None:
-    """Put axes into their frames, labels beside them, bars of colours below."""
+    """Set the positions of axes, labels and colour bars."""
     for axes, panel, frame in zip(every.flat, figure.panels, frames(figure, legend_in), strict=True):
         place = frame.left, figure.height_in - frame.top - frame.height, frame.width, frame.height
         axes.set_position(
@@ -131,7 +134,7 @@ def _lay_out(figure: Figure, every: Any, legend_in: float) -> None:
 
 
 def _colour_bar(axes: Axes, scale: Scale, below: float, height: float) -> None:
-    """Draw a horizontal bar of colours below a panel."""
+    """Draw a horizontal colour bar below a panel."""
     place = axes.inset_axes((0.0, below - height, 1.0, height))
     colours, norm = _colours(scale)
     axes.figure.colorbar(ScalarMappable(norm, colours), cax=place, orientation="horizontal")
@@ -140,7 +143,10 @@ def _colour_bar(axes: Axes, scale: Scale, below: float, height: float) -> None:
 
 
 def _draw_panel(axes: Axes, panel: Panel, inner: tuple[bool, bool]) -> dict[str, Any]:
-    """Axes and marks of one panel; `inner`: whether another panel has its numbers of x, of y; what has which name."""
+    """Draw axes and marks of one panel, and return the marks by label.
+
+    `inner`: whether another panel has its numbers of x, of y.
+    """
     for way in "xy":
         if getattr(panel, way).log:
             getattr(axes, f"set_{way}scale")("log")
@@ -161,7 +167,7 @@ def _draw_panel(axes: Axes, panel: Panel, inner: tuple[bool, bool]) -> dict[str,
 
 
 def _dress(axes: Axes, way: str, said: PanelAxis, *, hidden: bool) -> None:
-    """Label, limits, numbers and second scale of one axis."""
+    """Set label, limits, numbers and second scale of one axis."""
     axis = axes.xaxis if way == "x" else axes.yaxis
     if said.label and not hidden:
         axis.set_label_text(said.label)
@@ -188,7 +194,7 @@ def _dress(axes: Axes, way: str, said: PanelAxis, *, hidden: bool) -> None:
 
 
 def _logarithm(axes: Axes, way: str) -> None:
-    """Numbers of a logarithmic axis: powers of ten, or 1, 2, 5 where it spans less than two decades."""
+    """Set the numbers of a logarithmic axis: powers of ten, or 1, 2, 5."""
     axis = axes.xaxis if way == "x" else axes.yaxis
     low, high = sorted(axis.get_view_interval())
     narrow = low > 0.0 and high < 100.0 * low and high < 1e5
@@ -205,7 +211,7 @@ def _logarithm(axes: Axes, way: str) -> None:
 
 
 def _colours(scale: Scale) -> tuple[Colormap, Normalize]:
-    """Colours of a scale and how values are spread over them."""
+    """Return the colours of a scale and the normalisation of values."""
     if isinstance(scale.colours, str):
         colours = mpl.colormaps["RdBu_r" if scale.colours == "RdBu" else scale.colours]
     else:

@@ -1,4 +1,4 @@
-"""Where the parts of a figure stand on paper: frames of its panels, limits of its axes, their ticks and numbers."""
+"""Layout of a figure on paper: frames of panels, limits of axes, ticks and numbers."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ WIDTH_IN, CHARACTER_IN = 8.4, 0.066
 MARGIN = 0.05  # beyond the outermost mark, of what all marks span
 STEPS = (1.0, 2.0, 2.5, 5.0, 10.0)
 MOST_DECADES = 8
-"""Powers of ten that a logarithmic axis names."""
+"""Largest number of powers of ten with a label on a logarithmic axis; more would overlap."""
 
 
 @dataclass(frozen=True)
 class PanelFrame:
-    """Rectangle of a panel on the sheet in inches from its upper left corner, and room for names beside and below."""
+    """Rectangle of a panel in inches from the upper left corner, with margins for labels."""
 
     left: float
     top: float
@@ -50,9 +50,10 @@ class PanelFrame:
 
 
 def frames(figure: Figure, legend_in: float) -> list[PanelFrame]:
-    """Frame of every panel: margins and gaps follow from titles, numbers, names, second scales and bars of colours.
+    """Return the frame of every panel.
 
-    `legend_in`: height of the legend above all of them.
+    Margins and gaps follow from titles, numbers, names, second scales and colour bars. `legend_in`: height of the
+    legend above all panels.
     """
     rows, columns = len(figure.heights), len(figure.widths)
     grid = [figure.panels[r * columns : (r + 1) * columns] for r in range(rows)]
@@ -86,13 +87,13 @@ def frames(figure: Figure, legend_in: float) -> list[PanelFrame]:
 
 
 def has_upright_names(figure: Figure) -> bool:
-    """Whether names below a panel stand upright, for they have no room beside each other."""
+    """Return whether names below a panel must be upright, since they would overlap."""
     room = WIDTH_IN / len(figure.widths) / CHARACTER_IN
     return any(sum(len(name) + 1 for name in panel.x.names) > 0.8 * room for panel in figure.panels)
 
 
 def scale_below(panel: Panel) -> Scale | None:
-    """Return the labelled scale of colours of a panel, which stands below it, if it has one."""
+    """Return the colour scale that is shown below a panel, if it has one."""
     scales = (mark.scale for mark in panel.marks if isinstance(mark, Points | Boxes) and mark.scale is not None)
     return next((scale for scale in scales if scale.label), None)
 
@@ -101,7 +102,7 @@ def scale_below(panel: Panel) -> Scale | None:
 
 
 def limits(panels: Sequence[Panel], way: Along) -> tuple[float, float]:
-    """Ends of an axis that some panels share: those stated, of its names, or of all marks with room beside them."""
+    """Return the limits of an axis that some panels share: stated ones, or those of marks."""
     axes: list[PanelAxis] = [getattr(panel, way) for panel in panels]
     log = any(axis.log for axis in axes)
     names = max(len(axis.names) for axis in axes)
@@ -124,7 +125,7 @@ def limits(panels: Sequence[Panel], way: Along) -> tuple[float, float]:
 
 
 def _reach(mark: Mark, way: Along) -> Iterator[Any]:
-    """Yield values of x or y that a mark reaches."""
+    """Yield the values of x or y that a mark covers."""
     along_x = way == "x"
     if isinstance(mark, Points):
         half, place = (mark.half_x, mark.x) if along_x else (mark.half_y, mark.y)
@@ -156,7 +157,10 @@ def _reach(mark: Mark, way: Along) -> Iterator[Any]:
 
 
 def round_ticks(low: float, high: float, most: int) -> FloatArray:
-    """Multiples of 1, 2, 2.5 or 5 times a power of ten between two ends, with at most so many steps from end to end."""
+    """Return round multiples (1, 2, 2.5 or 5 times a power of ten) between two ends.
+
+    `most`: largest number of steps from end to end.
+    """
     low, high = min(low, high), max(low, high)
     least = (high - low) / max(most, 1)
     if not least > 1e-14 * max(abs(low), abs(high)):
@@ -168,7 +172,10 @@ def round_ticks(low: float, high: float, most: int) -> FloatArray:
 
 
 def decade_ticks(low: float, high: float) -> tuple[FloatArray, list[str]]:
-    """Powers of ten between two ends with their texts, or 1, 2, 5 times those where they span less than two decades."""
+    """Return powers of ten between two ends with their texts.
+
+    If the ends span less than two decades, 1, 2 and 5 times the powers are returned.
+    """
     low, high = min(low, high), max(low, high)
     first, last = int(np.ceil(np.log10(low) - 1e-9)), int(np.floor(np.log10(high) + 1e-9))
     if high < 100.0 * low and high < 1e5:
@@ -181,7 +188,7 @@ def decade_ticks(low: float, high: float) -> tuple[FloatArray, list[str]]:
 
 
 def number_texts(values: FloatArray) -> list[str]:
-    """Texts of ticks, all with as many decimals as tell them apart."""
+    """Return texts of ticks with as many decimals as are needed to distinguish them."""
     spread = float(np.min(np.diff(np.sort(values)))) if len(values) > 1 else float(np.max(np.abs(values), initial=1.0))
     for places in range(12):
         if np.all(np.abs(np.round(values, places) - values) <= 1e-3 * spread):

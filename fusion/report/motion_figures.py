@@ -1,4 +1,4 @@
-"""Figures of stereo pairs: motion, deformation, and whether the cameras still are what was calibrated."""
+"""Figures of stereo pairs: motion, deformation and stability of the cameras."""
 
 from __future__ import annotations
 
@@ -37,7 +37,8 @@ from shaker.sine.aliasing import alias_frequency
 
 OUT_QUANTILE, INSIDE_QUANTILE = 2.448, 3.080
 """Amplitude of one and of two components, in standard uncertainties of their parts, that noise exceeds at 5 % of the
-points: square roots of the 95 % quantiles of chi-square with 2 and 4 degrees of freedom."""
+points: square roots of the 95 % quantiles of chi-square with 2 and 4 degrees of freedom.
+"""
 LONGEST_ARROW = 1.6  # distances between neighbours
 PANEL_IN, TALLEST_IN, FLATTEST_IN = 2.2, 3.2, 0.8
 FIGURE_MARGIN_IN = 1.45
@@ -46,7 +47,10 @@ MARGIN_SHARE = 0.03
 
 @dataclass(frozen=True)
 class _View:
-    """A shape at one line as it is drawn: plan (N, 2) in mm, out of plane (N,), in plane (N, 2), and noise levels."""
+    """Deflection shape at one line as it is drawn.
+
+    `plan_mm` (N, 2): positions; `out` (N,): out of plane; `inside` (N, 2): in plane; with the levels of noise.
+    """
 
     plan_mm: FloatArray
     out: ComplexArray
@@ -63,7 +67,7 @@ class _View:
 
     @property
     def limits_mm(self) -> tuple[FloatArray, FloatArray]:
-        """Lower and upper corner of the panels: the whole body with room for a square at its edge."""
+        """Lower and upper corner of the panels: the whole body with a margin."""
         low, high = self.plan_mm.min(axis=0), self.plan_mm.max(axis=0)
         room = 1.2 * self.side_mm + MARGIN_SHARE * float((high - low).max())
         return low - room, high + room
@@ -76,10 +80,10 @@ class _View:
 
 
 def draw_deflection(shape: DeflectionShape, line: int, rigid: ComplexArray, name: str, body: str) -> Figure | None:
-    """Amplitude and phase of the deflection out of the plane of the points, and the deflection in that plane.
+    """Draw the deflection shape: amplitude and phase out of plane, and in plane.
 
-    `rigid` (6,): displacement phasors of the body at this line; phases are counted from its largest translation. None
-    when fewer than three points have a deflection.
+    `rigid` (6,): displacement phasors of the body at this line; phases are relative to its largest translation. None if
+    fewer than three points have a deflection.
     """
     known = np.isfinite(shape.value[line]).all(axis=1)
     if known.sum() < 3:
@@ -110,7 +114,7 @@ def draw_deflection(shape: DeflectionShape, line: int, rigid: ComplexArray, name
 
 
 def _view(reference_m: FloatArray, value: ComplexArray, u: FloatArray) -> _View:
-    """Plan and components of a shape (N, 3) with uncertainties (N, 3), in the plane that fits the points best."""
+    """Return plan and components of a shape (N, 3) in the points' best-fit plane."""
     _, _, axes = np.linalg.svd(reference_m - reference_m.mean(axis=0), full_matrices=False)
     normal = axes[2]
     main = int(np.argmax(np.abs(normal)))
@@ -130,7 +134,7 @@ def _view(reference_m: FloatArray, value: ComplexArray, u: FloatArray) -> _View:
 
 
 def _draw_amplitude(panel: Panel, view: _View) -> None:
-    """Squares coloured by the amplitude out of the plane."""
+    """Draw squares coloured by the amplitude out of the plane."""
     factor, letter = prefix(np.abs(view.out))
     largest = float(np.abs(view.out).max()) / factor
     level = float(np.median(view.out_level)) / factor
@@ -140,7 +144,7 @@ def _draw_amplitude(panel: Panel, view: _View) -> None:
 
 
 def _draw_phase(panel: Panel, view: _View, above: NDArray[np.bool_], leader: tuple[float, str]) -> None:
-    """Squares coloured by the phase out of the plane, against the leader's, where the amplitude is above the noise."""
+    """Draw squares coloured by the phase out of plane, for amplitudes above the noise."""
     phase = np.degrees(np.angle(view.out * np.exp(-1j * leader[0])))
     scale = Scale(PHASE_COLOURS, -180.0, 180.0, f"phase against {leader[1]} / °")
     panel.squares(view.plan_mm, 0.94 * view.side_mm, values=np.where(above, phase, np.nan), scale=scale)
@@ -148,7 +152,7 @@ def _draw_phase(panel: Panel, view: _View, above: NDArray[np.bool_], leader: tup
 
 
 def _draw_in_plane(panel: Panel, view: _View) -> None:
-    """Arrows at the instant at which the deflection in the plane is largest."""
+    """Draw arrows at the instant of the largest deflection in the plane."""
     instant = np.exp(-0.5j * np.angle(np.sum(view.inside**2)))
     vector = (view.inside * instant).real
     length = np.sqrt(np.sum(np.abs(view.inside) ** 2, axis=1))
@@ -172,11 +176,11 @@ FITTED: dict[str, Any] = {"label": "sine approximation", "colour": RED}
 CURVE_POINTS = 600
 LARGEST_IMAGE_PX = 520
 MOST_PERCENT = 45.0
-"""Right end of the histograms: a class of a normal distribution in eight holds up to 35 %."""
+"""Right end of the histograms: a class of a normal distribution in eight contains up to 35 %."""
 
 
 def pair_motion_figures(stereo: StereoResult) -> list[Figure]:
-    """All figures of one stereo pair."""
+    """Return all figures of one stereo pair."""
     pictures = [draw_motion(stereo), draw_residuals(stereo)]
     if len(stereo.time_s) >= 8:
         pictures.append(draw_residual_spectrum(stereo))
@@ -191,7 +195,7 @@ def pair_motion_figures(stereo: StereoResult) -> list[Figure]:
 
 
 def draw_motion(stereo: StereoResult) -> Figure:
-    """Six components over time with the fitted lines as this camera rate sees them, and folded over one period."""
+    """Draw six components over time with the fitted lines, and folded over one period."""
     frequency, rate = main_frequency(stereo), camera_rate_hz(stereo)
     start, end = stereo.time_s[0], stereo.time_s[-1]
     phase = np.mod(stereo.time_s * frequency, 1.0)
@@ -225,7 +229,7 @@ def draw_motion(stereo: StereoResult) -> Figure:
 
 
 def draw_residuals(stereo: StereoResult) -> Figure:
-    """What the sine approximation leaves of each component, over time and as a histogram."""
+    """Draw the residuals of the sine approximation over time and as histograms."""
     residual = stereo.residual
     drawn = empty_figure(f"residuals-{stereo.name}", 6.4, 6, (3.4, 1.0), shared_y=True)
     for component, (over_time, histogram) in enumerate(zip(drawn.panels[::2], drawn.panels[1::2], strict=True)):
@@ -246,7 +250,7 @@ def draw_residuals(stereo: StereoResult) -> Figure:
 
 
 def draw_residual_spectrum(stereo: StereoResult) -> Figure:
-    """Amplitude spectrum of the residuals up to half the camera rate, with the places to which the lines fold."""
+    """Draw the amplitude spectrum of the residuals with the aliases of the lines."""
     rate = camera_rate_hz(stereo)
     spectrum_hz, amplitude = residual_spectrum(stereo)
     alias = alias_frequency(stereo.fit.phasors.frequency_hz, rate)
@@ -270,7 +274,7 @@ def draw_residual_spectrum(stereo: StereoResult) -> Figure:
 
 
 def subset_figures(evaluation: Evaluation) -> list[Figure]:
-    """First left image of every stereo pair with the subsets that were tracked in it, where there are images."""
+    """Draw the tracked subsets in the first left image of every stereo pair."""
     seen = [
         (item.name, item.reference_image, item.subsets_px)
         for item in evaluation.stereo
@@ -293,22 +297,22 @@ def subset_figures(evaluation: Evaluation) -> list[Figure]:
 
 
 def main_frequency(stereo: StereoResult) -> float:
-    """Frequency of the strongest translational line of the fit."""
+    """Return the frequency of the strongest translational line of the fit."""
     phasors = stereo.fit.phasors
     return float(phasors.frequency_hz[np.argmax(np.abs(phasors.value[:, :3]).max(axis=1))])
 
 
 def camera_rate_hz(stereo: StereoResult) -> float:
-    """Mean frame rate: the median spacing is taken as one frame, gaps count as several."""
+    """Return the mean frame rate; the median spacing is one frame, gaps count as several."""
     spacing = np.diff(stereo.time_s)
     frames = np.round(spacing / np.median(spacing)).sum()
     return float(frames / (stereo.time_s[-1] - stereo.time_s[0]))
 
 
 def beat_curve(stereo: StereoResult, time_s: FloatArray) -> FloatArray:
-    """Fitted curve (T, 6) with every line moved to its alias, so that it can be drawn between the frames.
+    """Return the fitted curve (T, 6) at the aliases of the lines.
 
-    At frame times t_n = t_0 + n/f_c, exp(j2πft_n) = exp(j2πft_0)·exp(j2π(f − m·f_c)(t_n − t_0)) for whole m.
+    It equals the fit at every frame.
     """
     rate, start = camera_rate_hz(stereo), float(stereo.time_s[0])
     phasors = stereo.fit.phasors
@@ -319,7 +323,7 @@ def beat_curve(stereo: StereoResult, time_s: FloatArray) -> FloatArray:
 
 
 def folded_curve(stereo: StereoResult, frequency_hz: float, phase: FloatArray) -> FloatArray:
-    """Fitted curve (T, 6) of one line and its multiples over its phase in periods."""
+    """Return the fitted curve (T, 6) of one line and its multiples over its phase."""
     phasors = stereo.fit.phasors
     multiple = phasors.frequency_hz / frequency_hz
     own = np.abs(multiple - np.round(multiple)) * frequency_hz * np.ptp(stereo.time_s) < 0.02
@@ -328,7 +332,7 @@ def folded_curve(stereo: StereoResult, frequency_hz: float, phase: FloatArray) -
 
 
 def residual_spectrum(stereo: StereoResult) -> tuple[FloatArray, FloatArray]:
-    """Frequencies (B,) and amplitudes (B, 6) of the residuals; missing frames count as zero."""
+    """Return frequencies (B,) and amplitudes (B, 6) of the residuals; missing frames count as zero."""
     spacing = np.diff(stereo.time_s)
     place = np.concatenate([[0], np.cumsum(np.round(spacing / np.median(spacing)))]).astype(np.int64)
     filled = np.zeros((place[-1] + 1, 6))
@@ -339,7 +343,7 @@ def residual_spectrum(stereo: StereoResult) -> tuple[FloatArray, FloatArray]:
 
 
 def _draw_histogram(panel: Panel, values: FloatArray) -> None:
-    """Horizontal histogram in per cent, with the normal distribution of the same standard deviation."""
+    """Draw a horizontal histogram in per cent, with a normal distribution."""
     panel.x.limits = (0.0, MOST_PERCENT)
     if len(values) < 3:
         return
@@ -355,7 +359,7 @@ def _draw_histogram(panel: Panel, values: FloatArray) -> None:
 
 
 def _draw_image(panel: Panel, image: NDArray[Any]) -> None:
-    """One reference image, reduced to the size at which it is shown."""
+    """Draw one reference image, reduced to its size on the page."""
     height, width = image.shape
     low, high = np.percentile(image, (0.5, 99.5))
     grey = np.clip((image - low) / max(float(high - low), 1.0), 0.0, 1.0).astype(np.float32)
@@ -367,7 +371,10 @@ def _draw_image(panel: Panel, image: NDArray[Any]) -> None:
 
 
 def neighbour_distance(points: FloatArray, least: float) -> float:
-    """Median distance of neighbours on a grid of points (N, 2); what is closer than `least` is the same point."""
+    """Return the median distance of neighbours on a grid of points (N, 2).
+
+    Points closer than `least` count as one point.
+    """
     sample = points[:: max(1, len(points) // 200)]
     across, down = (np.abs(np.subtract.outer(mine, every)) for mine, every in zip(sample.T, points.T, strict=True))
     distance = np.maximum(across, down)
@@ -383,7 +390,7 @@ SMALLEST_PX = 1e-3  # range of the colours where residuals are smaller
 
 
 def draw_epipolar(check: EpipolarCheck, time_s: FloatArray, name: str) -> Figure:
-    """Mean epipolar residual over time with what the calibration explains, and its mean over time over the picture."""
+    """Draw the mean epipolar residual over time and over the image."""
     drawn = empty_figure(f"epipolar-{name}", 3.0, 1, (1.5, 1.0))
     _draw_course(drawn.panels[0], check, time_s)
     drawn.panels[0].x.link = f"time of {name}"
@@ -402,7 +409,7 @@ def draw_epipolar(check: EpipolarCheck, time_s: FloatArray, name: str) -> Figure
 
 
 def _draw_course(panel: Panel, check: EpipolarCheck, time_s: FloatArray) -> None:
-    """The mean residual over time."""
+    """Draw the mean residual over time."""
     if check.pattern_covariance is not None:
         explained = MPX * COVERAGE * float(np.sqrt(check.pattern_covariance[0, 0]))
         panel.span(-explained, explained)
@@ -413,7 +420,10 @@ def _draw_course(panel: Panel, check: EpipolarCheck, time_s: FloatArray) -> None
 
 
 def _draw_residuals(panel: Panel, check: EpipolarCheck) -> None:
-    """The mean residual of every point at its place in the left picture; outliers as crosses."""
+    """Draw the mean residual of every point at its position in the left image.
+
+    Outliers as crosses.
+    """
     known = np.isfinite(check.residual_px)
     if not known.any():
         panel.blank = True

@@ -1,7 +1,7 @@
-"""What every run would make alike, kept for the next ones in the user's folder of caches: templates, packed programs.
+"""Cache of compiled page templates and packed scripts in the user's cache folder.
 
-Where that folder cannot be, everything is made anew. Processes do not disturb each other: a file appears whole, and one
-that is not what was written counts as none.
+If that folder is not available, everything is made again. A file appears completely or not at all; a damaged file is
+ignored.
 """
 
 from __future__ import annotations
@@ -22,11 +22,14 @@ from fusion.report.atomic_files import write_file
 from photogram.kernels import user_cache
 
 UNUSED_S = 30 * 86400.0
-"""Age after which what is kept is made anew, so that nothing of older versions stays."""
+"""Age after which an entry is made again, so that entries of older versions disappear; chosen: 30 days."""
 
 
 def load_or_make(name: str, key: str, make: Callable[[], bytes]) -> bytes:
-    """Return what is kept under a name for a key, which says of what it was made; made and kept where it is not."""
+    """Return the cached content of a name and key, or make and cache it.
+
+    `key` identifies everything that the content depends on.
+    """
     content = _find(name, key)
     if content is None:
         content = make()
@@ -35,21 +38,21 @@ def load_or_make(name: str, key: str, make: Callable[[], bytes]) -> bytes:
 
 
 class CompiledTemplates(jinja2.BytecodeCache):
-    """Templates as they are when Python has compiled them; jinja2 itself sees to its source and to Python's version."""
+    """Cache of templates as compiled Python code."""
 
     def load_bytecode(self, bucket: Bucket) -> None:
-        """Take a template's code, if it is kept."""
+        """Load the code of a template if it is cached."""
         code = _find(bucket.key, self._key(bucket))
         if code is not None:
             bucket.bytecode_from_string(code)
 
     def dump_bytecode(self, bucket: Bucket) -> None:
-        """Keep a template's code."""
+        """Cache the code of a template."""
         _keep(bucket.key, self._key(bucket), bucket.bytecode_to_string())
 
     @staticmethod
     def _key(bucket: Bucket) -> str:
-        """All that the code depends on: versions, the template's text, and how it is to be read."""
+        """Return everything that the code depends on: versions, source text and parser settings."""
         own = bucket.environment
         how = own.autoescape, own.trim_blocks, own.lstrip_blocks, own.undefined.__name__
         return f"{jinja2.__version__} {sys.version} {bucket.checksum} {how}"
@@ -60,7 +63,7 @@ def _place(name: str, key: str) -> Path:
 
 
 def _find(name: str, key: str) -> bytes | None:
-    """Return what is kept, None where nothing is, or not what was written, or for longer than it may be."""
+    """Return a cached content, None if it is missing, damaged or too old."""
     with suppress(OSError, RuntimeError):  # the latter of a user without a home
         place = _place(name, key)
         if time.time() - place.stat().st_mtime < UNUSED_S:
@@ -70,7 +73,7 @@ def _find(name: str, key: str) -> bytes | None:
 
 
 def _keep(name: str, key: str, content: bytes) -> None:
-    """Keep something where that can be, and remove what is too old."""
+    """Write a cache entry if possible, and remove old entries."""
     with suppress(OSError, RuntimeError):
         place = _place(name, key)
         place.parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""Every point of a stereo pair in every frame: a table, and a file for ParaView and other readers of VTK."""
+"""Tables and VTK files of every tracked point of a stereo pair in every frame."""
 
 from __future__ import annotations
 
@@ -26,7 +26,10 @@ HEAD += tuple(f"{before}{name}_m" for before in ("d", "u_d", "rest_", "u_rest_")
 
 @dataclass(frozen=True, eq=False)
 class _Frame:
-    """Points (N, 3) of one frame: `moved`, displacement, `rest`, deviation from the rigid body, both in sensor axes."""
+    """Points (N, 3) of one frame in sensor axes.
+
+    `moved_m`: displacement; `rest_m`: deviation from the rigid body.
+    """
 
     number: int
     time_s: float
@@ -37,14 +40,14 @@ class _Frame:
 
     @property
     def seen(self) -> BoolArray:
-        """Which points (N,) were seen."""
+        """Which points (N,) were found in this frame."""
         return np.asarray(np.isfinite(self.rest_m).all(axis=1))
 
 
 def save_points(folder: Path, stereo: StereoResult) -> list[str]:
-    """Write the points of a pair into a folder and return the files' names.
+    """Write the points of a pair into a folder and return the file names.
 
-    points-NAME.csv, points-NAME/FRAME.vtp and points-NAME.pvd, which names these with their times: ParaView opens it.
+    points-NAME.csv, points-NAME/FRAME.vtp and points-NAME.pvd, which lists the frames with their times for ParaView.
     """
     if stereo.surface is None:
         return []
@@ -66,7 +69,7 @@ def save_points(folder: Path, stereo: StereoResult) -> list[str]:
 
 
 def _table(stereo: StereoResult, surface: Iterable[Deformation], known: BoolArray) -> Iterator[str]:
-    """Yield the table, the rows of one frame after the other."""
+    """Yield the table frame by frame."""
     yield ",".join(HEAD) + "\n"
     places = next(iter(surface)).reference_m[known]
     for frame in _frames(stereo, surface, known):
@@ -106,15 +109,15 @@ def _frames(stereo: StereoResult, surface: Iterable[Deformation], known: BoolArr
 
 
 def _sigma(covariance: FloatArray) -> FloatArray:
-    """Standard uncertainties (N, 3) of covariances (N, 3, 3)."""
+    """Return standard uncertainties (N, 3) of covariances (N, 3, 3)."""
     return np.asarray(np.sqrt(np.maximum(covariance.diagonal(axis1=1, axis2=2), 0.0)))
 
 
 def _vtp(places_m: FloatArray, frame: _Frame) -> str:
-    """Return PolyData of VTK's XML format: the places in the first frame, and vectors of this one.
+    """Return VTK PolyData in XML: positions in the first frame and vectors of this frame.
 
-    Doubles in base64 behind their length in bytes as UInt64 (VTK file formats, "XML file formats"). Points not seen
-    have `seen` 0 and vectors 0.
+    Doubles are in base64 after their length in bytes as UInt64 (VTK file formats, "XML file formats"). Points that were
+    not found have `seen` 0 and zero vectors.
     """
     count, seen = len(places_m), frame.seen
     vectors = {
@@ -134,7 +137,7 @@ def _vtp(places_m: FloatArray, frame: _Frame) -> str:
 
 
 def _array(name: str, values: NDArray[Any]) -> str:
-    """Return a DataArray of doubles, whole numbers or bytes."""
+    """Return a DataArray of doubles, integers or bytes."""
     kind, dtype = {"f": ("Float64", "<f8"), "i": ("Int64", "<i8"), "u": ("UInt8", "u1")}[values.dtype.kind]
     raw = np.ascontiguousarray(values, dtype=dtype).tobytes()
     text = base64.b64encode(len(raw).to_bytes(8, "little") + raw).decode("ascii")

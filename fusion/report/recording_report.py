@@ -1,4 +1,4 @@
-"""Page, tables and result folder of a recording; how a campaign joins the tables of several."""
+"""Result files of one recording: tables, HDF5 file and page."""
 
 from __future__ import annotations
 
@@ -61,7 +61,10 @@ ACCELERATION_FILE, LOAD_FILE = "acceleration.csv", "load.csv"
 
 
 class ResultElement(NamedTuple):
-    """One complex value of a recording: of an output and load, or of a body and component, and where it is from."""
+    """One complex value with its frequency, component, unit and origin.
+
+    `of`: output or body; `origin`: kind of the sensitivity, or source of the acceleration.
+    """
 
     frequency_hz: float
     of: str
@@ -73,7 +76,7 @@ class ResultElement(NamedTuple):
 
 
 class Pose(NamedTuple):
-    """Motion of one frame: time, the pose's six components with u, rms residual, number of points."""
+    """Motion of one frame: pose with u, rms residual, number of points."""
 
     time_s: float
     pose: FloatArray
@@ -83,7 +86,7 @@ class Pose(NamedTuple):
 
 
 def _element_columns(of: str, size: str, origin: str) -> list[TableColumn[ResultElement]]:
-    """Columns of a table of complex values."""
+    """Return the columns of a table of complex values."""
     return [
         TableColumn("frequency_hz", lambda e: e.frequency_hz),
         text_column(of, lambda e: e.of),
@@ -104,7 +107,7 @@ POSE = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 
 
 def _pose_column(place: int, prefix: str = "") -> TableColumn[Pose]:
-    """Column of one component of the pose, or of its u."""
+    """Return the column of one component of the pose, or of its u."""
     return TableColumn(prefix + POSE[place], lambda frame: float((frame.u if prefix else frame.pose)[place]))
 
 
@@ -118,7 +121,7 @@ MOTION: list[TableColumn[Pose]] = [
 
 
 def result_tables(evaluation: Evaluation) -> dict[str, str]:
-    """Text of every CSV file of one recording, by file name."""
+    """Return the text of every CSV file of one recording, by file name."""
     name, found = evaluation.manifest.name, [own for own in (evaluation.sensitivity, evaluation.element) if own]
     accelerations, load = evaluation.accelerations, evaluation.load
     moved = (entry for result in accelerations for entry in _phasors(result, result.body, result.source, name))
@@ -131,7 +134,7 @@ def result_tables(evaluation: Evaluation) -> dict[str, str]:
 
 
 def sensitivity_elements(found: Sensitivity, recording: str) -> Iterator[ResultElement]:
-    """One entry per line and element that could be determined, of a `recording` or of a campaign of this name."""
+    """Yield one entry per determined line and element of a recording or campaign."""
     for k, c, j in np.argwhere(np.isfinite(found.value)).tolist():
         unit, component = sensitivity_unit(found.unit, found.components[j]), found.components[j]
         value = tables.sensitivity_element(found, k, c, j)
@@ -141,12 +144,12 @@ def sensitivity_elements(found: Sensitivity, recording: str) -> Iterator[ResultE
 
 
 def row_element(row: Mapping[str, str]) -> Polar:
-    """One element of a sensitivity.csv, from the texts of its row."""
+    """Return one element of a sensitivity.csv from the texts of its row."""
     return Polar(**{field.name: float(row[field.name]) for field in fields(Polar)})
 
 
 def _phasors(result: Acceleration | LoadResult, body: str, source: str, recording: str) -> Iterator[ResultElement]:
-    """One entry per line and component that is observed."""
+    """Yield one entry per line and observed component."""
     phasors = result.phasors
     for k, row in enumerate(result.polar):
         for c, value in enumerate(row):
@@ -156,7 +159,10 @@ def _phasors(result: Acceleration | LoadResult, body: str, source: str, recordin
 
 
 def poses(stereo: StereoResult) -> Iterator[Pose]:
-    """One entry per frame: the motion from the first frame's pose; a failed frame has `nan` and no points."""
+    """Yield the motion of every frame relative to the first one.
+
+    A failed frame has `nan` and no points.
+    """
     motion, unknown = stereo.motion, np.full(6, np.nan)
     u_pose = np.sqrt(motion.covariance.diagonal(axis1=1, axis2=2))
     frames = zip(stereo.time_s, motion.pose, u_pose, motion.residual_m, motion.points, strict=True)
@@ -167,10 +173,10 @@ def poses(stereo: StereoResult) -> Iterator[Pose]:
 
 
 def merged_table(name: str, folders: Sequence[Path]) -> Iterator[str]:
-    """Yield one of the tables of `MERGED_FILES` joined of the recordings' by rows: its first line, then each body.
+    """Yield one of `MERGED_FILES` of several recordings: its first line, then the rows of each.
 
-    `folders`: the recordings' results folders, in the order of the rows. A folder without the table is left out. Raises
-    `ValueError` for a table of other columns.
+    `folders`: the recordings' results folders in the order of the rows; a folder without the table is skipped. Raises
+    `ValueError` for a table with other columns.
     """
     head = ",".join(column.name for column in MERGED_FILES[name])
     yield f"{head}\n"
@@ -186,7 +192,7 @@ def merged_table(name: str, folders: Sequence[Path]) -> Iterator[str]:
 
 
 def draw_all(evaluation: Evaluation) -> dict[str, list[Figure]]:
-    """All figures of a recording, by the section of the report that shows them."""
+    """Return all figures of a recording by the section of its report."""
     return {
         "sensitivity": sensitivity_figures(evaluation),
         "acceleration": acceleration_figures(evaluation),
@@ -206,7 +212,7 @@ REPORT_FILE = "report.html"
 
 
 def render_report(evaluation: Evaluation) -> str:
-    """HTML text of the report; style and figures are inside, nothing is fetched from elsewhere."""
+    """Return the HTML text of the report; style and figures are included."""
     context = {
         "name": evaluation.manifest.name,
         "subject": _subject(evaluation),
@@ -238,7 +244,7 @@ def render_report(evaluation: Evaluation) -> str:
 
 
 def _subject(evaluation: Evaluation) -> list[tuple[str, str]]:
-    """What was measured: rig, sensor, load mass, excitation, surroundings."""
+    """Return rig, sensor, load mass, excitation and surroundings."""
     rig, excitation = evaluation.manifest.rig, evaluation.manifest.excitation
     facts = [("Rig", rig.name)]
     if rig.sensor is not None:
@@ -280,7 +286,7 @@ OWN_FILE = re.compile(
 def write_results(
     evaluation: Evaluation, folder: Path, inputs: InputFiles | None = None, *, force: bool = False
 ) -> list[Path]:
-    """Write every result file of one recording and return their paths, as `write_folder` does."""
+    """Write every result file of one recording and return the paths, as `write_folder` does."""
 
     def make(temporary: Path) -> list[str]:
         names = write_files(temporary, {**result_tables(evaluation), REPORT_FILE: render_report(evaluation)})
@@ -295,10 +301,10 @@ def write_results(
 
 
 def check_campaign_folder(top: Path, recordings: Sequence[str], *, force: bool) -> None:
-    """Refuse a place for a campaign's results that holds something else, or joint files without their recordings.
+    """Refuse a place for a campaign's results that contains other files.
 
-    `recordings`: names of the recordings' folders, each of which is checked when its turn comes. Hidden files are
-    none of the program's business.
+    `recordings`: names of the recordings' folders, each of which is checked when it is written. Hidden files are
+    ignored.
     """
     check_folder(top, {}, force=True)
     taken = next((name for name in recordings if name in CAMPAIGN_FILES), None)
@@ -325,11 +331,14 @@ SENSOR = [
     "cross_talk",
     "cross_talk_uncertainty",
 ]
-"""What a campaign has to know of the sensor that was tested."""
+"""Information on the tested sensor that a campaign needs."""
 
 
 def write_h5(path: Path, evaluation: Evaluation, files: Sequence[str]) -> None:
-    """Write the evaluation and its provenance to a new HDF5 file; `files` are the names of all result files."""
+    """Write the evaluation and its provenance to a new HDF5 file.
+
+    `files`: names of all result files.
+    """
     manifest = evaluation.manifest
 
     def fill(file: Group) -> None:

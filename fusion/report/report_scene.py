@@ -56,7 +56,7 @@ KINDS = {
     "frame": ("sensor axes", BLACK),
     "gravity": ("gravity", PURPLE),
 }
-"""What is drawn: its word in the legend and its colour."""
+"""Kinds of shapes: their name in the legend and their colour."""
 BODIES = ("load", "base")
 SMALLEST_REACH_M = 0.03
 CENTRED_M = 5e-3  # a centre of mass nearer to the origin tells no direction
@@ -72,10 +72,10 @@ SHOWN_SHARE = 0.08  # of the size of the bodies: largest displacement at the fir
 
 @dataclass(frozen=True)
 class SceneMotion:
-    """What moves at one line: phasors of x(t) = Re{X exp(+jωt)}, peak values.
+    """Motion at one line: phasors of x(t) = Re{X exp(+jωt)}, peak values.
 
     `rigid`: by body (6,), translation in m of the sensor origin and rotation in rad; `deflection`: by tracked surface
-    (N, 3) in m, beside the rigid motion. `told`: amplitudes with U.
+    (N, 3) in m, in addition to the rigid motion. `amplitudes`: texts with U.
     """
 
     name: str
@@ -87,9 +87,9 @@ class SceneMotion:
 
 @dataclass(frozen=True)
 class Scene:
-    """Shapes in the sensor frame at rest, their motion line by line, and what a reader has to know of the drawing.
+    """Shapes in the sensor frame at rest, their motion at every line, and remarks.
 
-    `up` (3,): against gravity, the sensor's z axis where that is not stated.
+    `up` (3,): against gravity; the sensor's z axis if gravity is not stated.
     """
 
     name: str
@@ -100,11 +100,11 @@ class Scene:
 
     @property
     def kinds(self) -> list[str]:
-        """Return the kinds of shapes that are there, in the order of the legend."""
+        """Existing kinds of shapes in the order of the legend."""
         return [kind for kind in KINDS if any(shape.kind == kind for shape in self.shapes)]
 
     def data(self) -> dict[str, Any]:
-        """Return what the script draws, as JSON takes it: mm, and µm and µrad of the phasors."""
+        """Return the data of the script: mm, and µm and µrad of phasors."""
         return {
             "up": _numbers(self.up, 6),
             "shapes": [_shape_data(shape) for shape in self.shapes],
@@ -113,7 +113,7 @@ class Scene:
 
 
 class ScenePage(NamedTuple):
-    """A scene as templates/scene.html takes it: `json` and `still` are safe within a page."""
+    """Context of templates/scene.html; `json` and `views` are safe within a page."""
 
     name: str
     json: Markup
@@ -143,7 +143,7 @@ def scene_page(scene: Scene) -> ScenePage:
 
 
 def _numbers(values: FloatArray, digits: int) -> list[float]:
-    """Return numbers flat and short, whole ones without a point."""
+    """Return rounded numbers as a flat list, integers without a point."""
     rounded = np.round(np.asarray(values, dtype=np.float64).ravel(), digits) + 0.0
     return [int(value) if value == int(value) else value for value in rounded.tolist()]
 
@@ -169,7 +169,7 @@ def _shape_data(shape: SceneShape) -> dict[str, Any]:
 
 
 def _motion_data(motion: SceneMotion, shapes: Sequence[SceneShape]) -> dict[str, Any]:
-    """Return a motion with the magnifications at which it is first shown, one for all bodies, one for deflections."""
+    """Return a motion with its first magnifications, of all bodies and of deflections."""
     points = np.concatenate([shape.points_m for shape in shapes if shape.body] or [np.zeros((1, 3))])
     reach = 0.5 * float(np.linalg.norm(np.ptp(points, axis=0)))
     rigid = [
@@ -186,7 +186,7 @@ def _motion_data(motion: SceneMotion, shapes: Sequence[SceneShape]) -> dict[str,
 
 
 def _parts(phasors: ComplexArray, digits: int) -> list[float]:
-    """Return real and imaginary part of every phasor in millionths, one after the other, with significant digits."""
+    """Return real and imaginary part of every phasor in millionths, in turn, with significant digits."""
     values = 1e6 * np.stack([phasors.real, phasors.imag], axis=-1).ravel()
     return [float(f"{value:.{digits + 2}g}") for value in values.tolist()]
 
@@ -197,7 +197,12 @@ def _magnification(reach_m: float, displacements: Sequence[ComplexArray]) -> flo
 
 
 def rigid_displacement(rigid: ComplexArray, points_m: FloatArray) -> ComplexArray:
-    """Return displacement phasors (N, 3) of points of a body, t + θ × p, from those of the sensor origin (6,)."""
+    """Return displacement phasors (N, 3) of points of a rigid body.
+
+    t + θ × p of translation and rotation.
+
+    `rigid` (6,): phasors of the sensor origin.
+    """
     return np.asarray(rigid[:3] + np.cross(rigid[3:], points_m))
 
 
@@ -205,9 +210,10 @@ def rigid_displacement(rigid: ComplexArray, points_m: FloatArray) -> ComplexArra
 
 
 def rig_scene(manifest: Manifest, surfaces: Mapping[str, FloatArray] | None = None) -> Scene:
-    """Return the rig of a recording as its manifests state it; no data are read but calibrations and scan points.
+    """Return the rig of a recording as its manifests state it.
 
-    `surfaces`: points (N, 3) of the sensor frame that stereo pairs have tracked, by the name of the pair.
+    Only calibrations and scan points are read. `surfaces`: points (N, 3) in the sensor frame that stereo pairs have
+    tracked, by the name of the pair.
     """
     rig, remarks, shapes = manifest.rig, list[str](), list[SceneShape]()
     channels, parts = list(_channels(manifest)), moving_parts(rig, manifest.part)
@@ -244,7 +250,7 @@ def rig_scene(manifest: Manifest, surfaces: Mapping[str, FloatArray] | None = No
 
 
 def _channels(manifest: Manifest) -> Iterator[ChannelEntry]:
-    """Yield every channel that is placed on a body, once."""
+    """Yield every channel with a position on a body, once."""
     seen = set()
     for _, block in manifest.set_ups:
         takes = [block]
@@ -261,7 +267,7 @@ def _channels(manifest: Manifest) -> Iterator[ChannelEntry]:
 
 
 def _base_parts(manifest: Manifest) -> list[MovingPart]:
-    """Return the parts that are screwed to the base."""
+    """Return the parts of the base."""
     zero = np.zeros(3), np.zeros(3), np.zeros((3, 3))
     own = [part for part in manifest.part if part.body == "base"]
     return [
@@ -270,7 +276,7 @@ def _base_parts(manifest: Manifest) -> list[MovingPart]:
 
 
 def _solid(part: MovingPart, body: str) -> SceneShape:
-    """Return a part as the solid of its mass and inertia, its centre of mass where it has none."""
+    """Return a part as a solid of its mass and inertia, or as a point."""
     points, faces, strokes, told = solid(part.mass_kg, part.centre_of_mass_m, part.inertia_kgm2)
     text = f"{part.mass_kg:.5g} kg, centre of mass {place(part.centre_of_mass_m)}, {told}"
     made = SceneShape(body, part.name, text, points, faces, strokes, body=body, closed=True, fill=0.5)
@@ -278,7 +284,7 @@ def _solid(part: MovingPart, body: str) -> SceneShape:
 
 
 def place(point_m: FloatArray) -> str:
-    """Return a place in the sensor frame as text."""
+    """Return a position in the sensor frame as text."""
     return "(" + ", ".join(f"{1e3 * x + 0.0:.1f}" for x in point_m) + ") mm"
 
 
@@ -302,7 +308,7 @@ def _axes(length: float) -> Iterator[SceneShape]:
 
 
 def _gravity(gravity: FloatArray, reach: float, shapes: Sequence[SceneShape]) -> SceneShape:
-    """Return the arrow of gravity, beside the bodies on the side away from the cameras."""
+    """Return the arrow of gravity, next to the bodies on the side opposite the cameras."""
     down = gravity / np.linalg.norm(gravity)
     seen = [shape.points_m[0] for shape in shapes if shape.kind == "camera"]
     away = -np.mean(seen, axis=0) if seen else np.array([1.0, 0.0, 0.0])
@@ -314,7 +320,10 @@ def _gravity(gravity: FloatArray, reach: float, shapes: Sequence[SceneShape]) ->
 
 
 def _table(points: FloatArray, middle: FloatArray) -> SceneShape:
-    """Return a box about an axis on one side of which all points (N, 3) of the base lie, if possible not the load's."""
+    """Return a box about an axis with all points of the base on one side.
+
+    If possible the load is on the other side.
+    """
     side = np.sign(points).sum(axis=0) / len(points)
     beyond = np.where(np.abs(side) == 1.0, np.abs(points).min(axis=0), 0.0)
     opposite = np.where(-side * middle > CENTRED_M, beyond, 0.0)
@@ -344,7 +353,7 @@ def _surface(name: str, body: str, points: FloatArray) -> SceneShape:
 
 
 def _triangles(points: FloatArray) -> tuple[tuple[int, ...], ...]:
-    """Return the triangles between neighbours among points (N, 3) of a surface that has no folds."""
+    """Return the triangles between neighbours among points (N, 3) of a smooth surface."""
     from scipy.spatial import Delaunay  # here, for only pages with a viewer draw a surface
 
     _, size, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
@@ -359,7 +368,7 @@ def _triangles(points: FloatArray) -> tuple[tuple[int, ...], ...]:
 
 
 def _pair(name: str, pair: Stereo, surface: FloatArray | None) -> tuple[list[SceneShape], FloatArray, str]:
-    """Return the cameras of a pair, where they look, and what is to be said of that."""
+    """Return the cameras of a pair, their target, and a remark on it."""
     pose = sensor_from_camera(pair)
     origin, aside = pose.translation_m, float(np.linalg.norm(pose.translation_m))
     middle = None if surface is None else surface.mean(axis=0)
@@ -387,7 +396,7 @@ def _pair(name: str, pair: Stereo, surface: FloatArray | None) -> tuple[list[Sce
 
 
 def _fixation(left: RigidTransform, right: RigidTransform) -> FloatArray | None:
-    """Return the point nearest to both optical axes, None unless it is before both cameras."""
+    """Return the point nearest to both optical axes, or None if it is behind a camera."""
     centre = np.stack([left.translation_m, right.translation_m])
     axis = np.stack([left.rotation[:, 2], right.rotation[:, 2]])
     if np.linalg.norm(np.cross(*axis)) < NEAR_PARALLEL:
@@ -399,7 +408,10 @@ def _fixation(left: RigidTransform, right: RigidTransform) -> FloatArray | None:
 
 
 def _camera(name: str, body: str, camera: Camera, pose: RigidTransform, target: FloatArray) -> SceneShape:
-    """Return a camera and its frustum to the depth of a target: apex, far and near corners, mark of the upper edge."""
+    """Return a camera and its frustum to the depth of a target.
+
+    Points: apex, far and near corners, mark of the upper edge.
+    """
     depth = float(pose.inverse().apply(target)[2])
     depth = depth if depth > 0.0 else max(float(np.linalg.norm(pose.translation_m)), SMALLEST_REACH_M)
     far, near = frustum(camera, pose, depth), frustum(camera, pose, 0.1 * depth)
@@ -415,7 +427,10 @@ def _camera(name: str, body: str, camera: Camera, pose: RigidTransform, target: 
 
 
 def frustum(camera: Camera, pose: RigidTransform, depth_m: float) -> FloatArray:
-    """Return the corners (4, 3) of what a camera sees at a depth, clockwise from the image's upper left."""
+    """Return the corners (4, 3) of the field of view at a depth.
+
+    They run clockwise from the upper left.
+    """
     width, height = camera.size_px.astype(np.float64) - 0.5
     corners = np.array([[-0.5, -0.5], [width, -0.5], [width, height], [-0.5, height]])
     rays = camera.undistort(corners)
@@ -428,7 +443,7 @@ def frustum(camera: Camera, pose: RigidTransform, depth_m: float) -> FloatArray:
 
 
 def _instruments(channels: Sequence[ChannelEntry], middle: FloatArray, reach: float) -> Iterator[SceneShape]:
-    """Yield beams, points and senses of all channels that have a place, and the mirrors of heads."""
+    """Yield beams, points and senses of all channels with a position, and mirrors."""
     beams = LaserBeams.of(channels)
     kinds = [TRANSDUCERS[e.quantity].kind if e.quantity in TRANSDUCERS else "force" for e in channels]
     mirrors, named = dict[str, FloatArray](), set[str]()
@@ -460,7 +475,10 @@ def _instruments(channels: Sequence[ChannelEntry], middle: FloatArray, reach: fl
 def _beam_start(
     entry: ChannelEntry, direction: FloatArray, middle: FloatArray, beams: LaserBeams, reach: float
 ) -> tuple[FloatArray, str]:
-    """Return from where a beam comes, with the name of its head: on the free side of its body where none is stated."""
+    """Return the start of a laser beam and the name of its head.
+
+    If no start is stated, it is on the free side of the body.
+    """
     at, head = measuring_point(entry), entry.head
     if head is not None and head.stated.mirror is not None:
         return mirror_of(entry), head.name
@@ -474,7 +492,7 @@ def _beam_start(
 
 
 def evaluation_scene(evaluation: Evaluation) -> Scene:
-    """Return the rig of a recording with the motion of load and base and the deflections that stand out."""
+    """Return the rig of a recording with the motion and significant deflections of its bodies."""
     seen = [own for item in evaluation.stereo if item.name in evaluation.manifest.rig.stereo for own in _tracked(item)]
     scene = rig_scene(evaluation.manifest, {own.name: own.points_m for own in seen})
     moved = {body: result for body in BODIES if (result := _result(evaluation.accelerations, body)) is not None}
@@ -512,7 +530,7 @@ def _unobserved(body: str, result: Acceleration) -> str:
 
 
 def _amplitude_told(body: str, elements: Sequence[Polar | None], frequency_hz: float) -> str:
-    """Return the largest translation of a body at a line, of its acceleration, with U and phase."""
+    """Return the largest translation of a body at a line as text."""
     square = (2.0 * np.pi * frequency_hz) ** 2
     found = [(axis, value) for axis, value in zip("xyz", elements, strict=False) if value is not None]
     if not found:
@@ -527,7 +545,7 @@ def _amplitude_told(body: str, elements: Sequence[Polar | None], frequency_hz: f
 
 @dataclass(frozen=True)
 class _Tracked:
-    """The surface that a pair tracks: which lines of the recording it tells, and which of its points are shown."""
+    """Surface tracked by a pair: resolved lines and shown points."""
 
     name: str
     usable: BoolArray
@@ -539,7 +557,7 @@ class _Tracked:
         return np.asarray(self.shape.reference_m[self.kept])
 
     def _sizes(self, line: int) -> tuple[float, float] | None:
-        """Return the rms of the deflection of all points at a line of the recording, and that of noise alone."""
+        """Return the rms of the deflection at a line, and that of noise alone."""
         if not self.usable[line]:
             return None
         k = int(np.count_nonzero(self.usable[:line]))
@@ -547,14 +565,14 @@ class _Tracked:
         return float(np.sqrt(3.0 * np.nanmean(np.abs(value) ** 2))), float(np.sqrt(6.0 * np.nanmean(u**2)))
 
     def deflection(self, line: int) -> ComplexArray | None:
-        """Return the deflection (N, 3) of the points shown at a line, None where it does not stand out of the noise."""
+        """Return the deflection (N, 3) of the shown points, None if not significant."""
         sizes = self._sizes(line)
         if sizes is None or not sizes[0] > STANDS_OUT * sizes[1]:
             return None
         return np.asarray(self.shape.value[int(np.count_nonzero(self.usable[:line]))][self.kept])
 
     def told(self, line: int) -> str:
-        """Return the size of the deflection in words."""
+        """Return the size of the deflection as text."""
         sizes = self._sizes(line)
         if sizes is None:
             return ""
@@ -565,7 +583,7 @@ class _Tracked:
 
 
 def _tracked(item: StereoResult) -> Iterator[_Tracked]:
-    """Yield the surface of a pair with the points that are shown: known at every line, and not too many."""
+    """Yield the surface of a pair with a limited number of finite points."""
     shape = item.deflection
     if shape is None:
         return
@@ -579,7 +597,7 @@ def _tracked(item: StereoResult) -> Iterator[_Tracked]:
 
 
 def rig_page(manifests: Sequence[Manifest]) -> str:
-    """Return a page that draws the rig of some recordings as their manifests state it, every arrangement once."""
+    """Return a page of the rig of some recordings as stated, each arrangement once."""
     scenes: dict[Markup, tuple[list[str], ScenePage]] = {}
     for manifest in manifests:
         page = scene_page(rig_scene(manifest))
@@ -590,6 +608,6 @@ def rig_page(manifests: Sequence[Manifest]) -> str:
 
 
 def _listed(names: Sequence[str]) -> str:
-    """Return the names of recordings that have the same rig, the first few of many."""
+    """Return the names of recordings with the same rig, only the first few of many."""
     more = len(names) - MOST_NAMES
     return ", ".join(names[:MOST_NAMES]) + (f" and {more} more" if more > 0 else "")

@@ -46,20 +46,20 @@ from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, typeset
 
 BUDGET_ENTRIES = 14
 SHOWN_BELOW = 0.2
-"""Share of a magnitude that its U must be below to be drawn."""
+"""Relative U above which a magnitude is not drawn (chosen)."""
 
 # Figures of the acceleration: sources side by side, and weak components in the complex plane.
 
 
 def acceleration_figures(evaluation: Evaluation) -> list[Figure]:
-    """All figures of the accelerations."""
+    """Return all figures of the accelerations."""
     compared = [body for body in bodies(evaluation) if _has_reference(evaluation, body)]
     pictures = [draw_sources(evaluation, compared)] if compared else []
     return pictures + [draw_components(evaluation, body) for body in bodies(evaluation)]
 
 
 def draw_sources(evaluation: Evaluation, compared: list[str]) -> Figure:
-    """Driven component at the strongest line: each source's deviation from the fused value, in % and mrad."""
+    """Draw each source's deviation from the fused acceleration at the strongest line."""
     component, line = driven_component(evaluation), main_line(evaluation)
     counts = [len(by_source(evaluation, body)) for body in compared]
     drawn = empty_figure("sources", 0.95 + 0.33 * sum(counts) + 0.25 * len(compared), counts, 2)
@@ -78,7 +78,7 @@ def draw_sources(evaluation: Evaluation, compared: list[str]) -> Figure:
 
 
 def draw_components(evaluation: Evaluation, body: str) -> Figure:
-    """Six components at the strongest line in the complex plane, with 95 % ellipses of every source."""
+    """Draw six components at the strongest line in the complex plane, with 95 % ellipses."""
     line, results = main_line(evaluation), by_source(evaluation, body)
     found = {result.source: result.polar[line] for result in results}
     drawn = empty_figure(f"components-{body}", 5.9, 2, 3, shared_x=False)
@@ -96,7 +96,7 @@ def draw_components(evaluation: Evaluation, body: str) -> Figure:
 
 
 def _has_reference(evaluation: Evaluation, body: str) -> bool:
-    """Whether several instruments were fused, and the driven component stands out of its uncertainty."""
+    """Return whether several instruments were fused and the driven component exceeds its uncertainty."""
     fused = acceleration(evaluation, body, "fused")
     if fused is None or len(fused.instruments) < 2 or len(by_source(evaluation, body)) < 2:
         return False
@@ -105,7 +105,7 @@ def _has_reference(evaluation: Evaluation, body: str) -> bool:
 
 
 def _draw_deviations(left: Panel, right: Panel, results: list[Acceleration], line: int, component: int) -> None:
-    """Relative amplitude and phase differences from the first result, the fused one."""
+    """Draw relative amplitude and phase differences from the first result, the fused one."""
     names: list[str] = []
     reference = complex(results[0].phasors.value[line, component])
     for result in results:
@@ -128,7 +128,7 @@ def _draw_deviations(left: Panel, right: Panel, results: list[Acceleration], lin
 
 
 def _draw_plane(panel: Panel, known: Mapping[Source, Polar], unit: str) -> None:
-    """One component in the complex plane from every source that determines it, each with its 95 % region."""
+    """Draw one component in the complex plane from every source, with its 95 % region."""
     if not known:
         panel.text(0.5, 0.5, "not observed", colour=GREY)
         panel.x.limits = panel.y.limits = (0.0, 1.0)
@@ -149,10 +149,10 @@ def _draw_plane(panel: Panel, known: Mapping[Source, Polar], unit: str) -> None:
 
 
 def _frame(known: list[Polar], factor: float) -> tuple[complex, complex]:
-    """Corners of a square that holds the regions, and the origin where it is not far outside."""
+    """Return the corners of a square around the regions, with a near origin."""
 
     def square(points: NDArray[Any]) -> tuple[complex, float]:
-        """Middle and half a side, with some room."""
+        """Return centre and half side of a square with a margin."""
         middle = complex(points.real.max() + points.real.min(), points.imag.max() + points.imag.min()) / 2.0
         return middle, 0.6 * float(max(np.ptp(points.real), np.ptp(points.imag), 1e-300))
 
@@ -170,7 +170,7 @@ def _frame(known: list[Polar], factor: float) -> tuple[complex, complex]:
 
 
 def sensitivity_figures(evaluation: Evaluation) -> list[Figure]:
-    """All figures of the sensitivity of one recording."""
+    """Return all figures of the sensitivity of one recording."""
     sensitivity, main = evaluation.sensitivity, main_result(evaluation)
     if sensitivity is None or main is None:
         return []
@@ -184,7 +184,7 @@ def sensitivity_figures(evaluation: Evaluation) -> list[Figure]:
 
 
 def draw_curve(evaluation: Evaluation, sensitivity: Sensitivity) -> Figure:
-    """Magnitude and phase of the driven element over frequency with U (95 %), and the static value."""
+    """Draw magnitude and phase of the driven element over frequency with U."""
     component, channel = driven_component(evaluation), driven_channel(evaluation)
     what = "Sensitivity" if "element" in sensitivity.kind else "Ratio"
     label = f"output {sensitivity.channels[channel]} per load {LOAD_COMPONENTS[component]}"
@@ -221,7 +221,7 @@ def draw_curve(evaluation: Evaluation, sensitivity: Sensitivity) -> Figure:
 
 
 def draw_outputs(evaluation: Evaluation, sensitivity: Sensitivity) -> Figure:
-    """All outputs at the strongest line, relative to the driven one or to each output's rated signal."""
+    """Draw all outputs at the strongest line, relative to the driven or the rated output."""
     component, driven, line = driven_component(evaluation), driven_channel(evaluation), main_line(evaluation)
     scale, what = _output_scale(evaluation, sensitivity, driven, component)
     elements = [sensitivity_element(sensitivity, line, c, component) for c in range(len(sensitivity.channels))]
@@ -245,7 +245,7 @@ def draw_outputs(evaluation: Evaluation, sensitivity: Sensitivity) -> Figure:
 
 
 def draw_budget(evaluation: Evaluation) -> Figure | None:
-    """Budget of sensitivity or ratio at the strongest line, largest first, with each one's share of the variance."""
+    """Draw the uncertainty budget at the strongest line, with shares of the variance."""
     main, line = main_result(evaluation), main_line(evaluation)
     if main is None:
         return None
@@ -278,7 +278,7 @@ def draw_budget(evaluation: Evaluation) -> Figure | None:
 def _output_scale(
     evaluation: Evaluation, sensitivity: Sensitivity, driven: int, component: int
 ) -> tuple[FloatArray, str]:
-    """What 100 % is for each output (C,), and its name."""
+    """Return the value of 100 % for each output (C,), and its name."""
     sensor, static = evaluation.manifest.rig.sensor, static_sensitivity(evaluation)
     if static is not None and sensor is not None and sensor.capacity is not None:
         own = [LOAD_COMPONENTS.index(name) if name in LOAD_COMPONENTS else -1 for name in sensitivity.channels]
@@ -291,7 +291,7 @@ def _output_scale(
 
 
 def _draw_levels(panel: Panel, size: FloatArray, expanded: FloatArray, driven: int, bound: BoolArray) -> None:
-    """Points on a logarithmic axis; where a value may be zero (`bound`), an arrow from the end of its region."""
+    """Draw points on a logarithmic axis, and upper bounds of values that may be zero."""
     place = np.arange(len(size), dtype=np.float64)
     panel.x.log = True
     main = place == driven

@@ -1,6 +1,6 @@
-"""Shapes in the sensor frame, and three plain views of them as one SVG picture: from the front, the side, and above.
+"""Shapes in the sensor frame, and three views of them as one SVG image.
 
-Fills and strokes take the colour of the class `k-…` of their kind, which the page gives them (templates/scene.html).
+Fills and strokes have the colour of the class `k-…` of their kind, which the page defines (templates/scene.html).
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ VIEWS = (("front, seen along +y", 0, 2, -1.0), ("side, seen along −x", 1, 2, 1
 
 @dataclass(frozen=True)
 class SceneShape:
-    """Something in space: points (N, 3) in m in the sensor frame at rest, with faces and strokes that join them.
+    """Shape of one kind, at rest in the sensor frame.
 
-    `kind`: entry of the legend; `name`, `told`: what it is, with places and units; `label`: written beside it. `body`:
-    with which it moves. `faces` of a `closed` shape run counter-clockwise seen from outside; `fill`: their opacity.
-    `arrow`: the first stroke ends in a head. `dots`: at the first point, or at each. `surface`: whose deflection it
-    has.
+    `kind`: entry of the legend; `name`, `description`: with positions and units; `label`: text in the drawing. `body`:
+    the body with which it moves. `faces` of a `closed` shape run counter-clockwise seen from outside; `fill`: their
+    opacity. `arrow`: the first stroke ends in a head. `dots`: at the first point, or at each. `surface`: the surface
+    whose deflection it has.
     """
 
     kind: str
@@ -50,7 +50,10 @@ class SceneShape:
 
     @property
     def anchor(self) -> int:
-        """Return beside which point the label stands: an arrow's head, where its foot has no dot, else the first."""
+        """Index of the point of the label.
+
+        It is the head of an arrow without a dot, else the first point.
+        """
         return -1 if self.arrow and not self.dots else 0
 
 
@@ -58,10 +61,10 @@ Faces = tuple[tuple[int, ...], ...]
 
 
 def solid(mass_kg: float, centre_m: FloatArray, inertia_kgm2: FloatArray) -> tuple[FloatArray, Faces, Faces, str]:
-    """Return points, faces, edges and name of the solid cylinder or block of a mass and inertia about its centre.
+    """Return points, faces, edges and name of a solid of this mass and inertia.
 
-    Cylinder of radius r and height h: I = m·r²/2 along its axis, m·(r²/4 + h²/12) across; block of sides a, b, c:
-    I = m·(b² + c²)/12 about a. A mass without inertia is its centre.
+    Cylinder of radius r and height h: I = m·r²/2 along its axis, m·(r²/4 + h²/12) across; block of sides a, b, c: I =
+    m·(b² + c²)/12 about a. A mass without inertia is a point at its centre.
     """
     moments, axes = np.linalg.eigh(inertia_kgm2)
     if mass_kg <= 0.0 or moments[2] <= 0.0:
@@ -94,7 +97,7 @@ def make_box(sides: FloatArray) -> tuple[FloatArray, Faces, Faces]:
 
 BOX_FACES: Faces = ((3, 2, 1, 0), (4, 5, 6, 7), *((k, (k + 1) % 4, (k + 1) % 4 + 4, k + 4) for k in range(4)))
 BOX_EDGES: Faces = ((0, 1, 2, 3, 0), (4, 5, 6, 7, 4), *((k, k + 4) for k in range(4)))
-"""Of a box whose lower corners run counter-clockwise seen from above, then its upper ones."""
+"""Faces and edges of a box whose lower corners run counter-clockwise seen from above, then its upper ones."""
 
 
 def _cylinder(radius: float, height: float) -> tuple[FloatArray, Faces, Faces]:
@@ -127,12 +130,12 @@ class _Panel:
         return np.asarray(np.array(self.corner_px) + flat * np.array([1.0, -1.0]))
 
     def depth(self, points_m: FloatArray) -> float:
-        """Return how near the viewer points are, on average."""
+        """Return the mean depth of points; larger is closer to the viewer."""
         return self.towards * float(points_m[:, 3 - sum(self.axes)].mean())
 
 
 def static_views(shapes: Sequence[SceneShape]) -> Markup:
-    """Return the three views beside each other, to one scale, with axes in mm."""
+    """Return the three views next to each other, to one scale, with axes in mm."""
     points = np.concatenate([shape.points_m for shape in shapes])
     low, high = points.min(axis=0), points.max(axis=0)
     room = MARGIN * float((high - low).max()) + 1e-6
@@ -178,7 +181,7 @@ def _frame(panel: _Panel) -> Iterator[Markup]:
 
 
 def _step(least: float) -> float:
-    """Return a distance of ticks, 1, 2 or 5 times a power of ten, no less than the least."""
+    """Return a round tick distance (1, 2 or 5 times a power of ten) of at least `least`."""
     power = 10.0 ** np.floor(np.log10(least))
     return float(power * next(factor for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= least))
 
@@ -188,7 +191,7 @@ def _text(x: float, y: float, text: str, kind: str) -> Markup:
 
 
 def _drawn(panel: _Panel, shapes: Sequence[SceneShape]) -> Iterator[Markup]:
-    """Yield what a view shows, the farthest first, and the labels that have room."""
+    """Yield the shapes of a view, the farthest first, and the labels that fit."""
     for shape in sorted(shapes, key=lambda shape: panel.depth(shape.points_m)):
         yield from _strokes(panel, shape)
     taken: list[tuple[float, float, float, float]] = []
@@ -204,7 +207,7 @@ def _drawn(panel: _Panel, shapes: Sequence[SceneShape]) -> Iterator[Markup]:
 
 
 def _strokes(panel: _Panel, shape: SceneShape) -> Iterator[Markup]:
-    """Yield the outline of a closed shape or of tracked points, faces of others, lines, arrow head and dot."""
+    """Yield outlines, faces, lines, arrow head and dot of a shape."""
     flat, kind = panel.place(shape.points_m), f"k-{shape.kind}"
     if shape.closed or shape.dots == "many":
         yield _path([_hull(flat)], kind, fill=shape.fill or 0.35, closed=True)
@@ -229,7 +232,7 @@ def _path(lines: Sequence[FloatArray], kind: str, fill: float = 0.0, *, closed: 
 
 
 def _head(foot: FloatArray, tip: FloatArray, kind: str) -> Markup:
-    """Return an arrow's head; none of one that points at the viewer."""
+    """Return the head of an arrow, empty if it points at the viewer."""
     step = tip - foot
     length = float(np.hypot(*step))
     if length < 4.0:
@@ -246,7 +249,7 @@ def _hull(points: FloatArray) -> FloatArray:
 def _room(
     panel: _Panel, place: FloatArray, width: float, taken: list[tuple[float, float, float, float]]
 ) -> tuple[float, float] | None:
-    """Return where a label of a width finds room beside a place within its view, and take it; None without any."""
+    """Return a free position for a label near a point within its view, or None."""
     x, y = place.tolist()
     (left, bottom), size = panel.corner_px, (panel.high_m - panel.low_m) * panel.scale
     for dx, dy in ((5, -4), (5, 11), (-width - 5, -4), (-width - 5, 11), (-width / 2, -8), (-width / 2, 17), (5, -18)):

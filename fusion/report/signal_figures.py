@@ -35,22 +35,22 @@ from shaker.labels import typeset
 SPECTRUM_POINTS = 700
 EXCERPT_POINTS = 300
 MOST_CHANNELS = 24
-"""Channels and triggers that a figure has room for."""
+"""Largest number of channels and triggers in a figure (chosen)."""
 
 
 def channel_figures(evaluation: Evaluation) -> list[Figure]:
-    """The figure of all channels, where there are any."""
+    """Return the figure of all channels, if there are any."""
     return [draw_channels(evaluation.channels[:MOST_CHANNELS], evaluation)] if evaluation.channels else []
 
 
 def trigger_figures(evaluation: Evaluation) -> list[Figure]:
-    """The figure of all camera triggers, where there are any."""
+    """Return the figure of all camera triggers, if there are any."""
     clocks = [clock for clock in evaluation.clocks if clock.trigger is not None and len(clock.trigger.number) > 2]
     return [draw_trigger(clocks[:MOST_CHANNELS])] if clocks else []
 
 
 def draw_channels(channels: Sequence[ChannelResult], evaluation: Evaluation) -> Figure:
-    """An excerpt of every channel with its fit and the exposures, and its amplitude spectrum with the lines found."""
+    """Draw an excerpt of every channel with its fit and exposures, and its amplitude spectrum."""
     exposures = evaluation.stereo[0].time_s if evaluation.stereo and not evaluation.set_ups else np.empty(0)
     # Blocks have clocks of their own: no common axis.
     drawn = empty_figure("channels", 0.3 + 1.7 * len(channels), len(channels), (1.15, 1.0), shared_x=False)
@@ -66,7 +66,7 @@ def draw_channels(channels: Sequence[ChannelResult], evaluation: Evaluation) -> 
 
 
 def draw_trigger(clocks: Sequence[ClockResult]) -> Figure:
-    """Deviation of every trigger edge from the periodic model, for each DAQ block."""
+    """Draw the deviation of every trigger edge from the periodic model, for each DAQ block."""
     drawn = empty_figure("trigger", 0.55 + 1.35 * len(clocks), len(clocks))
     for panel, clock in zip(drawn.panels, clocks, strict=True):
         trigger = clock.trigger
@@ -87,7 +87,7 @@ def draw_trigger(clocks: Sequence[ClockResult]) -> Figure:
 
 
 def _draw_excerpt(panel: Panel, channel: ChannelResult, exposures: FloatArray) -> None:
-    """Samples and fit over a short stretch of time."""
+    """Draw samples and fit over a short time."""
     time, chosen = channel.excerpt_s, slice(0, EXCERPT_POINTS)
     if channel.unit in PREFIXED:
         factor, letter = prefix(channel.excerpt)
@@ -106,7 +106,7 @@ def _draw_excerpt(panel: Panel, channel: ChannelResult, exposures: FloatArray) -
 
 
 def _draw_spectrum(panel: Panel, channel: ChannelResult, lines: FloatArray) -> None:
-    """Amplitude spectrum on logarithmic axes with the lines marked."""
+    """Draw the amplitude spectrum on logarithmic axes with the lines marked."""
     keep = (channel.spectrum_hz > 0.0) & (channel.spectrum > 0.0)
     frequency, amplitude = channel.spectrum_hz[keep], channel.spectrum[keep]
     if not len(frequency):
@@ -132,7 +132,7 @@ def _draw_spectrum(panel: Panel, channel: ChannelResult, lines: FloatArray) -> N
 
 
 NAMES_BELOW = 24
-"""Number of points up to which each is named in the map."""
+"""Largest number of points with names in the map."""
 
 
 def point_figures(evaluation: Evaluation) -> list[Figure]:
@@ -142,7 +142,7 @@ def point_figures(evaluation: Evaluation) -> list[Figure]:
 
 
 def draw_points(spread: PointSpread, line: int, place: int) -> Figure:
-    """Map of the points, and deviations of their amplitude and phase from the mean with the best plane's."""
+    """Draw the vibrometer points, and the deviations of amplitude and phase from mean and plane."""
     height = max(2.9, 0.8 + 0.24 * len(spread.channels))
     drawn = empty_figure(f"points-{place}", height, 1, (1.15, 1.0, 1.0))
     chart, amplitude, phase = drawn.panels
@@ -163,7 +163,7 @@ def draw_points(spread: PointSpread, line: int, place: int) -> Figure:
 
 
 def _deviations(spread: PointSpread, line: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Deviations of the points from their mean, along and across it, relative to it, and their expanded uncertainty."""
+    """Return relative deviations of the points along and across their mean, and their U."""
     count = len(spread.channels)
     centre = np.kron(np.eye(2), np.eye(count) - 1.0 / count)
     every = np.broadcast_to(centre, (len(spread.mean), *centre.shape))
@@ -176,7 +176,7 @@ def _deviations(spread: PointSpread, line: int) -> tuple[FloatArray, FloatArray,
 
 
 def _draw_bars(panel: Panel, value: FloatArray, expanded: FloatArray, planned: FloatArray) -> None:
-    """Deviations with bars, and the plane's as open markers, one row per point."""
+    """Draw deviations with bars, and those of the plane as open markers."""
     rows = np.arange(len(value))
     panel.rule(0.0, along="x", colour=GREY)
     panel.points(value, rows, "point", half_x=expanded, colour=BLUE)
@@ -184,7 +184,7 @@ def _draw_bars(panel: Panel, value: FloatArray, expanded: FloatArray, planned: F
 
 
 def _draw_map(panel: Panel, spread: PointSpread, line: int) -> None:
-    """Points as seen against their direction, coloured by the deviation of their amplitude."""
+    """Draw points seen against their direction, coloured by the deviation of their amplitude."""
     first, second = (axis_name(axis) for axis in spread.axes)
     place = 1e3 * spread.place_m
     deviation = 100.0 * (np.abs(spread.value[line] / spread.mean[line]) - 1.0)

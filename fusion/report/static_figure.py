@@ -1,4 +1,4 @@
-"""A figure as a still picture: SVG text for pages and files, its axes, legend and marks written out directly."""
+"""Figures as static SVG text for pages and files."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ LABEL_PT, TITLE_PT, AXIS_PT, GRID_PT, TICK_PT, GRID = 8.5, 8.0, 0.7, 0.6, 3.5, "
 SIGN_PT, GAP_PT, ROW_PT = 12.8, 16.0, 14.4  # of the legend: sign, gap between entries, height of a row
 POWER_IN = 0.4  # room for a power of ten that is taken off the numbers of an axis
 MOST_STEPS, CLOSEST_PT = 8, 11.0
-"""Steps between the ticks of an axis, and the least distance of those beside it."""
+"""Largest number of steps between ticks of an axis, and smallest distance of vertical ones."""
 
 
 def static_svg(figure: Figure) -> str:
@@ -91,7 +91,10 @@ def static_svg(figure: Figure) -> str:
 
 
 def _room(figure: Figure, place: int, frame: PanelFrame) -> PanelRect:
-    """Where a panel stands and what its axes show; equal scales of both take from the frame or add to the limits."""
+    """Return the rectangle of a panel with the scales of its axes.
+
+    Equal scales of both axes shrink the rectangle or widen the limits.
+    """
     columns, panel = len(figure.widths), figure.panels[place]
     column = figure.panels[place % columns :: columns] if figure.shared_x else [panel]
     first = place - place % columns
@@ -111,7 +114,7 @@ def _room(figure: Figure, place: int, frame: PanelFrame) -> PanelRect:
 
 
 def _widened(ends: tuple[float, float], size: float) -> tuple[float, float]:
-    """Limits of the same middle and another size."""
+    """Return limits of the same centre and another size."""
     middle, half = 0.5 * (ends[0] + ends[1]), 0.5 * size * np.sign(ends[1] - ends[0])
     return float(middle - half), float(middle + half)
 
@@ -120,7 +123,10 @@ def _widened(ends: tuple[float, float], size: float) -> tuple[float, float]:
 
 
 def _panel(panel: Panel, room: PanelRect, name: str, inner: tuple[bool, bool], *, turned: bool) -> Iterator[str]:
-    """Yield one panel; `inner`: whether another panel has its numbers of x, of y; `name` of its window."""
+    """Yield one panel; `inner`: whether another panel has its numbers of x, of y.
+
+    `name`: identifier of its clipping path.
+    """
     x, y = room.x, room.y
     size = f'x="{x.start:.2f}" y="{y.end:.2f}" width="{x.end - x.start:.2f}" height="{y.start - y.end:.2f}"'
     yield f'<clipPath id="{name}"><rect {size}/></clipPath>\n'
@@ -152,7 +158,7 @@ def _panel(panel: Panel, room: PanelRect, name: str, inner: tuple[bool, bool], *
 
 
 class _Ticks(NamedTuple):
-    """Ticks of an axis, their texts, and the power of ten that is taken off the numbers."""
+    """Ticks of an axis, their texts, and the power of ten of the numbers."""
 
     values: FloatArray
     texts: list[str]
@@ -160,7 +166,10 @@ class _Ticks(NamedTuple):
 
     @classmethod
     def of(cls, said: PanelAxis, way: AxisScale, wide: float = 0.0) -> _Ticks:
-        """Ticks as an axis states them, or round ones that have room; `wide`: room for the numbers beside an axis."""
+        """Return the stated ticks, or round ones that fit.
+
+        `wide`: width for the numbers of a vertical axis, 0 for a horizontal one.
+        """
         low, high, length = min(way.low, way.high), max(way.low, way.high), abs(way.end - way.start)
         if said.names:
             return cls(np.arange(len(said.names), dtype=np.float64), list(said.names))
@@ -184,7 +193,7 @@ class _Ticks(NamedTuple):
 
     @classmethod
     def _numbers(cls, values: FloatArray, wide: float) -> _Ticks:
-        """Numbers as they are where they have room and a readable size, else over a power of ten."""
+        """Return plain numbers if they fit and are readable, else over a power of ten."""
         texts = number_texts(values)
         largest = float(np.max(np.abs(values), initial=0.0))
         power = int(np.floor(np.log10(largest))) if largest > 0.0 else 0
@@ -212,7 +221,7 @@ def _bottom(said: PanelAxis, room: PanelRect, ticks: _Ticks, *, hidden: bool, tu
 
 
 def _left(said: PanelAxis, room: PanelRect, ticks: _Ticks, *, hidden: bool) -> Iterator[str]:
-    """Yield ticks, numbers and label beside a panel; long numbers are smaller."""
+    """Yield ticks, numbers and label to the left of a panel; long numbers are smaller."""
     at, x = room.y(ticks.values), room.x.start
     yield path(strokes(np.column_stack([0 * at + x - TICK_PT, at, 0 * at + x, at])), stroke(BLACK, AXIS_PT))
     if hidden:
@@ -245,7 +254,7 @@ def _right(said: PanelAxis, room: PanelRect) -> Iterator[str]:
 
 
 def _bar(room: PanelRect, scale: Scale, name: str) -> Iterator[str]:
-    """Yield a bar of colours below the numbers of a panel, with its own numbers and label."""
+    """Yield a colour bar below the numbers of a panel, with numbers and label."""
     left, right, top, tall = room.x.start, room.right, room.y.start + room.bottom_margin, 7.2
     stops = scale_colours(scale)
     told = "".join(
@@ -261,7 +270,7 @@ def _bar(room: PanelRect, scale: Scale, name: str) -> Iterator[str]:
 
 
 def _legend(entries: dict[str, Mark]) -> tuple[str, float]:
-    """Return the names of all marks with their signs, in rows above the panels, and the height of these."""
+    """Return the legend of all marks, and the height of its rows."""
     left, end = 0.05 * PT * WIDTH_IN, PT * (WIDTH_IN - 0.1)
     parts, x, rows = [], left, 1 if entries else 0
     for name, mark in entries.items():
@@ -278,7 +287,7 @@ def _legend(entries: dict[str, Mark]) -> tuple[str, float]:
 
 
 def _legend_sign(mark: Mark, x: float, y: float) -> Iterable[str]:
-    """Return what stands for a mark in the legend: itself, small, at the middle of the left."""
+    """Return the symbol of a mark in the legend."""
     way, up = AxisScale(0.0, 1.0, x, x + SIGN_PT), AxisScale(-1.0, 1.0, y + 3.0, y - 3.0)
     room, half, one = PanelRect(way, up), np.array([0.5]), np.zeros(1)
     if isinstance(mark, Line | Rule):

@@ -1,4 +1,4 @@
-"""Marks of a figure as SVG: places on a sheet in pt, strokes, areas, texts, and each kind of mark."""
+"""Marks of a figure as SVG: positions in pt, strokes, areas and texts."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ from shaker.arrays import FloatArray
 
 NUMBER_PT, TEXT_PT, SMALL_PT, CAP_PT = 8.0, 7.5, 5.5, 2.5
 MANY = 200
-"""Number of points above which a line is written in less detail than can be seen."""
+"""Number of points above which a line is written with less, invisible, detail."""
 CAPPED = 500
-"""Number of points up to which bars end in strokes, those of open markers and of triangles."""
+"""Largest number of points whose error bars end in strokes (open markers and triangles)."""
 FAR_PT = 1e4
-"""Places further off the sheet than this are drawn there."""
+"""Largest coordinate; positions beyond are moved to it."""
 LEVELS = 64
-"""Colours of a scale that are told apart."""
+"""Number of different colours of a scale."""
 COLOURS = {
     "viridis": (
         "#440154", "#48186a", "#472d7b", "#424086", "#3b528b", "#33638d", "#2c728e", "#26828e", "#21918c", "#1fa088",
@@ -69,7 +69,7 @@ STROKES = {"x": ((-1, -1, 1, 1), (-1, 1, 1, -1)), "plus": ((-1, 0, 1, 0), (0, -1
 
 @dataclass(frozen=True)
 class AxisScale:
-    """How values of one axis become places on the sheet in pt: its ends, and where they stand."""
+    """Scale of one axis: the values `low` and `high` are at `start` and `end`."""
 
     low: float
     high: float
@@ -78,7 +78,7 @@ class AxisScale:
     log: bool = False
 
     def __call__(self, values: Any) -> FloatArray:
-        """Places of values; of those that a logarithm does not have, far beyond the smaller end."""
+        """Return positions of values; values without a logarithm are far beyond the smaller end."""
         values, low, high = np.asarray(values, dtype=np.float64), self.low, self.high
         if self.log:
             low, high = float(np.log10(low)), float(np.log10(high))
@@ -91,7 +91,7 @@ class AxisScale:
 
 @dataclass(frozen=True)
 class PanelRect:
-    """A panel's rectangle on the sheet in pt, both of its axes, what its frame leaves beside and below, for a title."""
+    """Rectangle of a panel in pt with the scales of both axes and its margins."""
 
     x: AxisScale
     y: AxisScale
@@ -105,11 +105,11 @@ class PanelRect:
         return self.x.end
 
     def positions(self, x: Any, y: Any) -> FloatArray:
-        """Places (N, 2) of values (N,)."""
+        """Return positions (N, 2) of values (N,)."""
         return np.column_stack([self.x(x), self.y(y)])
 
     def contains(self, places: FloatArray, reach: float = 0.0) -> Any:
-        """Whether places lie in the panel, or no further off than `reach`."""
+        """Return whether positions are in the panel, or at most `reach` outside."""
         (x, y), (a, b, c, d) = places.T, (self.x.start, self.x.end, self.y.end, self.y.start)
         return (x >= a - reach) & (x <= b + reach) & (y >= c - reach) & (y <= d + reach)
 
@@ -121,7 +121,7 @@ NARROW, WIDE = " .,:;'|!ijl()[]/−-ftrI⁻", "mwMW±%@∂∫"
 
 
 def svg_text(x: float, y: float, text: str, size: float = NUMBER_PT, align: str = "center", **look: Any) -> str:
-    """Text whose base line is at `y`, or at `x` where it is `turned` to be read upwards."""
+    """Return a text with its base line at `y` (at `x` if `turned`)."""
     turn = f' transform="rotate(-90 {x:.2f} {y:.2f})"' if look.get("turned") else ""
     anchor = {"left": "start", "center": "middle", "right": "end"}[align]
     own = f'x="{x:.2f}" y="{y:.2f}" font-size="{size:.3g}" text-anchor="{anchor}" fill="{look.get("colour", BLACK)}"'
@@ -129,34 +129,40 @@ def svg_text(x: float, y: float, text: str, size: float = NUMBER_PT, align: str 
 
 
 def width(text: str) -> float:
-    """About the width of a text over the size of its letters, in a wide sans serif."""
+    """Return the approximate width of a text over its letter size."""
     return sum(0.36 if letter in NARROW else 0.94 if letter in WIDE else 0.63 for letter in text)
 
 
 def half_height(size: float) -> float:
-    """How far the base line of a text stands below the middle of its digits."""
+    """Return the distance from a text's base line to its middle."""
     return 0.365 * size
 
 
 def stroke(colour: str, width: float, *, dashed: bool = False) -> str:
-    """Look of a line, its dashes as long as it is wide five times."""
+    """Return the attributes of a line.
+
+    Dashes are five times as long as the line is wide.
+    """
     dash = f' stroke-dasharray="{5.0 * width:.3g} {3.0 * width:.3g}"' if dashed else ""
     return f'stroke="{colour}" stroke-width="{width:.3g}"{dash}'
 
 
 def path(d: str, look: str) -> str:
-    """Element of a path with its look; nothing of an empty one."""
+    """Return a path element with its attributes, empty for an empty path."""
     return f'<path d="{d}" {look}/>' if d else ""
 
 
 def strokes(ends: FloatArray) -> str:
-    """Path of straight strokes (N, 4) from x, y to x, y."""
+    """Return the path of straight strokes (N, 4) from x, y to x, y."""
     rows = ends[np.isfinite(ends).all(axis=1)].tolist()
     return "".join(f"M{a:.2f} {b:.2f}L{c:.2f} {d:.2f}" for a, b, c, d in rows)
 
 
 def _chain(places: FloatArray) -> str:
-    """Path through places (N, 2), interrupted where there are none; of many points in steps of a tenth of a pt."""
+    """Return the path through positions (N, 2), interrupted at NaN.
+
+    Many points are rounded to a tenth of a pt.
+    """
     parts, many = [], len(places) > MANY
     for known, run in groupby(places.tolist(), lambda place: place[0] == place[0] and place[1] == place[1]):
         if known:
@@ -167,7 +173,7 @@ def _chain(places: FloatArray) -> str:
 
 
 def _steps(points: Sequence[Sequence[float]]) -> str:
-    """Path through points by steps from each to the next."""
+    """Return the path through points by relative steps."""
     x, y = round(10.0 * points[0][0]), round(10.0 * points[0][1])
     parts = [f"M{x / 10:g} {y / 10:g}l"]
     for point in points[1:]:
@@ -179,13 +185,13 @@ def _steps(points: Sequence[Sequence[float]]) -> str:
 
 
 def polygons(corners: FloatArray) -> str:
-    """Path of polygons (N, C, 2)."""
+    """Return the path of polygons (N, C, 2)."""
     kept = corners[np.isfinite(corners).all(axis=(1, 2))].tolist()
     return "".join("M" + "L".join(f"{x:.2f} {y:.2f}" for x, y in polygon) + "Z" for polygon in kept)
 
 
 def _signs(places: FloatArray, marker: str, size: float, colour: str, *, edge: float, empty: bool = False) -> str:
-    """Markers at places (N, 2): filled unless `empty`, with an edge of some width; strokes have no filling."""
+    """Return markers at positions (N, 2), filled unless `empty`."""
     half = 0.5 * size
     if marker in STROKES:
         own = half * np.array(STROKES[marker], dtype=np.float64)
@@ -209,20 +215,20 @@ def _signs(places: FloatArray, marker: str, size: float, colour: str, *, edge: f
 
 
 def scale_colours(scale: Scale) -> FloatArray:
-    """Red, green and blue (N, 3) of a scale at equal steps."""
+    """Return red, green and blue (N, 3) of a scale at equal steps."""
     names = COLOURS[scale.colours] if isinstance(scale.colours, str) else scale.colours
     return np.array([[int(name[k : k + 2], 16) for k in (1, 3, 5)] for name in names], dtype=np.float64)
 
 
 def shade(scale: Scale, share: float) -> str:
-    """Colour at a share of a scale."""
+    """Return the colour at a share of a scale."""
     stops = scale_colours(scale)
     at = share * (len(stops) - 1)
     return "#" + "".join(f"{round(float(np.interp(at, range(len(stops)), part))):02x}" for part in stops.T)
 
 
 def _shaded(scale: Scale, values: FloatArray) -> Iterator[tuple[str, Any]]:
-    """Yield every colour that values have, with which of them have it; unknown ones are grey."""
+    """Yield every colour of some values with a mask of these; NaN is grey."""
     way = AxisScale(scale.low, scale.high, 0.0, 1.0, scale.log)
     share = np.clip(way(values), 0.0, 1.0)
     level = np.where(np.isnan(share), -1.0, np.round(share * (LEVELS - 1)))
@@ -270,7 +276,7 @@ def _bounds(room: PanelRect, mark: Bounds) -> Iterator[str]:
 
 
 def _heads(start: FloatArray, end: FloatArray, size: float, colour: str) -> str:
-    """Heads of arrows between places (N, 2), of short ones half as long as they are."""
+    """Return the heads of arrows between positions (N, 2)."""
     along = end - start
     length = np.hypot(*along.T)[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -288,7 +294,7 @@ def _band(room: PanelRect, mark: Band) -> Iterator[str]:
 
 
 def strokes_across(room: PanelRect, values: Any, along: str) -> FloatArray:
-    """Strokes (N, 4) across the whole panel at values of x or y."""
+    """Return strokes (N, 4) across the whole panel at values of x or y."""
     at = (room.x if along == "x" else room.y)(values)
     way = room.y if along == "x" else room.x
     start, end = np.full_like(at, way.start), np.full_like(at, way.end)
@@ -367,4 +373,4 @@ DRAWN: dict[type[Mark], Callable[[PanelRect, Any], Iterator[str]]] = {
     Image: _image,
 }
 HEIGHTS = ((Image,), (Span,), (), (Band, Boxes, Ellipses), (Line, Rule, Bounds, Arrows), (Points,), (Texts,))
-"""What lies below what; the grid is the third."""
+"""Drawing order of marks, lowest first; the grid is the third."""

@@ -1,4 +1,4 @@
-"""Tables and headlines of a recording's report: sensitivity, acceleration, load, cameras, lines, channels, clocks."""
+"""Tables and headlines of a recording's report."""
 
 from __future__ import annotations
 
@@ -49,10 +49,10 @@ from shaker.timebase.trigger import TriggerFit
 
 
 def driven_component(evaluation: Evaluation) -> int:
-    """Place of the driven component among x, y, z, rx, ry, rz.
+    """Return the index of the driven component among x, y, z, rx, ry, rz.
 
-    The largest element of the excitation's direction, forces and moments in shares of the rated loads; where none is
-    stated, the translation that moves most.
+    It is the largest element of the excitation's direction, forces and moments relative to the rated loads; if no
+    direction is stated, the largest translation.
     """
     direction, sensor = evaluation.manifest.excitation.direction, evaluation.manifest.rig.sensor
     if direction is not None:
@@ -63,10 +63,10 @@ def driven_component(evaluation: Evaluation) -> int:
 
 
 def driven_channel(evaluation: Evaluation) -> int:
-    """Place of the sensor output that belongs to the driven component.
+    """Return the index of the sensor output of the driven component.
 
-    The largest static sensitivity decides where one is given, else the only element, else the largest ratio at the main
-    line.
+    It has the largest static sensitivity if that is stated, else it is the only element, else it has the largest ratio
+    at the main line.
     """
     found, element = evaluation.sensitivity, evaluation.element
     if found is None:
@@ -81,9 +81,9 @@ def driven_channel(evaluation: Evaluation) -> int:
 
 
 def main_result(evaluation: Evaluation) -> tuple[Sensitivity, int] | None:
-    """What comes nearest to the sensor's sensitivity, and the place of the driven output in it; None without any.
+    """Return the result closest to the sensor's sensitivity, and the driven output's index.
 
-    The sensor's element where the main line has one, else the ratio.
+    It is the sensor's element if the main line has one, else the ratio; None without any.
     """
     if evaluation.sensitivity is None:
         return None
@@ -95,7 +95,9 @@ def main_result(evaluation: Evaluation) -> tuple[Sensitivity, int] | None:
 
 
 def result_name(kind: str, channel: str, component: str, *, main: bool) -> str:
-    """What a row of sensitivities is called: only what is the sensor's own is called an element.
+    """Return the name of a row of sensitivities.
+
+    Only elements of the sensor are named as such.
 
     `kind` as in sensitivity.csv; `main`: whether the output belongs to the load.
     """
@@ -105,7 +107,7 @@ def result_name(kind: str, channel: str, component: str, *, main: bool) -> str:
 
 
 def main_line(evaluation: Evaluation) -> int:
-    """Place of the strongest line: the largest driven fused acceleration of the load, else the first line."""
+    """Return the index of the line with the strongest driven acceleration."""
     result = acceleration(evaluation, "load", "fused") or next(iter(evaluation.accelerations), None)
     if result is None:
         return 0
@@ -114,7 +116,7 @@ def main_line(evaluation: Evaluation) -> int:
 
 
 def acceleration(evaluation: Evaluation, body: str, source: str) -> Acceleration | None:
-    """Acceleration of one body from one source, None where there is none."""
+    """Return the acceleration of one body from one source, or None."""
     for result in evaluation.accelerations:
         if (result.body, result.source) == (body, source):
             return result
@@ -122,19 +124,22 @@ def acceleration(evaluation: Evaluation, body: str, source: str) -> Acceleration
 
 
 def bodies(evaluation: Evaluation) -> list[str]:
-    """Bodies whose acceleration was determined, in order of appearance."""
+    """Return the bodies with an acceleration, in order of appearance."""
     return list(dict.fromkeys(result.body for result in evaluation.accelerations))
 
 
 def by_source(evaluation: Evaluation, body: str) -> list[Acceleration]:
-    """Results of one body, fused first; only the fused one where it rests on a single instrument."""
+    """Return the results of one body, fused first.
+
+    With a single instrument only the fused one.
+    """
     results = [result for result in evaluation.accelerations if result.body == body]
     fused = acceleration(evaluation, body, "fused")
     return [fused] if fused is not None and len(fused.instruments) < 2 and len(results) < 3 else results
 
 
 def static_sensitivity(evaluation: Evaluation) -> np.typing.NDArray[np.float64] | None:
-    """Static sensitivity (C, 6) of the outputs evaluated, None where the rig states none."""
+    """Return the static sensitivity (C, 6) of the evaluated outputs, or None."""
     sensor, found = evaluation.manifest.rig.sensor, evaluation.sensitivity
     if sensor is None or found is None or sensor.static_sensitivity is None:
         return None
@@ -143,13 +148,13 @@ def static_sensitivity(evaluation: Evaluation) -> np.typing.NDArray[np.float64] 
 
 
 def static_value(evaluation: Evaluation, channel: int, component: int) -> float | None:
-    """One element of the static sensitivity, None where it is not stated or zero."""
+    """Return one element of the static sensitivity, None if it is not stated or zero."""
     static = static_sensitivity(evaluation)
     return float(static[channel, component]) if static is not None and static[channel, component] != 0.0 else None
 
 
 def sensitivity_element(sensitivity: Sensitivity, line: int, channel: int, component: int) -> Polar:
-    """One element of the sensitivity at one line, as magnitude and phase."""
+    """Return one element of the sensitivity at one line as magnitude and phase."""
     element = sensitivity.polar[line][sensitivity.elements.index((channel, component))]
     if element is None:
         raise ValueError(f"line {line}: expected a value of element ({channel}, {component}), found none")
@@ -162,11 +167,11 @@ def sensitivity_element(sensitivity: Sensitivity, line: int, channel: int, compo
 PREFIXED = {*(transducer.unit for transducer in TRANSDUCERS.values()), "N", "V"}
 """Units that take an SI prefix."""
 Facts: TypeAlias = dict[str, Callable[[R], str]]
-"""What is told of an item, by the name of its row."""
+"""Texts about an item, by the name of the row."""
 
 
 def headlines(evaluation: Evaluation) -> list[Headline]:
-    """The results to remember: sensitivity and phase, deviation from static, acceleration, load."""
+    """Return the main results: sensitivity, phase, deviation from static, acceleration, load."""
     component, line = driven_component(evaluation), main_line(evaluation)
     main = main_result(evaluation)
     found = [] if main is None else _sensitivity_headlines(evaluation, main[0], line)
@@ -185,7 +190,7 @@ def headlines(evaluation: Evaluation) -> list[Headline]:
 
 
 def sensitivity_table(evaluation: Evaluation) -> Table | None:
-    """Elements and ratios of all outputs at the driven lines, the driven output at harmonics; all of one load."""
+    """Return elements and ratios at the driven lines, and the driven output at harmonics."""
     ratios = evaluation.sensitivity
     if ratios is None:
         return None
@@ -210,7 +215,7 @@ def sensitivity_table(evaluation: Evaluation) -> Table | None:
 
 
 def source_tables(evaluation: Evaluation) -> list[Table]:
-    """Per body: six components at the strongest line in one unit of length and one of angle, one column per source."""
+    """Return one table per body: six components at the strongest line, one column per source."""
     line = main_line(evaluation)
     tables = []
     for body in bodies(evaluation):
@@ -230,7 +235,7 @@ def source_tables(evaluation: Evaluation) -> list[Table]:
 
 
 def _source_cell(element: Polar | None, exponent: int) -> str:
-    """Amplitude in units of a power of ten, phase and factor below each other; a dash for what is not determined."""
+    """Return amplitude, phase and factor in one cell, or a dash."""
     if element is None:
         return DASH
     amplitude, turn, k_factor = polar_cells(element, exponent)
@@ -239,7 +244,7 @@ def _source_cell(element: Polar | None, exponent: int) -> str:
 
 
 def load_table(evaluation: Evaluation) -> Table | None:
-    """Load at the strongest line, and its driven component at the others."""
+    """Return the load at the strongest line, and its driven component at the others."""
     load, rows = evaluation.load, []
     if load is None:
         return None
@@ -256,24 +261,24 @@ def load_table(evaluation: Evaluation) -> Table | None:
 
 
 def side_by_side(caption: str, heads: Sequence[str], facts: Facts[R], items: Sequence[R]) -> Table:
-    """Return named facts of several items down, the items across under their heads."""
+    """Return a table of facts in rows with one column per item."""
     rows = tuple((name, *(told(item) for item in items)) for name, told in facts.items())
     return Table(caption, ("", *heads), "l" + "r" * len(items), rows)
 
 
 def stereo_table(stereo: Sequence[StereoResult]) -> Table | None:
-    """Key figures of the stereo pairs, one column each."""
+    """Return key figures of the stereo pairs, one column each."""
 
     def frames(pair: StereoResult) -> str:
         return f"{len(pair.time_s)}, {np.sum(~np.isfinite(pair.motion.pose).all(axis=1))}"
 
     def exposure(pair: StereoResult) -> str:
-        """As stated, or as measured with U."""
+        """Return the exposure as stated, or as measured with U."""
         stated = pair.u_exposure_s == 0.0
         return f"{1e6 * pair.exposure_s:g}" if stated else microseconds(pair.exposure_s, pair.u_exposure_s)
 
     def noise(pair: StereoResult, name: str, power: float) -> str:
-        """A power of one parameter of the noise models, left and right camera."""
+        """Return a power of one parameter of the noise models, left and right camera."""
         values = [getattr(model, name) for model in pair.noise]
         return ", ".join(number(value**power) for value in values) if values and min(values) > 0.0 else DASH
 
@@ -302,9 +307,9 @@ def stereo_table(stereo: Sequence[StereoResult]) -> Table | None:
 
 
 def shape_tables(evaluation: Evaluation) -> list[Table]:
-    """How bodies deform in shapes that all pixels tell, at the strongest line and wherever they surely do.
+    """Return tables of deformation shapes at the strongest line and where they are significant.
 
-    A table for each set of shapes: the plain ones, and the modes that a pair measures.
+    There is one table for each set of shapes: the plain ones, and the modes that a pair measures.
     """
     rows, line = dict[tuple[str, ...], list[tuple[str, ...]]](), main_line(evaluation)
     for pair in evaluation.stereo:
@@ -327,7 +332,7 @@ def shape_tables(evaluation: Evaluation) -> list[Table]:
 
 
 def _sensitivity_headlines(evaluation: Evaluation, found: Sensitivity, line: int) -> list[Headline]:
-    """Magnitude with its deviation from the static value, and phase."""
+    """Return magnitude with its deviation from the static value, and phase."""
     channel, component = driven_channel(evaluation), driven_component(evaluation)
     if not np.isfinite(found.value[line, channel, component]):
         return []
@@ -345,7 +350,7 @@ def _sensitivity_headlines(evaluation: Evaluation, found: Sensitivity, line: int
 
 
 def _over_static(evaluation: Evaluation, found: Sensitivity, line: int, element: tuple[int, int]) -> Polar | None:
-    """Return an element of a line over its static value; None where none is stated."""
+    """Return an element of a line over its static value; None if none is stated."""
     sensor, static = evaluation.manifest.rig.sensor, static_sensitivity(evaluation)
     if sensor is None or static is None or static[element] == 0.0:
         return None
@@ -358,17 +363,17 @@ def _over_static(evaluation: Evaluation, found: Sensitivity, line: int, element:
 
 
 def deviation(relative: Polar) -> str:
-    """Deviation of a magnitude from static in per cent."""
+    """Return the deviation of a magnitude from static in per cent."""
     return quantity_html(100.0 * (relative.magnitude - 1.0), 100.0 * relative.expanded_magnitude, "%").striptags()
 
 
 def _relative(element: Polar) -> str:
-    """Relative expanded uncertainty of a magnitude, with its coverage factor."""
+    """Return the relative expanded uncertainty of a magnitude with its coverage factor."""
     return f"U = {100.0 * element.expanded_magnitude / element.magnitude:.2g} % (k = {element.k:.2f})"
 
 
 def takes_table(evaluation: Evaluation) -> Table | None:
-    """Return frequency, amplitude and phase of the reference at the driven lines of every take; None without takes."""
+    """Return the reference at the driven lines of every take; None without takes."""
     takes = evaluation.set_ups
     if not takes:
         return None
@@ -388,7 +393,7 @@ def takes_table(evaluation: Evaluation) -> Table | None:
 
 
 def supports_table(evaluation: Evaluation) -> Table | None:
-    """Return the motion of what carries cameras and lasers, at every line; None where nothing at rest tells of it."""
+    """Return the measured motion of the supports of cameras and lasers, or None."""
     rows = []
     for moved in evaluation.supports:
         spread = Uncertainty((Contribution("", "A", moved.phasors.covariance, moved.phasors.dof),))
@@ -424,13 +429,13 @@ def supports_table(evaluation: Evaluation) -> Table | None:
 
 
 OTHER_LINES = 30
-"""Lines without results that are listed, those that stand out most."""
+"""Largest number of lines without results in the table, by signal-to-noise ratio."""
 LEAST_CHANCE = 1e-4
-"""Below it, a chance is only said to be smaller."""
+"""Smallest probability that is printed; below it only this bound."""
 
 
 def lines_table(evaluation: Evaluation) -> Table:
-    """The lines evaluated, the others that stand out most, and why."""
+    """Return the evaluated lines, and the strongest other lines with the reason."""
     lines, others = evaluation.lines, evaluation.lines.others
     rows = [
         (float(f), (quantity_html(f, 2.0 * u), f"{nominal:g}", str(int(multiple)), "result", why))
@@ -451,7 +456,7 @@ def lines_table(evaluation: Evaluation) -> Table:
 
 
 def channels_table(evaluation: Evaluation) -> Table | None:
-    """Every DAQ channel at the strongest line."""
+    """Return every DAQ channel at the strongest line."""
     line, rows = main_line(evaluation), []
     for channel in evaluation.channels:
         value = complex(channel.phasors.value[line, 0])
@@ -469,7 +474,7 @@ def channels_table(evaluation: Evaluation) -> Table | None:
 
 
 def drift_table(evaluation: Evaluation) -> Table | None:
-    """Return the changes of the driven lines over the record, one row per instrument; None without any."""
+    """Return the changes of the driven lines over the record, one row per instrument."""
     drifts = line_stationarity(evaluation.channels, evaluation.stereo, evaluation.lines, evaluation.clocks)
     columns: list[TableColumn[LineStationarity]] = [
         page_column("instrument", lambda drift: drift.name, "l"),
@@ -490,7 +495,7 @@ def drift_table(evaluation: Evaluation) -> Table | None:
 
 
 def clocks_table(evaluation: Evaluation) -> Table | None:
-    """Triggers and ties of the DAQ blocks, one column each."""
+    """Return triggers and ties of the DAQ blocks, one column each."""
 
     def of_trigger(told: Callable[[TriggerFit], str], none: str = DASH) -> Callable[[ClockResult], str]:
         return lambda clock: none if clock.trigger is None else told(clock.trigger)
@@ -502,7 +507,7 @@ def clocks_table(evaluation: Evaluation) -> Table | None:
         return 2.0 * float(np.sqrt(trigger.covariance[parameter, parameter]))
 
     def offset(clock: ClockResult) -> str:
-        """Against the first block, in the middle of the common edges."""
+        """Return the offset from the first block, at the middle of the common edges."""
         tie = clock.tie
         if tie is None:
             return "time base" if clock is evaluation.clocks[0] else "time base of its take"

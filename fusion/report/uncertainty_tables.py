@@ -1,4 +1,4 @@
-"""Tables on what results rest: agreement of instruments, budgets, parallel vibrometer points, Monte Carlo."""
+"""Tables of uncertainty: agreement of instruments, budgets, vibrometer points, Monte Carlo."""
 
 from __future__ import annotations
 
@@ -55,11 +55,11 @@ from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, typeset
 
 
 LONGEST = 15
-"""Most unknowns that one table lists: those that deviate most."""
+"""Largest number of unknowns in a table, those with the largest deviations."""
 
 
 def consistency_tables(evaluation: Evaluation) -> list[Table]:
-    """Return the tables on chi-square, every instrument, scatter, and what the data say of the stated unknowns."""
+    """Return tables of chi-square, instruments, scatter and tested unknowns."""
     fused = [result for result in evaluation.accelerations if result.source == "fused"]
     found = (
         chi_square_table(evaluation),
@@ -73,7 +73,7 @@ def consistency_tables(evaluation: Evaluation) -> list[Table]:
 
 
 def chi_square_table(evaluation: Evaluation) -> Table | None:
-    """Agreement of all instruments of a result together."""
+    """Return the agreement of all instruments of a result."""
     rows = tuple(
         (result.body, result.source, ", ".join(result.instruments), f"{result.chi2:.1f}", str(result.dof))
         for result in evaluation.accelerations
@@ -84,7 +84,7 @@ def chi_square_table(evaluation: Evaluation) -> Table | None:
 
 
 def consistency_table(evaluation: Evaluation) -> Table | None:
-    """How each instrument agrees with the others."""
+    """Return the agreement of each instrument with the others."""
 
     def use(entry: Consistency) -> str:
         if not entry.used:
@@ -108,7 +108,7 @@ def consistency_table(evaluation: Evaluation) -> Table | None:
 
 
 def _explanations_table(results: list[Acceleration]) -> Table | None:
-    """What the readings say without each suspect, where instruments contradict each other."""
+    """Return the results without each suspect, for instruments that contradict each other."""
     rows = []
     for result in results:
         frequencies, units = result.phasors.frequency_hz, result.phasors.unit
@@ -130,7 +130,7 @@ def _explanations_table(results: list[Acceleration]) -> Table | None:
 
 
 def _scatter_table(results: list[Acceleration]) -> Table | None:
-    """Instruments whose readings scatter beyond what is stated of them."""
+    """Return the instruments with scatter beyond the stated uncertainty."""
     rows = []
     for result in results:
         for scatter in result.scatter:
@@ -145,7 +145,7 @@ def _scatter_table(results: list[Acceleration]) -> Table | None:
 
 
 def _estimates_table(results: list[Acceleration]) -> Table | None:
-    """What the readings say of the unknowns that they can test."""
+    """Return the estimates of the unknowns that the readings can test."""
     rows = []
     for result in results:
         tested = [u for u in result.unknowns if u.remaining < REMAINING and np.isfinite(u.deviation)]
@@ -168,7 +168,7 @@ def _estimates_table(results: list[Acceleration]) -> Table | None:
 
 
 def _untested_table(results: list[Acceleration]) -> Table | None:
-    """Unknowns that matter and that nothing in these data tests."""
+    """Return the important unknowns that these data do not test."""
     columns: list[TableColumn[tuple[str, Untested]]] = [
         page_column("body", lambda row: row[0], "l"),
         page_column("unknown", lambda row: row[1].name, "l"),
@@ -188,13 +188,13 @@ def _untested_table(results: list[Acceleration]) -> Table | None:
 
 
 SMALLEST_SHARE = 0.05
-"""Share of the variance in % from which a contribution has a row of its own."""
+"""Share of the variance in % from which a contribution has a separate row."""
 SMALLEST_SLOPE = 1e-6
-"""Share of the variance in % below which a sensitivity coefficient is rounding."""
+"""Share of the variance in % below which a sensitivity coefficient is a rounding error."""
 
 
 def budget_tables(evaluation: Evaluation) -> list[Table]:
-    """Budgets of sensitivity (or ratio), load and acceleration at the strongest line, largest contributions first."""
+    """Return the budgets of sensitivity (or ratio), load and acceleration at the strongest line."""
     line, component = main_line(evaluation), driven_component(evaluation)
     main, load = main_result(evaluation), evaluation.load
     motion = acceleration(evaluation, "load", "fused")
@@ -216,9 +216,9 @@ def budget_tables(evaluation: Evaluation) -> list[Table]:
 
 
 def _budget_table(entries: Sequence[BudgetEntry], line: int, place: int, what: str, frequency_hz: float) -> Table:
-    """One budget: what acts, how much of it, how it acts, and what it contributes to magnitude and phase.
+    """Return one budget: contributions, their inputs, coefficients, and shares in magnitude and phase.
 
-    One recording tells neither what repeating it nor what mounting anew would change.
+    Influences that one recording cannot assess, such as repeatability and a new mounting, are listed without a number.
     """
     u = np.array([[entry.u_relative[line, place], entry.u_phase_rad[line, place]] for entry in entries])
     total = np.sqrt(np.sum(u**2, axis=0))
@@ -245,12 +245,12 @@ def _budget_table(entries: Sequence[BudgetEntry], line: int, place: int, what: s
 
 
 def _contribution(u: FloatArray, share: FloatArray) -> tuple[str, str, str, str]:
-    """Contribution (2,) to relative magnitude and phase, each with its share of the variance in %."""
+    """Return the contribution (2,) to magnitude and phase, each with its share in %."""
     return small(100.0 * u[0]), f"{share[0]:.1f}", small(1e3 * u[1]), f"{share[1]:.1f}"
 
 
 def _input(entry: BudgetEntry) -> str:
-    """Standard uncertainty of the unknown with its unit; a dash for noise."""
+    """Return the standard uncertainty of the unknown with its unit; a dash for noise."""
     if not np.isfinite(entry.u):
         return f"{entry.count} unknowns" if entry.count > 1 else DASH
     unit = "" if entry.unit == "1" else typeset(entry.unit)
@@ -259,14 +259,14 @@ def _input(entry: BudgetEntry) -> str:
 
 
 def _slope(value: float, share: float) -> str:
-    """Sensitivity coefficient, with its sign; of what contributes nothing only that it is about zero."""
+    """Return a sensitivity coefficient with its sign, or that it is about zero."""
     if not np.isfinite(value):
         return DASH
     return short(value) if share >= SMALLEST_SLOPE else "≈ 0"
 
 
 def other_loads_table(evaluation: Evaluation) -> Table | None:
-    """What the other load components explain of each output at the strongest line, by the static sensitivity."""
+    """Return the share of the other loads in each output at the strongest line."""
     sensitivity, outputs, load = evaluation.sensitivity, evaluation.outputs, evaluation.load
     sensor, static = evaluation.manifest.rig.sensor, static_sensitivity(evaluation)
     if sensitivity is None or outputs is None or load is None or sensor is None or static is None:
@@ -298,7 +298,7 @@ def other_loads_table(evaluation: Evaluation) -> Table | None:
 
 
 def point_tables(evaluation: Evaluation) -> list[Table]:
-    """Per group of parallel points: the points at the strongest line, their spread at every line, their ratios."""
+    """Return tables of each group of parallel points: points, spread and ratios."""
     tables: list[Table | None] = []
     for spread in evaluation.points:
         tables += [_points_table(spread, main_line(evaluation)), _spread_table(spread)]
@@ -308,13 +308,13 @@ def point_tables(evaluation: Evaluation) -> list[Table]:
 
 
 def available_elements(value: ComplexArray, uncertainty: Uncertainty) -> list[list[Polar]]:
-    """Return values (K, C), all of them known, as magnitude and phase with their uncertainty."""
+    """Return finite values (K, C) as magnitude and phase with their uncertainty."""
     lines = polar_elements(value, uncertainty)
     return [[element for element in row if element is not None] for row in lines]
 
 
 def _points_table(spread: PointSpread, line: int) -> Table | None:
-    """Every point at one line: where it is, what it measures, how far it is from the mean and from the plane."""
+    """Return every point at one line: position, value, deviations from mean and plane."""
     first, second = (axis_name(axis) for axis in spread.axes)
     points = available_elements(spread.value, spread.uncertainty)[line]
     ratio, left = (values[line] / spread.mean[line] for values in (spread.value, spread.residual))
@@ -333,7 +333,7 @@ def _points_table(spread: PointSpread, line: int) -> Table | None:
 
 
 def _spread_table(spread: PointSpread) -> Table | None:
-    """Mean, spread, rocking and what the plane leaves at every line."""
+    """Return mean, spread, rocking and residual of the plane at every line."""
     planes = available_elements(spread.plane, spread.plane_uncertainty)
 
     def turn(line: int, axis: int) -> str:
@@ -360,7 +360,7 @@ def _spread_table(spread: PointSpread) -> Table | None:
 
 
 def _ratios_table(spread: PointSpread, ratios: PointRatios) -> Table | None:
-    """Mean and standard deviation of the points' ratios beside the ratio of the fused motion."""
+    """Return mean and standard deviation of the points' ratios, compared with the fused ratio."""
     exponent = common_exponent(ratios.value)
     mean = ratios.value.mean(axis=1, keepdims=True)
     count = ratios.value.shape[1]
@@ -390,7 +390,7 @@ def _title(spread: PointSpread) -> str:
 
 
 def _left(spread: PointSpread, share: float) -> str:
-    """What a plane leaves, in per cent; a dash where there are no more points than it needs."""
+    """Return the residual of a plane in per cent; a dash without degrees of freedom."""
     return number(100.0 * share) if len(spread.channels) > FEWEST_POINTS else DASH
 
 
@@ -398,13 +398,13 @@ def _left(spread: PointSpread, share: float) -> str:
 
 
 def monte_carlo_tables(evaluation: Evaluation) -> list[Table]:
-    """Return one table per result: sensitivity first, then load and acceleration of each body; none without a run."""
+    """Return one table per result of a Monte Carlo run, sensitivity first."""
     run = evaluation.monte_carlo
     return [] if run is None else [_table(result, run.draws) for result in reversed(run.results)]
 
 
 def _table(result: Propagated, draws: int) -> Table:
-    """Both intervals of magnitude and phase of every quantity at every driven line, the region, and the verdict."""
+    """Return both intervals of every quantity at every driven line, the region, and the verdict."""
     rows = []
     for line, frequency in enumerate(result.frequency_hz):
         for element, name in enumerate(result.elements):
@@ -424,7 +424,7 @@ def _table(result: Propagated, draws: int) -> Table:
 
 
 def _verdict(result: Propagated, draws: int, line: int, element: int) -> str:
-    """Whether first-order propagation holds: in how many digits both ways agree, or that only the region is judged."""
+    """Return whether first-order propagation is valid, with the number of common digits."""
     too_small = result.rejected_parts(draws, line, element, too_small=True)
     if too_small:
         return f"first-order U too small: {', '.join(too_small)}"
@@ -438,7 +438,7 @@ def _verdict(result: Propagated, draws: int, line: int, element: int) -> str:
 
 
 def _real_cells(spread: RealSpread, line: int, element: int) -> list[str]:
-    """Interval of the draws, that of first-order propagation, and the larger distance of their ends over u."""
+    """Return both intervals, and the larger distance of their ends over u."""
     ends = [float(end[line, element]) for end in (spread.low, spread.high, spread.first_low, spread.first_high)]
     u = float(spread.first_u[line, element])
     apart = float(max(spread.d_low[line, element], spread.d_high[line, element]))
@@ -447,7 +447,7 @@ def _real_cells(spread: RealSpread, line: int, element: int) -> list[str]:
 
 
 def _interval(low: float, high: float, u: float) -> str:
-    """Two ends with the digits that u deserves, and their power of ten."""
+    """Return two ends with the digits that u justifies, and their power of ten."""
     exponent = round_to_uncertainty(max(abs(low), abs(high)), u).exponent
     texts = [round_to_uncertainty(end, u, exponent).value for end in (low, high)]
     if exponent:
@@ -459,7 +459,7 @@ def _interval(low: float, high: float, u: float) -> str:
 
 
 def _as_stated(item: UncertainInput) -> str:
-    """How an uncertainty is stated, and where it comes from."""
+    """Return the form and the source of a stated uncertainty."""
     own = item.stated
     if own is None:
         return "u"
@@ -469,7 +469,7 @@ def _as_stated(item: UncertainInput) -> str:
 
 
 def inputs_table(inputs: Sequence[UncertainInput]) -> Table | None:
-    """Every uncertain input as it is used, with U = 2·u beside u; what is relative in per cent."""
+    """Return every uncertain input as it is used, with u and U = 2·u."""
 
     def told(item: UncertainInput, factor: float) -> str:
         sizes = factor * np.unique(np.ravel(item.u))

@@ -1,4 +1,4 @@
-"""Results and recordings as universal files (UFF) for programs of modal analysis (`shakercal export`)."""
+"""Export of results and recordings as universal files (UFF, `shakercal export`)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ ALONG = 1e-9
 
 
 class UniversalExport(NamedTuple):
-    """What a universal file holds: functions, nodes with their places, shapes."""
+    """Content of a universal file: functions, nodes with positions, shapes."""
 
     functions: list[UniversalFunction]
     nodes: dict[int, FloatArray]
@@ -37,7 +37,7 @@ class UniversalExport(NamedTuple):
 
 
 def export_universal(path: Path, output: Path, *, text: bool = False, force: bool = False) -> UniversalExport:
-    """Write results or a recording, whichever lies at `path`, as a universal file, and return what it holds.
+    """Write results or a recording as a universal file and return its content.
 
     `text`: functions as data set 58 instead of 58b.
     """
@@ -53,7 +53,7 @@ def export_universal(path: Path, output: Path, *, text: bool = False, force: boo
 
 
 def _exported(path: Path) -> UniversalExport:
-    """What lies at a path."""
+    """Return the content for a path."""
     readers = {
         CAMPAIGN_FILE: _of_results,
         RESULT_FILE: _of_results,
@@ -76,7 +76,10 @@ def _titles(name: str, what: str, how: str = PHASORS) -> tuple[str, ...]:
 
 
 def _of_results(file: Path) -> UniversalExport:
-    """Sensitivities over frequency: response a node for each output, reference the load at the origin."""
+    """Return sensitivities over frequency.
+
+    Each output is a response node, the load the reference at the origin.
+    """
     results = read_results(file)
     every = [*([results.sensitivity] if results.sensitivity else []), *([results.element] if results.element else [])]
     every += results.curve
@@ -89,7 +92,7 @@ def _of_results(file: Path) -> UniversalExport:
 
 
 def _of_phasors(name: str, found: LabelledPhasors, outputs: Sequence[str]) -> Iterator[UniversalFunction]:
-    """One function for each element, without the lines at which it is no result."""
+    """Yield one function for each element, without lines that have no result."""
     for e, (channel, component) in enumerate(zip(found.channel, found.component, strict=True)):
         known = np.isfinite(found.value[:, e])
         if known.any():
@@ -108,7 +111,7 @@ def _of_phasors(name: str, found: LabelledPhasors, outputs: Sequence[str]) -> It
 
 
 def _of_transfer(file: Path) -> UniversalExport:
-    """Transfer functions: response a node for each channel, its reference the node before."""
+    """Return transfer functions: each channel is a response node, the previous node its reference."""
     functions: list[UniversalFunction] = []
     with open_results(file) as content:
         name = str(content.attrs["recording"])
@@ -135,7 +138,7 @@ def _of_transfer(file: Path) -> UniversalExport:
 
 
 def _of_element(file: Path) -> UniversalExport:
-    """Nodes of the frame of an elastic element, and its natural modes."""
+    """Return nodes of the frame of an elastic element, and its natural modes."""
     with open_results(file) as content:
         frame, name = content["frame"], str(content.attrs["name"])
         place, motion = frame["node_m"][()], frame["node_motion"][()]
@@ -158,7 +161,7 @@ def _of_element(file: Path) -> UniversalExport:
 
 
 def _of_recording(file: Path) -> UniversalExport:
-    """Records of a recording's channels, in SI, at the points where instruments look or stand."""
+    """Return the records of all channels in SI, at the positions of instruments."""
     manifest = load_manifest(file.parent)
     functions: list[UniversalFunction] = []
     nodes: dict[int, FloatArray] = {}
@@ -188,7 +191,7 @@ def _of_recording(file: Path) -> UniversalExport:
 
 
 def _along(direction: Sequence[float]) -> str:
-    """Return the axis that a direction is along, empty where it is along none."""
+    """Return the axis of a direction, empty if it is not along one."""
     unit = np.asarray(direction, dtype=np.float64)
     unit = unit / np.linalg.norm(unit)
     place = int(np.argmax(np.abs(unit)))
