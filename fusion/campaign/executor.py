@@ -27,6 +27,14 @@ from typing import TYPE_CHECKING, Any, cast
 from urllib.parse import urlsplit
 
 from fusion.base import PROGRAM, LocalResult, __version__, cleanup_on_signal, limit_threads
+from fusion.campaign.campaign_notices import (
+    CLUSTER_WORKERS_ENDED,
+    NO_DASK,
+    NO_SCHEDULER,
+    OTHER_WORKER_VERSION,
+    SCHEDULER_LOST,
+    WORKER_ENDED,
+)
 from fusion.errors import ComputeError, InputError
 
 if TYPE_CHECKING:
@@ -256,12 +264,11 @@ class Workers:
             if self._stop.poll(SIGNAL_DELAY_S):  # what ends all processes may reach a worker first
                 break
             status, worker = self._end(worker), None
-            log.warning("a worker process ended with status %s; another one begins its work again", status)
+            log.warning("a worker process ended with status %s; another one repeats its task", status)
         if self._stop.poll():
             task.future.cancel()
         else:
-            text = f"{ATTEMPTS} worker processes ended while they computed it; does the memory suffice?"
-            task.future.set_result(LoggedResult(None, ComputeError(text), ()))
+            task.future.set_result(LoggedResult(None, ComputeError(WORKER_ENDED, attempts=ATTEMPTS), ()))
         return worker
 
 
@@ -419,9 +426,9 @@ class Cluster:
             told, end = False, time.monotonic() + SCHEDULER_TIMEOUT_S
             while self._client.status != "running":
                 if self.ended or time.monotonic() > end:
-                    raise ComputeError("the Dask scheduler is gone; start the run again where there is one")
+                    raise ComputeError(SCHEDULER_LOST, timeout_s=SCHEDULER_TIMEOUT_S)
                 if not told:
-                    log.warning("the Dask scheduler does not answer; it is waited for %.0f s", SCHEDULER_TIMEOUT_S)
+                    log.warning("the Dask scheduler does not answer; waiting for %.0f s", SCHEDULER_TIMEOUT_S)
                     told = True
                 if self._client.status == "closed":
                     with suppress(OSError):
@@ -468,8 +475,7 @@ class ClusterTask:
             except KilledWorker as error:
                 self._killed += 1
                 if self._killed == ATTEMPTS:
-                    text = "several workers of the cluster ended while they computed it; does their memory suffice?"
-                    raise ComputeError(text) from error
+                    raise ComputeError(CLUSTER_WORKERS_ENDED, attempts=ATTEMPTS) from error
                 self._begin()
             except (CancelledError, OSError):
                 self._begin()
@@ -491,8 +497,7 @@ def connect_cluster(address: str) -> Iterator[Cluster]:
     try:
         from distributed import Client
     except ImportError as error:
-        expected = 'the packages that pip install "shakercal[cluster]" brings'
-        raise InputError(OPTION, "", found=f"none ({error})", expected=expected) from error
+        raise InputError(NO_DASK, OPTION, reason=str(error)) from error
     try:
         # Where nobody listens this is told: a client that waits in vain does not end in silence.
         parts = urlsplit(address if "://" in address else f"tcp://{address}")
@@ -501,8 +506,7 @@ def connect_cluster(address: str) -> Iterator[Cluster]:
         socket.create_connection((parts.hostname, parts.port or SCHEDULER_PORT), timeout=ANSWER_S).close()
         client = Client(address, timeout=ANSWER_S, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
-        expected = "the address of a Dask scheduler that answers, such as tcp://10.0.0.1:8786"
-        raise InputError(OPTION, "", found=f"{address or 'nothing'}, where none does", expected=expected) from error
+        raise InputError(NO_SCHEDULER, OPTION, found=address or "an empty address") from error
     cluster = Cluster(client)
     try:
         # Workers that would compute something else are refused; those that are still to come are not asked.
@@ -511,9 +515,8 @@ def connect_cluster(address: str) -> Iterator[Cluster]:
         for worker, version in versions.items():
             if version != __version__:
                 what = f"{PROGRAM} {version}" if isinstance(version, str) else f"none ({version})"
-                raise InputError(
-                    OPTION, "", found=f"{what} at {worker}", expected=f"workers with {PROGRAM} {__version__}"
-                )
+                expected = f"{PROGRAM} {__version__}"
+                raise InputError(OTHER_WORKER_VERSION, OPTION, found=what, worker=worker, expected=expected)
         yield cluster
     finally:
         cluster.end()

@@ -12,6 +12,14 @@ import numpy as np
 from markupsafe import Markup
 
 from fusion.base import DASH
+from fusion.campaign.campaign_notices import (
+    FAILED_RECORDINGS,
+    MISSING_EXCITATIONS,
+    NO_JOINT_RESULT,
+    NO_MATRIX,
+    SEVERAL_SENSORS,
+    SINGLE_RECORDINGS,
+)
 from fusion.campaign.curve import (
     CurvePoint,
     Linearity,
@@ -45,7 +53,7 @@ from fusion.report.table import (
 )
 from fusion.report.tables import deviation, result_name
 from shaker.labels import LOAD_COMPONENTS
-from shakercal._common.notices import Notice, Severity
+from shakercal._common.notices import Notice
 
 # What the recordings of a campaign say together: matrices, cross-talk, repeats, linearity, one curve per element.
 
@@ -97,8 +105,8 @@ def evaluate_campaign(
     A recording name that occurs twice is extended by the folder, since it identifies unknowns of single recordings.
     Several sensors give no joint results. `keep`: stores lines whose load is corrected by the joint estimate.
     """
-    known, sensor, unknowns, notices = _joined(name, recorded, failed, keep)
-    driven = [drive for entry in known for drive in entry.excited_lines] if sensor is not None else []
+    corrected, sensor, unknowns, notices = _joined(name, recorded, failed, keep)
+    driven = [drive for entry in corrected for drive in entry.excited_lines] if sensor is not None else []
     capacity = None if sensor is None or sensor.capacity is None else sensor.capacity.tolist()
     matrices, refused = _fit_matrices(driven, () if sensor is None else sensor.channels)
     notices += [notice for notice in refused if notice.severity == "warning"]
@@ -108,24 +116,21 @@ def evaluate_campaign(
     elements: tuple[SensitivityCurve, ...] = ()
     if stated is not None:
         elements = _attempt("curves of elements", lambda: ratio_curves(driven, capacity, stated, mean), notices)
-    alike = _attempt("means of repeats", lambda: find_repeats(driven, capacity, stated, mean), notices)
+    excitations = _attempt("means of repeats", lambda: find_repeats(driven, capacity, stated, mean), notices)
     series = _attempt("linearity", lambda: find_linearity(driven, capacity, stated), notices)
     # The matrices of all frequencies are one curve for each set of outputs that they have.
     sets = dict.fromkeys(fit.channels for fit in matrices)
     joint = (matrix_curve([fit for fit in matrices if fit.channels == channels]) for channels in sets)
     curves = (*ratios, *elements, *joint)
-    repeats = tuple(mean for mean in alike if len(mean.recordings) > 1)
+    repeats = tuple(mean for mean in excitations if len(mean.recordings) > 1)
     notices += [notice for fit in matrices for notice in fit.notices]
     notices += repeat_notices(repeats)
-    once = len(alike) - len(repeats)
-    if once:
-        what, whose = ("was", "its") if once == 1 else ("were", "their")
-        text = f"{once} of {len(alike)} excitations {what} recorded once: repeatability and what mounting anew changes "
-        text += f"are not assessed and not in {whose} U"
-        notices.append(Notice("note", text, "repeats"))
+    single = len(excitations) - len(repeats)
+    if single:
+        notices.append(Notice(SINGLE_RECORDINGS, "repeats", single=single, count=len(excitations)))
     return CampaignEvaluation(
         name=name,
-        recorded=known,
+        recorded=corrected,
         failed=dict(failed),
         sensor=sensor,
         curves=curves,
@@ -148,33 +153,31 @@ def _joined(
 ) -> tuple[tuple[RecordingResults, ...], SensorFacts | None, tuple[JointUnknown, ...], list[Notice]]:
     """Return recordings with unique names and corrected loads, the sensor, the unknowns, and notices."""
     count = Counter(entry.name for entry in recorded)
-    known = []
+    named = []
     for entry in recorded:
-        name_known = entry.name if count[entry.name] == 1 else f"{entry.name} [{entry.folder}]"
-        drives = tuple(replace(drive, recording=name_known) for drive in entry.excited_lines)
-        known.append(replace(entry, name=name_known, excited_lines=drives))
-    started = iter(with_starts(drive for entry in known for drive in entry.excited_lines))
-    known = [replace(entry, excited_lines=tuple(islice(started, len(entry.excited_lines)))) for entry in known]
-    sensors = {(entry.sensor.name, entry.sensor.serial): entry.sensor for entry in known if entry.sensor is not None}
+        unique = entry.name if count[entry.name] == 1 else f"{entry.name} [{entry.folder}]"
+        drives = tuple(replace(drive, recording=unique) for drive in entry.excited_lines)
+        named.append(replace(entry, name=unique, excited_lines=drives))
+    started = iter(with_starts(drive for entry in named for drive in entry.excited_lines))
+    named = [replace(entry, excited_lines=tuple(islice(started, len(entry.excited_lines)))) for entry in named]
+    sensors = {(entry.sensor.name, entry.sensor.serial): entry.sensor for entry in named if entry.sensor is not None}
     sensor = next(iter(sensors.values())) if len(sensors) == 1 else None
     notices = []
     if len(sensors) > 1:
         tested = ", ".join(f"{name} {serial}".strip() for name, serial in sensors)
-        text = f"the recordings tested several sensors ({tested}): no joint sensitivity; a campaign has one sensor"
-        notices.append(Notice("warning", text, "campaign"))
+        notices.append(Notice(SEVERAL_SENSORS, "campaign", sensors=tested))
     if failed:
-        text = f"{len(failed)} of the recordings could not be evaluated and are in no result: {', '.join(failed)}"
-        notices.append(Notice("warning", text, "campaign"))
-    carried, unknowns, told = apply_joint_estimate(name, known, keep)
-    return carried, sensor, unknowns, [*notices, *told]
+        notices.append(Notice(FAILED_RECORDINGS, "campaign", count=len(failed), names=", ".join(failed)))
+    corrected, unknowns, estimate_notices = apply_joint_estimate(name, named, keep)
+    return corrected, sensor, unknowns, [*notices, *estimate_notices]
 
 
-def _attempt(what: str, make: Callable[[], tuple[Joint, ...]], notices: list[Notice]) -> tuple[Joint, ...]:
+def _attempt(result: str, make: Callable[[], tuple[Joint, ...]], notices: list[Notice]) -> tuple[Joint, ...]:
     """Return joint results, or add a notice if these recordings do not allow them."""
     try:
         return make()
     except ValueError as error:
-        notices.append(Notice("warning", f"no {what}: {error}", "campaign"))
+        notices.append(Notice(NO_JOINT_RESULT, "campaign", result=result, reason=str(error)))
         return ()
 
 
@@ -214,19 +217,24 @@ def _fit_matrices(
     Ratios need no matrix: missing excitations are a note, a failed fit is a warning.
     """
     fits: list[MatrixFit] = []
-    refused: dict[tuple[Severity, str], list[float]] = {}
+    missing: dict[tuple[str, str], list[float]] = {}
+    failed: dict[str, list[float]] = {}
     recorded = [name for name in channels if any(name in drive.channels for drive in drives)]
     for group in group_by_frequency(drives):
         try:
             fits.append(fit_matrix(group, recorded))
         except MissingExcitationError as error:
-            reason = "the recordings excite too few independent loads; " + str(error).partition("; ")[2]
-            refused.setdefault(("note", reason), []).append(group[0].frequency_hz)
+            names = "; ".join(" with ".join(names) for names in error.missing)
+            missing.setdefault((names, error.additions), []).append(group[0].frequency_hz)
         except ValueError as error:
-            refused.setdefault(("warning", str(error)), []).append(group[0].frequency_hz)
+            failed.setdefault(str(error), []).append(group[0].frequency_hz)
     notices = []
-    for (severity, reason), places in refused.items():
-        notices.append(Notice(severity, f"no matrix at {frequencies_text(places)}: {reason}", "matrix"))
+    for (names, additions), lines in missing.items():
+        frequencies = frequencies_text(lines)
+        values = {"frequencies": frequencies, "missing": names, "additions": additions}
+        notices.append(Notice(MISSING_EXCITATIONS, "matrix", **values))
+    for reason, lines in failed.items():
+        notices.append(Notice(NO_MATRIX, "matrix", frequencies=frequencies_text(lines), reason=reason))
     return tuple(fits), tuple(notices)
 
 

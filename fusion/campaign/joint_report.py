@@ -61,7 +61,6 @@ from fusion.report.recording_report import (
 from fusion.report.table import (
     Table,
     TableColumn,
-    capitalise,
     csv_text,
     number,
     page_column,
@@ -274,7 +273,7 @@ def _rank_sentences(evaluation: CampaignEvaluation) -> list[str]:
             f"weakest of them is {number(float(least.excitation.singular[-1]))} times its standard uncertainty at "
             f"{least.frequency_hz:.6g} Hz; a matrix needs {MIN_SINGULAR:g}."
         )
-    return sentences + [f"{capitalise(notice.text)}." for notice in evaluation.refused]
+    return sentences + [notice.explanation for notice in evaluation.refused]
 
 
 def repeats_table(evaluation: CampaignEvaluation) -> Table | None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fusion.campaign.campaign_notices import DISAGREEING_RECORDINGS, MISSING_MATRIX_ROW, UNTESTED_MATRIX
 from fusion.campaign.excited_line import FREQUENCY_TOLERANCE, LOADS, ExcitedLine
 from fusion.campaign.matrix_solve import (
     LoadExcitation,
@@ -134,8 +135,7 @@ def fit_matrix(drives: Sequence[ExcitedLine], channels: Sequence[str] | None = N
     notices = []
     if len(kept) < len(wanted):
         left_out = ", ".join(name for c, name in enumerate(wanted) if c not in kept)
-        text = f"{left_out}: no row of the matrix, the recordings that have it excite too few independent loads"
-        notices.append(Notice("warning", text, "matrix"))
+        notices.append(Notice(MISSING_MATRIX_ROW, "matrix", channels=left_out))
     stack = stack_drives(drives, [wanted[c] for c in kept])
     solution, first, tau = _solve(stack)
     agreement = _agreement(stack, first)
@@ -154,15 +154,21 @@ def fit_matrix(drives: Sequence[ExcitedLine], channels: Sequence[str] | None = N
     )
     worst = fit.worst
     if fit.dof == 0 or worst is None:
-        text = f"{len(agreement)} recordings at {fit.frequency_hz:.6g} Hz just determine the matrix: none tests it"
-        notices.append(Notice("note", text, "matrix"))
+        numbers = {"count": len(agreement), "frequency_hz": fit.frequency_hz}
+        notices.append(Notice(UNTESTED_MATRIX, "matrix", **numbers))
     elif tau > 0.0:
-        text = (
-            f"recordings at {fit.frequency_hz:.6g} Hz disagree beyond their uncertainties (chi-square {fit.chi2:.3g} "
-            f"on {fit.dof}), most of all {worst.recording} ({worst.normalised_deviation:.3g} times what is expected): "
-            f"U covers a further {tau:.2g} of every output"
+        notices.append(
+            Notice(
+                DISAGREEING_RECORDINGS,
+                "matrix",
+                frequency_hz=fit.frequency_hz,
+                chi2=fit.chi2,
+                dof=fit.dof,
+                recording=worst.recording,
+                normalised_deviation=worst.normalised_deviation,
+                discrepancy=tau,
+            )
         )
-        notices.append(Notice("warning", text, "matrix"))
     return replace(fit, notices=tuple(notices))
 
 

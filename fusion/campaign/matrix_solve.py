@@ -201,18 +201,21 @@ HOW = {
     "Fx": "a recording driven along x",
     "Fy": "a recording driven along y",
     "Fz": "a recording driven along z",
-    "Mx": "a recording with a moment about x (force along z off the axis in y, or along y at another height)",
-    "My": "a recording with a moment about y (force along z off the axis in x, or along x at another height)",
-    "Mz": "a recording with a moment about z (force along x or y off the axis)",
+    "Mx": "a recording with a moment about x (force along z with an offset in y, or along y at another height)",
+    "My": "a recording with a moment about y (force along z with an offset in x, or along x at another height)",
+    "Mz": "a recording with a moment about z (force along x or y with an offset)",
 }
 
 
 class MissingExcitationError(ValueError):
-    """The recordings do not excite six independent loads; `missing` lists the components in groups."""
+    """The recordings do not excite six independent loads.
 
-    def __init__(self, text: str, missing: tuple[tuple[str, ...], ...]) -> None:
+    `missing`: the components, alone or in groups of fixed proportion; `additions`: the recordings to add.
+    """
+
+    def __init__(self, text: str, missing: tuple[tuple[str, ...], ...], additions: str) -> None:
         super().__init__(text)
-        self.missing = missing
+        self.missing, self.additions = missing, additions
 
 
 @dataclass(frozen=True)
@@ -280,14 +283,15 @@ def require_six(found: LoadExcitation, drives: int) -> None:
     """Raise `MissingExcitationError` unless the lines excite six independent loads."""
     if found.determines:
         return
-    told, wanted = [], []
+    missing, additions = [], []
     for group in found.missing:
         listed = f"{', '.join(group[:-1])} and {group[-1]}"
         alone = len(group) == 1
-        told.append(group[0] if alone else f"{listed} other than together")
-        wanted.append(HOW[group[-1]] + ("" if alone else f", so that {listed} are in another proportion"))
-    text = f"expected loads in six independent directions, found {drives} that do not excite {', nor '.join(told)}"
-    raise MissingExcitationError(f"drives: {text}; add {'; '.join(wanted)}", found.missing)
+        missing.append(group[0] if alone else f"{listed} in different proportions")
+        additions.append(HOW[group[-1]] + ("" if alone else f", with {listed} in another proportion"))
+    text = f"expected loads in six independent directions, found {drives} that do not excite {', nor '.join(missing)}"
+    added = "; ".join(additions)
+    raise MissingExcitationError(f"drives: {text}; add {added}", found.missing, added)
 
 
 def _missing(projector: ComplexArray) -> tuple[tuple[str, ...], ...]:

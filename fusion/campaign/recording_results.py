@@ -11,6 +11,7 @@ from pathlib import Path
 
 import h5py
 
+from fusion.campaign.campaign_notices import NO_RECORDING_RESULTS
 from fusion.campaign.excited_line import ExcitedLine, excited_lines, identity
 from fusion.campaign.unknowns import Knowledge
 from fusion.errors import InputError
@@ -18,6 +19,7 @@ from fusion.instruments.channel import Outputs
 from fusion.phasors.timing import Grid
 from fusion.report.folder import RESULT_FILE, RESULT_FORMAT, Provenance, provenance_of
 from fusion.report.h5 import open_results, read_evidence, read_notices, read_uncertainty
+from fusion.report.report_notices import OTHER_FORMAT
 from fusion.sensitivity.analyse import REPEATS
 from fusion.sensitivity.input_evidence import InputEvidence
 from fusion.sensitivity.load_phasors import LoadResult
@@ -118,11 +120,11 @@ def read_recorded(folder: str | Path) -> RecordingResults:
     """
     folder = Path(folder)
     if not (folder / RESULT_FILE).is_file():
-        raise InputError(folder / RESULT_FILE, "", found="no results", expected="the results of a recording")
+        raise InputError(NO_RECORDING_RESULTS, folder / RESULT_FILE)
     with open_results(folder / RESULT_FILE, *READ) as file:
         if file.attrs["format"] != RESULT_FORMAT:
-            expected = f"format {RESULT_FORMAT}; --force evaluates the recording anew"
-            raise InputError(folder / RESULT_FILE, "", found=f"format {file.attrs['format']}", expected=expected)
+            found = f"format {file.attrs['format']}"
+            raise InputError(OTHER_FORMAT, folder / RESULT_FILE, found=found, expected=str(RESULT_FORMAT))
         driven = file["excitation"]
         return RecordingResults(
             folder=folder.name,

@@ -9,6 +9,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from fusion.campaign.campaign_notices import ONE_MOUNTING, TWO_REPEATS
 from fusion.campaign.excited_line import ExcitedLine, LazyUncertainty
 from fusion.campaign.unknowns import SECOND_ORDER
 from fusion.estimation.coverage import coverage_factor
@@ -267,20 +268,25 @@ def frequencies_text(frequency_hz: Sequence[float]) -> str:
 
 def repeat_notices(means: Iterable[RepeatMean]) -> tuple[Notice, ...]:
     """Return one notice per kind for the frequencies with one mounting or only two repeats."""
-    places: dict[str, list[float]] = {}
+    one_mounting: dict[int, list[float]] = {}
+    two_repeats: dict[str, list[float]] = {}
     for mean in means:
         recordings, mountings = len(mean.recordings), mean.between_dof + 1
         if recordings > 1 and mountings == 1:
-            told = f"{recordings} recordings are of one mounting: what mounting anew changes is not in U"
-            told += " beyond what is stated of positions and directions"
-            places.setdefault(told, []).append(mean.frequency_hz)
+            one_mounting.setdefault(recordings, []).append(mean.frequency_hz)
         if recordings > 1 and max(mountings, recordings if mountings == 1 else 0) == 2:
-            told = f"two {'mountings' if mountings == 2 else 'recordings'} tell what they differ by with one degree of "
-            told += f"freedom, which U pays for with up to k = {coverage_factor(1.0):.1f}; "
-            told += f"a third makes it {coverage_factor(2.0):.1f}"
-            places.setdefault(told, []).append(mean.frequency_hz)
-    found = ((frequencies_text(sorted(where)), told) for told, where in places.items())
-    return tuple(Notice("note", f"{where}: {told}", "repeats") for where, told in found)
+            repeated = "mountings" if mountings == 2 else "recordings"
+            two_repeats.setdefault(repeated, []).append(mean.frequency_hz)
+    notices = [
+        Notice(ONE_MOUNTING, "repeats", frequencies=frequencies_text(sorted(lines)), recordings=recordings)
+        for recordings, lines in one_mounting.items()
+    ]
+    factors = {"k_two": coverage_factor(1.0), "k_three": coverage_factor(2.0)}
+    notices += [
+        Notice(TWO_REPEATS, "repeats", frequencies=frequencies_text(sorted(lines)), repeated=repeated, **factors)
+        for repeated, lines in two_repeats.items()
+    ]
+    return tuple(notices)
 
 
 class NestedAnova(NamedTuple):

@@ -73,7 +73,7 @@ class Outcome:
     @property
     def missing(self) -> str:
         """Driven lines without a result, with the reasons; empty if all have one."""
-        return "; ".join(notice.text for notice in self.notices or () if notice.where == NO_RESULT)
+        return " ".join(notice.text for notice in self.notices or () if notice.where == NO_RESULT)
 
     @property
     def summary(self) -> str:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import chdtrc
 
+from fusion.campaign.campaign_notices import CONTRADICTING_RECORDINGS, JOINT_UNKNOWNS, RECORDINGS_WITHOUT_ESTIMATE
 from fusion.campaign.excited_line import ExcitedLine, LazyUncertainty, UnknownDescription, intern_unknown
 from fusion.estimation.instrument_consistency import UNTESTED
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, as_complex
@@ -379,10 +380,9 @@ def apply_joint_estimate(
         return tuple(recorded), (), ()
     contradicting = joint.contradicting()
     if contradicting:
-        named = ", ".join(contradicting)
-        text = f"what {named} says of poses, scales and other unknowns of the rig contradicts all others at 1 %: the "
-        text += "recordings keep what each says of them by itself"
-        return tuple(recorded), (), (Notice("warning", text, "campaign"),)
+        named, level = ", ".join(contradicting), 100.0 * TEST_LEVEL
+        notice = Notice(CONTRADICTING_RECORDINGS, "campaign", recordings=named, level_percent=level)
+        return tuple(recorded), (), (notice,)
     unknowns = joint.unknowns()
     places = {entry.name: place for place, entry in enumerate(recorded)}
     found = list(recorded)
@@ -394,10 +394,9 @@ def apply_joint_estimate(
     return tuple(found), unknowns, _notices(unknowns, len(recorded) - len(joint.sources))
 
 
-def _notices(unknowns: Sequence[JointUnknown], aside: int) -> tuple[Notice, ...]:
-    better = [unknown for unknown in unknowns if not unknown.is_as_stated]
-    text = f"of {len(unknowns)} unknowns of the rig that readings may tell of, all recordings together know "
-    text += f"{len(better)} better than stated; the others stay as stated"
-    if aside:
-        text += f"; recordings without a load, or whose instruments contradict each other, tell nothing: {aside}"
-    return (Notice("note", text, "campaign"),)
+def _notices(unknowns: Sequence[JointUnknown], excluded: int) -> tuple[Notice, ...]:
+    improved = sum(not unknown.is_as_stated for unknown in unknowns)
+    notices = [Notice(JOINT_UNKNOWNS, "campaign", improved=improved, count=len(unknowns))]
+    if excluded:
+        notices.append(Notice(RECORDINGS_WITHOUT_ESTIMATE, "campaign", count=excluded))
+    return tuple(notices)

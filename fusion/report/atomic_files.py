@@ -22,6 +22,7 @@ from pathlib import Path
 
 from fusion.base import cleanup_on_signal, defer_signals
 from fusion.errors import ComputeError
+from fusion.report.report_notices import LOCKED, NOT_WRITTEN, PATH_TOO_LONG
 
 LOCK = "shakercal-lock"
 INTERNAL_NAME = re.compile(rf"\.(?P<name>.+?)(-[0-9a-f]{{12}}\.(?P<kind>part|old|aside)|\.{LOCK})", re.DOTALL)
@@ -80,12 +81,11 @@ def report_write_errors(place: Path) -> Iterator[None]:
         reason, refused = (error.strerror or str(error)).lower(), Path(str(error.filename2 or error.filename))
         file = "" if error.filename is None or is_internal_name(refused.name) else f" ({refused.name})"
         if isinstance(error, FileNotFoundError) and is_internal_name(refused.name) and refused.parent.is_dir():
-            reason = f"{refused.parent} takes no files"  # as below /proc
-        advice = ", or is it open in another program?" if isinstance(error, PermissionError) else ""
-        if isinstance(error, FileNotFoundError) and len(str(error.filename)) > LONG_PATH:
-            advice = f"; its path of {len(str(error.filename))} characters may be longer than the system takes"
-        text = f"{place}: could not be written: {reason}{file}{advice}; what was there before is as it was"
-        raise ComputeError(text) from error
+            reason = f"{refused.parent} accepts no files"  # such as /proc
+        characters = len(str(error.filename))
+        if isinstance(error, FileNotFoundError) and characters > LONG_PATH:
+            raise ComputeError(PATH_TOO_LONG, str(place), reason=f"{reason}{file}", characters=characters) from error
+        raise ComputeError(NOT_WRITTEN, str(place), reason=f"{reason}{file}") from error
 
 
 # One run at a time: who writes a place holds its lock.
@@ -159,8 +159,7 @@ def _locked(lock: Path, place: Path) -> int | None:
             os.close(handle)
             if error.errno not in LOCK_BUSY_ERRNOS:
                 return None
-            text = f"{place}: another run is writing there; start this one again when that has ended"
-            raise ComputeError(text) from error
+            raise ComputeError(LOCKED, str(place)) from error
         with contextlib.suppress(OSError):
             if os.path.samestat(os.fstat(handle), os.stat(lock)):
                 return handle

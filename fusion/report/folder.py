@@ -30,6 +30,15 @@ from fusion.errors import ComputeError, InputError
 from fusion.report.atomic_files import file_lock, is_internal_name, write_files, write_together
 from fusion.report.figure import Figure
 from fusion.report.page_cache import CompiledTemplates, load_or_make
+from fusion.report.report_notices import (
+    CHANGED_INPUT,
+    HASHING_ENDED,
+    NO_BOKEH,
+    OTHER_CONTENT,
+    PLACE_NOT_WRITABLE,
+    PLACE_TAKEN,
+    UNREADABLE_INPUT,
+)
 from fusion.report.static_figure import static_svg
 from fusion.report.table import Headline, Table, csv_rows, plain_text
 from fusion.report.terminal import AS_JSON, log_notices, notice_fields, print_text, show_activity
@@ -106,8 +115,7 @@ class InputFiles:
 
 
 def _changed(path: Path, now: FileIdentity | None) -> InputError:
-    what = "vanished" if now is None else "changed"
-    return InputError(path, "", found=f"{what} while it was read; start again when nothing writes it", expected="")
+    return InputError(CHANGED_INPUT, path, change="disappeared" if now is None else "changed")
 
 
 def sha256(path: Path) -> str:
@@ -116,7 +124,7 @@ def sha256(path: Path) -> str:
         with path.open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
-        raise InputError(path, "", found=error.strerror or str(error), expected="a file that can be read") from error
+        raise InputError(UNREADABLE_INPUT, path, reason=error.strerror or str(error)) from error
 
 
 def hash_files(files: Iterable[Path], root: Path, read: Mapping[Path, FileIdentity] | None = None) -> InputFiles:
@@ -149,7 +157,7 @@ def hashing(files: Iterable[Path], root: Path, read: Mapping[Path, FileIdentity]
     def hashed(entry: tuple[Path, Path, FileIdentity | None]) -> tuple[str, FileIdentity | None]:
         path, _, first = entry
         if ended.is_set():
-            raise ComputeError("the run has ended")
+            raise ComputeError(HASHING_ENDED)
         if first is not None and not path.exists():
             raise _changed(path, None)
         return sha256(path), FileIdentity.of(path)
@@ -217,19 +225,17 @@ def check_folder(folder: Path, hashes: Mapping[str, str], *, force: bool, marker
     provenance.
     """
     if folder.exists() and not folder.is_dir():
-        raise InputError(folder, "", found="a file", expected="a folder for the results")
+        raise InputError(PLACE_TAKEN, folder)
     above = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
     if not above.is_dir() or not os.access(above, os.W_OK | os.X_OK):
-        what = "a folder that may not be written to" if above.is_dir() else "a file"
-        raise InputError(folder, "", found=f"{what} at {above}", expected="a place for a folder with the results")
+        what = "a folder without write permission" if above.is_dir() else "a file"
+        raise InputError(PLACE_NOT_WRITABLE, folder, found=what, above=str(above))
     if force or not folder.exists() or all(is_internal_name(entry.name) for entry in folder.iterdir()):
         return
     found = read_provenance(folder, marker)
     if found is None or not _of_same_data(found.input_hashes, hashes):
-        damaged = f"a {marker} that cannot be read" if (folder / marker).is_file() else "other files"
-        what = damaged if found is None else "results of other input files"
-        expected = "an empty folder for the results (--force writes into this one and replaces only result files)"
-        raise InputError(folder, "", found=what, expected=expected)
+        damaged = f"a damaged {marker}" if (folder / marker).is_file() else "other files"
+        raise InputError(OTHER_CONTENT, folder, found=damaged if found is None else "results of other input files")
 
 
 def _of_same_data(before: Mapping[str, str], now: Mapping[str, str]) -> bool:
@@ -343,7 +349,7 @@ def bokeh_library() -> Markup:
     """Return BokehJS, compressed, from the files of the installed package, which is not imported."""
     spec = find_spec("bokeh")
     if spec is None or not spec.submodule_search_locations:
-        raise ComputeError("the package bokeh, whose program draws the figures of the page, is not installed")
+        raise ComputeError(NO_BOKEH)
     scripts = Path(spec.submodule_search_locations[0]) / "server/static/js"
     files = [scripts / name for name in ("bokeh.min.js", "bokeh-api.min.js")]
     key = json.dumps([(str(file), file.stat().st_size, file.stat().st_mtime_ns) for file in files])

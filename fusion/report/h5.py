@@ -17,6 +17,7 @@ from fusion.errors import InputError
 from fusion.estimation.uncertainty import Contribution, Distribution, Influence, Kind, Scope, Uncertainty
 from fusion.report.dataset_descriptions import describe
 from fusion.report.h5_tree import TEXT, Group, write_tree
+from fusion.report.report_notices import DAMAGED_RESULTS, OTHER_STRUCTURE, RESULTS_TOO_LARGE
 from shaker.io.channel import check_inside, check_links, full_name, open_hdf5
 from shakercal._common.notices import Notice
 
@@ -65,13 +66,12 @@ def open_results(path: Path, *only: str) -> Iterator[h5py.File]:
                 _check_all(path, file)
             yield file
     except (OSError, ValueError, KeyError, RuntimeError) as error:
-        told = " ".join(str(error).split()).removeprefix(f"{path}: ")
-        raise InputError(path, "", expected="results of an earlier run", found=f"damaged ones ({told})") from error
+        reason = " ".join(str(error).split()).removeprefix(f"{path}: ")
+        raise InputError(DAMAGED_RESULTS, path, reason=reason) from error
     except MemoryError as error:
-        raise InputError(path, "", expected="results of an earlier run", found="more than the memory takes") from error
+        raise InputError(RESULTS_TOO_LARGE, path) from error
     except (AttributeError, TypeError, IndexError) as error:  # a group where numbers should be, or the other way round
-        found = "a file whose groups and numbers are not those that a run writes"
-        raise InputError(path, "", expected="results of an earlier run", found=found) from error
+        raise InputError(OTHER_STRUCTURE, path) from error
 
 
 def _check_all(path: Path, group: h5py.Group) -> None:

@@ -15,6 +15,7 @@ from fusion.errors import InputError
 from fusion.estimation.uncertainty import Uncertainty, polar_elements
 from fusion.report.folder import RESULT_FILE, RESULT_FORMAT
 from fusion.report.h5 import open_results, read_numbers, read_uncertainty
+from fusion.report.report_notices import INCOMPLETE_RESULTS, NO_RESULTS, OTHER_FORMAT
 from fusion.report.table import sensitivity_unit
 from shaker.arrays import ComplexArray, FloatArray, check_shape
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS
@@ -183,15 +184,15 @@ def read_results(path: str | Path) -> Results:
     files = [path] if path.is_file() else [path / name for name in (CAMPAIGN_FILE, RESULT_FILE)]
     file = next((file for file in files if file.is_file() and h5py.is_hdf5(file)), None)
     if file is None:
-        raise InputError(path, "", found="none of these", expected=f"{RESULT_FILE} or {CAMPAIGN_FILE} of a run")
+        raise InputError(NO_RESULTS, path, expected=f"{RESULT_FILE} or {CAMPAIGN_FILE}")
     with open_results(file, *READ) as content:
         if content.attrs.get("format") != RESULT_FORMAT or not {"recording", "campaign"} & set(content.attrs):
             found = f"format {content.attrs['format']}" if "format" in content.attrs else "another file"
-            raise InputError(file, "", found=found, expected=f"results of format {RESULT_FORMAT}; evaluate anew")
+            raise InputError(OTHER_FORMAT, file, found=found, expected=str(RESULT_FORMAT))
         try:
             return _results(content, file)
         except KeyError as error:
-            raise InputError(file, "", found=f"incomplete results ({error.args[0]})", expected="") from error
+            raise InputError(INCOMPLETE_RESULTS, file, reason=str(error.args[0])) from error
 
 
 def _results(file: h5py.File, path: Path) -> Results:

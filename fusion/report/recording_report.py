@@ -35,6 +35,7 @@ from fusion.report.h5_tree import Group
 from fusion.report.labelled_results import CAMPAIGN_FILE
 from fusion.report.motion_figures import pair_motion_figures, subset_figures
 from fusion.report.points import save_points
+from fusion.report.report_notices import OTHER_CAMPAIGN_CONTENT, RESERVED_NAME
 from fusion.report.report_scene import evaluation_scene, scene_page
 from fusion.report.result_figures import acceleration_figures, draw_budget, sensitivity_figures
 from fusion.report.signal_figures import channel_figures, point_figures, trigger_figures
@@ -309,14 +310,13 @@ def check_campaign_folder(top: Path, recordings: Sequence[str], *, force: bool) 
     check_folder(top, {}, force=True)
     taken = next((name for name in recordings if name in CAMPAIGN_FILES), None)
     if taken is not None:
-        raise InputError(top / taken, "", found="a recording of that name", expected="this file of the whole campaign")
+        raise InputError(RESERVED_NAME, top / taken)
     names = {entry.name for entry in top.iterdir()} if top.exists() and not force else set()
     known = set(recordings)
     ours = {name for name in names if name in known or read_provenance(top / name) is not None}
     other = {name for name in names - ours if not name.startswith(".") and not (ours and name in CAMPAIGN_FILES)}
     if other:
-        expected = "results of this campaign only (--force writes beside them and replaces only result files)"
-        raise InputError(top, "", found=f"other files, for example {min(other)}", expected=expected)
+        raise InputError(OTHER_CAMPAIGN_CONTENT, top, found=min(other))
 
 
 SENSOR = [

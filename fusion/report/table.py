@@ -23,6 +23,7 @@ from markupsafe import Markup
 from fusion.base import DASH, round_to_uncertainty
 from fusion.errors import InputError
 from fusion.estimation.coverage import CoverageRegion, Polar, RealQuantity
+from fusion.report.report_notices import UNREADABLE_TABLE
 from shaker.arrays import ComplexArray
 from shaker.labels import typeset
 
@@ -195,7 +196,7 @@ def read_rows(path: Path, most: int | None = None) -> list[dict[str, str]]:
         with path.open(encoding="utf-8", newline="") as stream:
             rows = list(islice(csv.DictReader(stream), most))
     except (csv.Error, UnicodeDecodeError) as error:
-        raise InputError(path, "", found=str(error), expected="a table of results") from error
+        raise InputError(UNREADABLE_TABLE, path, reason=str(error)) from error
     return [{name: text[1:] if text and QUOTED.match(text) else text for name, text in row.items()} for row in rows]
 
 

@@ -17,6 +17,7 @@ from fusion.report.atomic_files import write_atomically
 from fusion.report.folder import RESULT_FILE
 from fusion.report.h5 import open_results
 from fusion.report.labelled_results import CAMPAIGN_FILE, LabelledPhasors, read_results
+from fusion.report.report_notices import NO_RESULTS, NO_SENSITIVITY_TO_EXPORT
 from shaker.arrays import FloatArray
 from shaker.io.universal import UniversalFunction, UniversalShape
 from shaker.io.universal_write import universal_function, universal_nodes, universal_shape, universal_units
@@ -65,7 +66,7 @@ def _exported(path: Path) -> UniversalExport:
         file = path if path.is_file() and path.name == name else path / name
         if file.is_file():
             return read(file)
-    raise InputError(path, "", found="none of these", expected=f"a folder with {', '.join(readers)}")
+    raise InputError(NO_RESULTS, path, expected=" or ".join(readers))
 
 
 PHASORS = "x(t) = Re{X exp(+j omega t)}, peak values, SI"
@@ -86,7 +87,7 @@ def _of_results(file: Path) -> UniversalExport:
     outputs = list(dict.fromkeys(channel for found in every for channel in found.channel))
     functions = [function for found in every for function in _of_phasors(results.name, found, outputs)]
     if not functions:
-        raise InputError(file, "", found="results without a sensitivity", expected="a sensitivity")
+        raise InputError(NO_SENSITIVITY_TO_EXPORT, file)
     nodes = {ORIGIN + place: np.zeros(3) for place in range(len(outputs) + 1)}
     return UniversalExport(functions, nodes, [])
 
