@@ -250,7 +250,7 @@ class Threads:
 
     def submit(self, rank: int, function: Callable[..., Any], *arguments: Any) -> Future[LocalResult]:
         """Have a function called as soon as a thread is free, whatever its rank; answers that are there are opened."""
-        held = [argument.result().opened() if isinstance(argument, Future) else argument for argument in arguments]
+        held = [argument.result().unwrap() if isinstance(argument, Future) else argument for argument in arguments]
         return self._pool.submit(LocalResult.run, function, held)
 
 

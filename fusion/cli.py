@@ -48,9 +48,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def commands() -> tuple[CliCommand, ...]:
     """Return the sub-commands in the order in which the help lists them."""
-    from fusion.commands import cameras, measure, sensor
+    from fusion.commands import cameras, explain, measure, sensor
 
-    return (*measure.COMMANDS, *cameras.COMMANDS, *sensor.COMMANDS)
+    return (*measure.COMMANDS, *cameras.COMMANDS, *sensor.COMMANDS, *explain.COMMANDS)
 
 
 def _act(options: argparse.Namespace) -> int:
@@ -84,7 +84,8 @@ def _act(options: argparse.Namespace) -> int:
             log.error("the output could not be written: %s", unwritten.strerror)
             return EXIT_FAILED
         failure = as_user_error(error)
-        log.error("%s", " ".join(str(failure).split()))
+        hint = f" (shakercal explain {failure.code})" if failure.code else ""
+        log.error("%s", " ".join(f"{failure}{hint}".split()))
         if not isinstance(error, InputError | ComputeError):
             log.debug("traceback", exc_info=True)
         return EXIT_INPUT if isinstance(failure, InputError) else EXIT_FAILED

@@ -6,6 +6,8 @@ import os
 import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from functools import cache
+from importlib import import_module
 from pathlib import Path
 
 from shakercal._common.notices import DeclaredNotice, Value, plain_value
@@ -206,6 +208,14 @@ INTERNAL_ERROR = DeclaredNotice(
     remedy="Please report it with the output of `-v`.",
 )
 
+UNKNOWN_CODE = DeclaredNotice(
+    "SC-954",
+    "error",
+    "expected a code between {first} and {last}",
+    remedy="`shakercal explain` without a code lists all of them.",
+    link="notices.md",
+)
+
 
 def is_interruption(error: BaseException) -> bool:
     """Whether the user interrupted; compiled code wraps an interruption into an error of its own."""
@@ -229,3 +239,33 @@ def as_user_error(error: Exception) -> InputError | ComputeError:
     if isinstance(error, OSError):
         return ComputeError(SYSTEM_REFUSED, reason=text)
     return ComputeError(INTERNAL_ERROR, reason=f"{type(error).__name__}: {text}")
+
+
+# Every declaration, for `shakercal explain`, the manifest's `[[acknowledged]]` and the documentation.
+
+
+@cache
+def declared_notices() -> dict[str, DeclaredNotice]:
+    """Return every declared notice and error by its code, in ascending order."""
+    found = {notice.code: notice for _, notices in declared_by_stage() for notice in notices}
+    return dict(sorted(found.items()))
+
+
+@cache
+def declared_by_stage() -> tuple[tuple[str, tuple[DeclaredNotice, ...]], ...]:
+    """Return the declarations of every module named `*_notices`, and of this one, behind the module's title."""
+    stages = []
+    for name in [*_modules_of_notices(), __name__]:
+        module = import_module(name)
+        found = {notice.code: notice for notice in vars(module).values() if isinstance(notice, DeclaredNotice)}
+        title = (module.__doc__ or "").partition("\n")[0].rstrip(".")
+        stages.append((title, tuple(found[code] for code in sorted(found) if code)))
+    return tuple(sorted((stage for stage in stages if stage[1]), key=lambda stage: stage[1][0].code))
+
+
+def _modules_of_notices() -> Iterator[str]:
+    """Yield the names of the modules `*_notices` of the three packages."""
+    for package in ("photogram", "shaker", "fusion"):
+        top = Path(str(import_module(package).__file__)).parent
+        for path in sorted(top.rglob("*_notices.py")):
+            yield ".".join((package, *path.relative_to(top).with_suffix("").parts))

@@ -38,7 +38,7 @@ class LazyUncertainty(Uncertainty):
     numbers: Callable[[], Numbers]
 
     def __init__(self, about: tuple[UnknownDescription, ...], numbers: Callable[[], Numbers]) -> None:
-        object.__setattr__(self, "about", about)
+        object.__setattr__(self, "descriptions", about)
         object.__setattr__(self, "numbers", numbers)
 
     @classmethod

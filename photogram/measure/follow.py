@@ -89,7 +89,7 @@ class BodyPrior(Arrays, shapes="terms F m; absent F"):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class BodyScene(Arrays, shapes="rest_m N 3; sought F"):
+class BodyScene(Arrays, shapes="rest_m N 3; subset_frames F"):
     """What stays the same through a series, whoever follows which of its frames.
 
     views: the body at rest, whose points are rest_m (N, 3), weighted by the `noise` of the images, which is None where

@@ -57,7 +57,7 @@ class Peaks:
     cut: int
 
     def __post_init__(self) -> None:
-        check_shapes(self, self.bin_position.shape, "u_place", "value", "u_value", "noise")
+        check_shapes(self, self.bin_position.shape, "u_bin_position", "value", "u_value", "noise")
 
 
 class FloorSpectrum:

@@ -242,7 +242,7 @@ class RateScan:
     separated: BoolArray
 
     def __post_init__(self) -> None:
-        check_shapes(self, self.rate_hz.shape, "margin_bins", "penalty", "preferred", "unmixed")
+        check_shapes(self, self.rate_hz.shape, "margin_bins", "penalty", "preferred", "separated")
 
     @property
     def clear(self) -> BoolArray:

@@ -173,7 +173,7 @@ class Numbering:
     spurious: int
 
     def __post_init__(self) -> None:
-        check_shape("kept", self.accepted, self.number.shape)
+        check_shape("accepted", self.accepted, self.number.shape)
 
 
 def number_edges(edges: Edges) -> Numbering:

@@ -65,7 +65,7 @@ def element(simulated: Path, tmp_path: Path) -> Path:
 @pytest.fixture
 def no_pictures(monkeypatch: pytest.MonkeyPatch, no_pages: None) -> None:
     """Leave page and pictures empty where they are not what is tested."""
-    monkeypatch.setattr("fusion.sensor.elastomer.element_report.shape_pictures", lambda _: {})
+    monkeypatch.setattr("fusion.sensor.elastomer.element_report.mode_shape_figures", lambda _: {})
 
 
 def _edit(folder: Path, **changes: object) -> None:

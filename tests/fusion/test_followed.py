@@ -96,7 +96,7 @@ def test_blocks_come_back_to_the_last_bit_and_damaged_ones_not_at_all(tmp_path):
 @pytest.mark.parametrize("held", [0, 3000, 1 << 20])
 def test_blocks_that_are_kept_nowhere_come_back_as_often_as_asked_for(kept, held, tmp_path, monkeypatch):
     """In memory, in a file without a name, and from a pickle; two that go through them do not disturb each other."""
-    monkeypatch.setattr(room, "HELD", held)
+    monkeypatch.setattr(room, "MEMORY_BYTES", held)
     blocks = [drawn_block(1), drawn_block(2)]
     held_here = followed(None if kept is None else Refusing(tmp_path))
     for frames, block in zip(BLOCKS_OF_THREE, blocks, strict=True):
@@ -110,7 +110,7 @@ def test_blocks_that_are_kept_nowhere_come_back_as_often_as_asked_for(kept, held
 
 @pytest.mark.skipif(sys.platform == "win32", reason="files without names")
 def test_the_temporary_file_lies_on_the_disk_of_the_results_and_goes_with_its_owner(tmp_path, monkeypatch):
-    monkeypatch.setattr(room, "HELD", 1)
+    monkeypatch.setattr(room, "MEMORY_BYTES", 1)
     made: list[str] = []
     temporary = tempfile.TemporaryFile
     monkeypatch.setattr(tempfile, "TemporaryFile", lambda **told: made.append(told["dir"]) or temporary(**told))
@@ -140,7 +140,7 @@ def test_in_a_mounted_folder_blocks_are_kept_and_the_next_run_is_let_in(tmp_path
 
 
 def test_a_disk_without_room_for_the_subsets_is_one_sentence(tmp_path, monkeypatch):
-    monkeypatch.setattr(room, "HELD", 1)
+    monkeypatch.setattr(room, "MEMORY_BYTES", 1)
     with pytest.raises(ComputeError) as error:
         followed(Refusing(tmp_path / "gone")).add(BLOCKS_OF_THREE[0], drawn_block(1))
     assert str(error.value) == (

@@ -56,16 +56,16 @@ def _is_running(process: int) -> bool:
 
 def test_answers_go_to_those_who_asked(two):
     answers = [two.submit(-number, tasks.product, number, 2.0) for number in range(8)]
-    assert [answer.result(PATIENCE_S).opened() for answer in answers] == [2.0 * number for number in range(8)]
+    assert [answer.result(PATIENCE_S).unwrap() for answer in answers] == [2.0 * number for number in range(8)]
     # An answer can be what the next task needs.
-    assert two.submit(0, tasks.product, answers[3], 7.0).result(PATIENCE_S).opened() == 42.0
-    assert set(two.submit(0, tasks.threads).result(PATIENCE_S).opened().values()) == {1}
+    assert two.submit(0, tasks.product, answers[3], 7.0).result(PATIENCE_S).unwrap() == 42.0
+    assert set(two.submit(0, tasks.threads).result(PATIENCE_S).unwrap().values()) == {1}
 
 
 def test_one_thread_of_linear_algebra_gives_the_same_digits_everywhere(two):
     with one_blas_thread():
         here = tasks.sum_of_products()
-    assert two.submit(0, tasks.sum_of_products).result(PATIENCE_S).opened() == here
+    assert two.submit(0, tasks.sum_of_products).result(PATIENCE_S).unwrap() == here
 
 
 @pytest.mark.parametrize(
@@ -86,7 +86,7 @@ def test_failures_and_remarks_come_back(kind, error, sentence, two, capsys):
         answer.log("Fz-0100")
     assert capsys.readouterr().err == f"Fz-0100: a remark about {kind}\n"
     with pytest.raises(error) as raised:
-        answer.opened()
+        answer.unwrap()
     assert str(raised.value).startswith(sentence)
     if kind != "unpicklable":
         assert "in refuse" in raised.value.__notes__[0]
@@ -98,14 +98,14 @@ def test_failures_and_remarks_come_back(kind, error, sentence, two, capsys):
 
 def test_the_task_of_a_worker_that_was_killed_is_done_by_another_and_one_that_kills_all_fails_alone(two, tmp_path):
     answer, other = two.submit(0, tasks.die_until, tmp_path / "two", 2), two.submit(1, tasks.product, 2.0, 3.0)
-    assert answer.result(PATIENCE_S).opened() == 3
-    assert other.result(PATIENCE_S).opened() == 6.0
+    assert answer.result(PATIENCE_S).unwrap() == 3
+    assert other.result(PATIENCE_S).unwrap() == 6.0
     answer = two.submit(0, tasks.die_until, tmp_path / "all", 99).result(PATIENCE_S)
     told = r"3 worker processes ended while they computed it; does the memory suffice\?"
     with pytest.raises(ComputeError, match=told):
-        answer.opened()
+        answer.unwrap()
     assert (tmp_path / "all").stat().st_size == 3
-    assert two.submit(0, tasks.product, 2.0, 3.0).result(PATIENCE_S).opened() == 6.0
+    assert two.submit(0, tasks.product, 2.0, 3.0).result(PATIENCE_S).unwrap() == 6.0
 
 
 def test_the_end_leaves_no_process_and_nothing_half_written(tmp_path):
@@ -206,7 +206,7 @@ def test_arrays_of_an_answer_travel_in_it():
     apart: list[pickle.PickleBuffer] = []
     packed = pickle.dumps(LoggedResult(np.arange(1e5), None, ()), protocol=5, buffer_callback=apart.append)
     assert not apart
-    array = pickle.loads(packed, buffers=apart).opened()
+    array = pickle.loads(packed, buffers=apart).unwrap()
     assert array.flags.aligned
     assert np.array_equal(array, np.arange(1e5))
 
@@ -388,7 +388,7 @@ def test_workers_of_another_version_are_refused(cluster, monkeypatch):
 
 
 def test_a_scheduler_that_stays_away_is_told(tmp_path, monkeypatch):
-    monkeypatch.setattr("fusion.campaign.executor.AWAY_S", 1.0)
+    monkeypatch.setattr("fusion.campaign.executor.SCHEDULER_TIMEOUT_S", 1.0)
     cluster = Cluster(tmp_path)
     with connect_cluster(cluster.address) as crew:
         waiting = crew.submit(0, tasks.wait_for_ever, tmp_path / "begun")

@@ -362,7 +362,7 @@ def test_known_lines_foretell_the_body_and_move_nothing(large, monkeypatch):
         approached.append(1)
         return coarse_fit(*arguments)
 
-    monkeypatch.setattr(follow, "approach", counted)
+    monkeypatch.setattr(follow, "coarse_fit", counted)
     for line in (None, 0.9, 0.37):
         terms = None if line is None else sine_terms(np.arange(TOUCHED) / (2.0 * np.pi), np.array([line]))
         approached.clear()
