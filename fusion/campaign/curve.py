@@ -98,18 +98,20 @@ def linearity(drives: Sequence[ExcitedLine], component: int, stated: StatedMatri
     207). Only outputs with a reading other than zero in all recordings have a slope.
     """
     channels = [name for name in common_outputs(drives) if all(drive.output(name) != 0.0 for drive in drives)]
-    known = known_matrix_of(drives, component, stated)
-    if known is not None:  # outputs of which the matrix tells no element would be ratios among elements
-        channels = [known.channels[row] for row in known.rows if known.channels[row] in channels]
+    matrix = known_matrix_of(drives, component, stated)
+    if matrix is not None:  # outputs of which the matrix tells no element would be ratios among elements
+        channels = [matrix.channels[row] for row in matrix.rows if matrix.channels[row] in channels]
     kind, found = drive_values(drives, component, stated, channels)
     plain = unweighted_mean([value for value, _ in found])
     scaled = relative_to_mean(found, plain)
     readings = np.array([real_stack(value) for value, _ in scaled])
-    own, shared = split_covariance(scaled)
+    individual, shared = split_covariance(scaled)
     amplitude = np.array([abs(drive.load[component]) for drive in drives])
     width = float(np.ptp(amplitude))
     dof = 2 * (len(drives) - 2)
-    fits = [_slope(readings, own, shared, (amplitude - amplitude.mean()) / width, c) for c in range(len(channels))]
+    fits = [
+        _slope(readings, individual, shared, (amplitude - amplitude.mean()) / width, c) for c in range(len(channels))
+    ]
     change = np.array([fit[0] for fit in fits])
     covariance = np.array([fit[1] * (max(1.0, fit[2] / dof) if dof else 1.0) for fit in fits])
     freedom = float(dof) if dof and any(fit[2] > dof for fit in fits) else np.inf
@@ -132,7 +134,7 @@ def linearity(drives: Sequence[ExcitedLine], component: int, stated: StatedMatri
 
 
 def _slope(
-    readings: FloatArray, own: FloatArray, shared: Sequence[Shared], places: FloatArray, c: int
+    readings: FloatArray, individual: FloatArray, shared: Sequence[Shared], abscissa: FloatArray, c: int
 ) -> tuple[complex, FloatArray, float]:
     """Return the relative slope of channel c, its covariance (2, 2), and chi-square.
 
@@ -140,19 +142,19 @@ def _slope(
     blocks of the covariance. Time and memory grow with the number of readings, not with its square.
     """
     count, both = len(readings), np.array([c, c + readings.shape[1] // 2])
-    own = own[:, both[:, None], both]
+    individual = individual[:, both[:, None], both]
     effects = [(rows, effect[:, :, both]) for rows, effect in shared]
-    total = np.trace(own, axis1=1, axis2=2).sum() + sum(float(np.sum(effect**2)) for _, effect in effects)
-    own = own + np.eye(2) * 1e-12 * total / (2 * count)
+    total = np.trace(individual, axis1=1, axis2=2).sum() + sum(float(np.sum(effect**2)) for _, effect in effects)
+    individual = individual + np.eye(2) * 1e-12 * total / (2 * count)
     wide = [effect.reshape(len(effect), -1).T for rows, effect in effects if len(rows) == count]
-    design = np.concatenate([np.kron(np.ones((count, 1)), np.eye(2)), np.kron(places[:, None], np.eye(2))], axis=1)
+    design = np.concatenate([np.kron(np.ones((count, 1)), np.eye(2)), np.kron(abscissa[:, None], np.eye(2))], axis=1)
     columns = np.column_stack([*wide, design, readings[:, both].ravel()])
     for rows, narrow in _blocks(count, [item for item in effects if len(item[0]) < count]):
-        place = {row: number for number, row in enumerate(rows)}
+        index = {row: number for number, row in enumerate(rows)}
         block = np.zeros((len(rows), 2, len(rows), 2))
-        block[range(len(rows)), :, range(len(rows))] = own[rows]
+        block[range(len(rows)), :, range(len(rows))] = individual[rows]
         for acting, effect in narrow:
-            at = [place[row] for row in acting]
+            at = [index[row] for row in acting]
             block[np.ix_(at, range(2), at)] += np.einsum("eni,emj->nimj", effect, effect)
         lines = (2 * np.array(rows)[:, None] + np.arange(2)).ravel()
         root = np.linalg.cholesky(block.reshape(2 * len(rows), -1))
@@ -211,7 +213,7 @@ class Weights:
 
 
 def interpolation_weights(
-    frequency_hz: FloatArray, value: FloatArray, variance: FloatArray, wanted_hz: FloatArray
+    frequency_hz: FloatArray, value: FloatArray, variance: FloatArray, target_hz: FloatArray
 ) -> Weights:
     """Return the weights of values (K,) with random `variance` (K,) for other frequencies (Q,).
 
@@ -223,26 +225,26 @@ def interpolation_weights(
     if len(frequency_hz) < MIN_POINTS:
         raise ValueError(f"frequency_hz: expected at least {MIN_POINTS} points, found {len(frequency_hz)}")
     low, high = float(np.min(frequency_hz)), float(np.max(frequency_hz))
-    outside = wanted_hz[(wanted_hz < low) | (wanted_hz > high)]
+    outside = target_hz[(target_hz < low) | (target_hz > high)]
     if len(outside):
-        raise ValueError(f"wanted_hz: expected {low:g} to {high:g} Hz, the range of the points, found {outside[0]:g}")
+        raise ValueError(f"target_hz: expected {low:g} to {high:g} Hz, the range of the points, found {outside[0]:g}")
     largest = float(np.max(np.abs(value)))
     size = largest if largest > 0.0 else 1.0
     data = value[:, None] / size
     noise = variance / size**2 + _JITTER**2
     # Columns 1, f, f² of a trend.
-    trend, trend_wanted = (
-        np.stack([(f / high) ** power for power in range(3)], axis=1) for f in (frequency_hz, wanted_hz)
+    trend, target_trend = (
+        np.stack([(f / high) ** power for power in range(3)], axis=1) for f in (frequency_hz, target_hz)
     )
-    place, wanted = np.log(frequency_hz), np.log(wanted_hz)
-    distance = np.abs(place[:, None] - place)
+    position, target = np.log(frequency_hz), np.log(target_hz)
+    distance = np.abs(position[:, None] - position)
     contrasts = np.linalg.qr(trend, mode="complete")[0][:, trend.shape[1] :]
     best = _restricted_maximum(distance, contrasts, data, noise)
     covariance = _matern(distance, best)
-    across = _matern(np.abs(wanted[:, None] - place), best)
+    across = _matern(np.abs(target[:, None] - position), best)
     readings = covariance + np.diag(noise + _DIGITS * np.exp(2.0 * best[0]))
     projector = contrasts @ np.linalg.solve(contrasts.T @ readings @ contrasts, contrasts.T)
-    plain = trend_wanted @ np.linalg.pinv(trend)
+    plain = target_trend @ np.linalg.pinv(trend)
     weight = plain + (across - plain @ readings) @ projector
     between = np.exp(2.0 * best[0]) - 2.0 * np.sum(weight * across, axis=1)
     between = np.maximum(between + np.einsum("qk,kl,ql->q", weight, covariance, weight), 0.0)
@@ -343,8 +345,8 @@ def ratio_curves(
             chosen[-1] = impurity, group
     curves = []
     for j in sorted(groups):
-        known = [(group, known_matrix_of(group, j, stated)) for _, group in groups[j]]
-        means = [mean(group, j, own) for group, own in known if (own is None) == (stated is None)]
+        matrices = [(group, known_matrix_of(group, j, stated)) for _, group in groups[j]]
+        means = [mean(group, j, matrix) for group, matrix in matrices if (matrix is None) == (stated is None)]
         if means:
             curves.append(_ratio_curve(j, means))
     return tuple(curves)
@@ -374,17 +376,17 @@ def relative_curve(curve: SensitivityCurve, static: ArrayLike, u_static: ArrayLi
     """
     table, u_table = np.asarray(static, dtype=np.float64), np.asarray(u_static, dtype=np.float64)
     check_shape("static", table, (len(curve.channels), len(LOAD_COMPONENTS)))
-    places = [e for e, element in enumerate(curve.elements) if table[element] != 0.0]
-    if not places:
+    indices = [e for e, element in enumerate(curve.elements) if table[element] != 0.0]
+    if not indices:
         return None
     chosen = replace(
         curve,
-        elements=tuple(curve.elements[e] for e in places),
-        value=curve.value[:, places],
-        uncertainty=curve.uncertainty.at(places),
+        elements=tuple(curve.elements[e] for e in indices),
+        value=curve.value[:, indices],
+        uncertainty=curve.uncertainty.at(indices),
     )
     rows, columns = np.transpose(chosen.elements)
-    names = [chosen.name(e) for e in range(len(places))]
+    names = [chosen.name(e) for e in range(len(indices))]
     stated = table[rows, columns], u_table[rows, columns]
     value, uncertainty = over_static(chosen.value, chosen.uncertainty, *stated, names)
     return replace(chosen, value=value, uncertainty=uncertainty)
@@ -397,7 +399,7 @@ def interpolate(curve: SensitivityCurve, frequency_hz: FloatArray) -> Sensitivit
     act on the sum as on the points, since the weights add up to 1; noise averages according to the weights. An element
     of fewer than five points has no value.
     """
-    wanted = np.asarray(frequency_hz, dtype=np.float64)
+    target_hz = np.asarray(frequency_hz, dtype=np.float64)
     lines, count = curve.value.shape
     data = real_stack(curve.value)
     # Variance that is a point's own: noise, and unknowns that act on one frequency only.
@@ -405,19 +407,23 @@ def interpolate(curve: SensitivityCurve, frequency_hz: FloatArray) -> Sensitivit
     for influence in curve.uncertainty.influences:
         if np.count_nonzero(np.any(influence.effect != 0.0, axis=1)) == 1:
             noise = noise + influence.effect**2
-    weight, between = np.zeros((len(wanted), lines, 2 * count)), np.zeros((len(wanted), 2 * count))
+    weight, between = np.zeros((len(target_hz), lines, 2 * count)), np.zeros((len(target_hz), 2 * count))
     dof = np.inf
     for part in range(2 * count):
         usable = np.flatnonzero(np.isfinite(data[:, part]))
         if len(usable) < MIN_POINTS:
             weight[:, :, part] = np.nan
             continue
-        found = interpolation_weights(curve.frequency_hz[usable], data[usable, part], noise[usable, part], wanted)
+        found = interpolation_weights(curve.frequency_hz[usable], data[usable, part], noise[usable, part], target_hz)
         weight[:, usable, part], between[:, part], dof = found.weight, found.variance, min(dof, found.dof)
     sums = np.einsum("qki,ki->qi", weight, np.nan_to_num(data))
     uncertainty = _interpolated(curve, weight, between, dof)
     return replace(
-        curve, frequency_hz=wanted, value=as_complex(sums), uncertainty=uncertainty, recordings=((),) * len(wanted)
+        curve,
+        frequency_hz=target_hz,
+        value=as_complex(sums),
+        uncertainty=uncertainty,
+        recordings=((),) * len(target_hz),
     )
 
 
@@ -470,14 +476,14 @@ def _averaged(part: Contribution, weight: FloatArray, size: FloatArray) -> Contr
     The degrees of freedom use relative variances. Differences of mountings may be equal at all frequencies of a
     mounting, such as a position error: they do not average out, (Σ w·e)² ≤ Σ|w|·Σ|w|·e².
     """
-    known = np.nan_to_num(part.covariance)
+    covariances = np.nan_to_num(part.covariance)
     if part.label == BETWEEN:
         size_of = np.abs(weight)
         weight = np.sqrt(size_of * np.sum(size_of, axis=1, keepdims=True))
-    covariance = np.einsum("qki,kij,qkj->qij", weight, known, weight, optimize=True)
+    covariance = np.einsum("qki,kij,qkj->qij", weight, covariances, weight, optimize=True)
     if part.dof is None:
         return replace(part, covariance=covariance)
-    relative = known.diagonal(axis1=1, axis2=2) / np.tile(size, (1, 2)) ** 2
+    relative = covariances.diagonal(axis1=1, axis2=2) / np.tile(size, (1, 2)) ** 2
     share = np.einsum("qki,ki->qk", np.nan_to_num(weight) ** 2, relative)
     total, weighted = share.sum(axis=1), np.sum(share**2 / np.maximum(part.dof, 1.0), axis=1)
     dof = np.divide(total**2, weighted, out=np.full(len(total), np.inf), where=weighted > 0.0)
@@ -512,13 +518,13 @@ def single_points(
     """Return frequency, mounting and value of every recording in one element of a curve."""
     c, component = curve.elements[element]
     channel = curve.channels[c]
-    behind = {(name, k) for k, names in enumerate(curve.recordings) for name in names}
+    contributing = {(name, k) for k, names in enumerate(curve.recordings) for name in names}
     found = []
     for drive in drives:
         line = int(np.argmin(np.abs(curve.frequency_hz - drive.frequency_hz)))
-        if (drive.recording, line) in behind and channel in drive.channels:
-            known = known_matrix_of([drive], component, stated) if curve.kind == "element" else None
-            value, uncertainty = drive_value(drive, component, [channel], known)
+        if (drive.recording, line) in contributing and channel in drive.channels:
+            matrix = known_matrix_of([drive], component, stated) if curve.kind == "element" else None
+            value, uncertainty = drive_value(drive, component, [channel], matrix)
             ((point,),) = polar_elements(value[None], uncertainty)
             if point is not None:
                 found.append((drive.frequency_hz, drive.mounting, point))

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from fusion.sensitivity.load_phasors import LoadResult
 
 
-Kept = TypeVar("Kept")
+Item = TypeVar("Item")
 Numbers = tuple[tuple[Contribution, ...], FloatArray]
 UnknownDescription = tuple[str, str, float, str, Scope, Kind, float, Distribution]
 """Unknown without its effect: name, label, u, unit, scope, type, degrees of freedom, distribution."""
@@ -42,12 +42,12 @@ class LazyUncertainty(Uncertainty):
         object.__setattr__(self, "numbers", numbers)
 
     @classmethod
-    def of(cls, known: Uncertainty) -> LazyUncertainty:
+    def of(cls, uncertainty: Uncertainty) -> LazyUncertainty:
         """Return a given uncertainty with its numbers in memory."""
-        influences = known.influences
-        own = ((i.name, i.label, i.u, i.unit, i.scope, i.type, i.dof, i.distribution) for i in influences)
+        influences = uncertainty.influences
+        rows = ((i.name, i.label, i.u, i.unit, i.scope, i.type, i.dof, i.distribution) for i in influences)
         effects = np.array([influence.effect for influence in influences])
-        return cls(tuple(intern_unknown(*about) for about in own), partial(identity, (known.random, effects)))
+        return cls(tuple(intern_unknown(*row) for row in rows), partial(identity, (uncertainty.random, effects)))
 
     @property
     def random(self) -> tuple[Contribution, ...]:
@@ -58,7 +58,7 @@ class LazyUncertainty(Uncertainty):
     def influences(self) -> tuple[Influence, ...]:
         """Influences."""
         pairs = zip(self.descriptions, self.numbers()[1], strict=True)
-        return tuple(Influence(*about[:4], effect, *about[4:]) for about, effect in pairs)
+        return tuple(Influence(*row[:4], effect, *row[4:]) for row, effect in pairs)
 
     def _mapped(
         self, of_covariance: Callable[[FloatArray], FloatArray], of_effect: Callable[[FloatArray], FloatArray]
@@ -69,15 +69,15 @@ class LazyUncertainty(Uncertainty):
         return LazyUncertainty(self.descriptions, partial(identity, (mapped, effects)))
 
 
-def identity(kept: Kept) -> Kept:
+def identity(value: Item) -> Item:
     """Return the argument; `partial(identity, value)` is a callable that returns a value."""
-    return kept
+    return value
 
 
 @lru_cache(maxsize=4096)
-def intern_unknown(*about: *UnknownDescription) -> UnknownDescription:
+def intern_unknown(*description: *UnknownDescription) -> UnknownDescription:
     """Return the same object for the same unknown."""
-    return about
+    return description
 
 
 class DiskStore:
@@ -91,18 +91,18 @@ class DiskStore:
         load, outputs = (self._put(u) for u in (drive.load_uncertainty, drive.outputs_uncertainty))
         return replace(drive, load_uncertainty=load, outputs_uncertainty=outputs)
 
-    def store(self, kept: Kept) -> Callable[[], Kept]:
+    def store(self, value: Item) -> Callable[[], Item]:
         """Write an object to disk and return a callable that reads it."""
-        place = self._file.seek(0, os.SEEK_END)
-        pickle.dump(kept, self._file, protocol=pickle.HIGHEST_PROTOCOL)
-        return partial(self._get, place)
+        offset = self._file.seek(0, os.SEEK_END)
+        pickle.dump(value, self._file, protocol=pickle.HIGHEST_PROTOCOL)
+        return partial(self._get, offset)
 
-    def _put(self, known: Uncertainty) -> LazyUncertainty:
-        stored = known if isinstance(known, LazyUncertainty) else LazyUncertainty.of(known)
+    def _put(self, uncertainty: Uncertainty) -> LazyUncertainty:
+        stored = uncertainty if isinstance(uncertainty, LazyUncertainty) else LazyUncertainty.of(uncertainty)
         return LazyUncertainty(stored.descriptions, self.store(stored.numbers()))  # which may come from this file
 
-    def _get(self, place: int) -> Any:
-        self._file.seek(place)
+    def _get(self, offset: int) -> Any:
+        self._file.seek(offset)
         return pickle.load(self._file)
 
 
@@ -147,8 +147,8 @@ class ExcitedLine:
 
     def output(self, channel: str) -> complex:
         """Return the reading of a channel, NaN if there is none."""
-        known = channel in self.channels
-        return complex(self.outputs[self.channels.index(channel)]) if known else complex(np.nan, np.nan)
+        recorded = channel in self.channels
+        return complex(self.outputs[self.channels.index(channel)]) if recorded else complex(np.nan, np.nan)
 
     def campaign_uncertainties(self) -> tuple[Uncertainty, Uncertainty]:
         """Return the uncertainties of load and outputs under names that are unique in the campaign."""
@@ -216,21 +216,21 @@ def start_names(grids: Mapping[str, tuple[Grid, ...]]) -> dict[str, str]:
     The timing error between sampled edges is common to these recordings; a mean does not reduce it.
     """
     # Firsts by where their edges begin, in steps that no two grids alike are further apart than.
-    step_s = max((grid.sample_s for own in grids.values() for grid in own), default=1.0) / 2.0
-    places: dict[int, list[tuple[int, str]]] = {}
+    step_s = max((grid.sample_s for edges in grids.values() for grid in edges), default=1.0) / 2.0
+    firsts: dict[int, list[tuple[int, str]]] = {}
     named: dict[str, str] = {}
-    for number, (recording, own) in enumerate(grids.items()):
-        step = int(own[0].start_s // step_s) if own else 0
-        near = sorted(first for k in (-1, 0, 1) for first in places.get(step + k, ())) if own else []
-        named[recording] = next((first for _, first in near if _start_alike(grids[first], own)), recording)
-        if own and named[recording] == recording:
-            places.setdefault(step, []).append((number, recording))
+    for number, (recording, edges) in enumerate(grids.items()):
+        step = int(edges[0].start_s // step_s) if edges else 0
+        near = sorted(first for k in (-1, 0, 1) for first in firsts.get(step + k, ())) if edges else []
+        named[recording] = next((first for _, first in near if _start_alike(grids[first], edges)), recording)
+        if edges and named[recording] == recording:
+            firsts.setdefault(step, []).append((number, recording))
     return named
 
 
-def _start_alike(first: tuple[Grid, ...], other: tuple[Grid, ...]) -> bool:
+def _start_alike(first: tuple[Grid, ...], second: tuple[Grid, ...]) -> bool:
     """Return whether two recordings have the same grids."""
-    return len(first) == len(other) > 0 and all(map(Grid.like, first, other))
+    return len(first) == len(second) > 0 and all(map(Grid.like, first, second))
 
 
 def with_campaign_names(uncertainty: Uncertainty, recording: str, mounting: str, start: str = "") -> Uncertainty:
@@ -247,10 +247,10 @@ def with_campaign_names(uncertainty: Uncertainty, recording: str, mounting: str,
         "start": f" [{start or recording}]",
     }
     if isinstance(uncertainty, LazyUncertainty):
-        about: list[UnknownDescription] = [
+        descriptions: list[UnknownDescription] = [
             (f"{a[0]}{suffix[a[4]]}", a[1], a[2], a[3], "rig", *a[5:]) for a in uncertainty.descriptions
         ]
-        return LazyUncertainty(tuple(about), uncertainty.numbers)
+        return LazyUncertainty(tuple(descriptions), uncertainty.numbers)
     influences = [replace(i, name=f"{i.name}{suffix[i.scope]}", scope="rig") for i in uncertainty.influences]
     return replace(uncertainty, influences=tuple(influences))
 
@@ -264,14 +264,16 @@ def join_lines(parts: Sequence[Uncertainty]) -> Uncertainty:
     random: dict[str, Contribution] = {}
     influences: dict[str, Influence] = {}
     for line, part in enumerate(parts):
-        for own in Uncertainty(part.random).grouped():
-            known = random.get(own.label)
-            if known is None:
+        for contribution in Uncertainty(part.random).grouped():
+            total = random.get(contribution.label)
+            if total is None:
                 empty = np.zeros((lines, size, size))
-                known = random[own.label] = Contribution(own.label, own.type, empty, np.full(lines, np.inf))
-            known.covariance[line] = own.covariance[0]
-            if own.dof is not None and known.dof is not None:
-                known.dof[line] = own.dof[0]
+                total = random[contribution.label] = Contribution(
+                    contribution.label, contribution.type, empty, np.full(lines, np.inf)
+                )
+            total.covariance[line] = contribution.covariance[0]
+            if contribution.dof is not None and total.dof is not None:
+                total.dof[line] = contribution.dof[0]
         for influence in part.influences:
             if influence.name not in influences:
                 influences[influence.name] = replace(influence, effect=np.zeros((lines, size)))

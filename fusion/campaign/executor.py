@@ -116,23 +116,23 @@ def call(function: Callable[..., Any], *arguments: Any) -> LoggedResult:
 
     Its log records are collected. An exception has its traceback as a note.
     """
-    keeper = _Keeper()
+    collector = _RecordCollector()
     with _ALONE:
-        before = log.handlers, log.propagate, log.level
-        log.handlers, log.propagate = [keeper], False
+        previous = log.handlers, log.propagate, log.level
+        log.handlers, log.propagate = [collector], False
         log.setLevel(logging.DEBUG)
         try:
-            opened = [argument.unwrap() if isinstance(argument, LoggedResult) else argument for argument in arguments]
-            return LoggedResult(function(*opened), None, tuple(keeper.kept))
+            values = [argument.unwrap() if isinstance(argument, LoggedResult) else argument for argument in arguments]
+            return LoggedResult(function(*values), None, tuple(collector.kept))
         except Exception as error:
             error.add_note(traceback.format_exc())
-            return LoggedResult(None, error, tuple(keeper.kept))
+            return LoggedResult(None, error, tuple(collector.kept))
         finally:
-            log.handlers, log.propagate = before[:2]
-            log.setLevel(before[2])
+            log.handlers, log.propagate = previous[:2]
+            log.setLevel(previous[2])
 
 
-class _Keeper(logging.Handler):
+class _RecordCollector(logging.Handler):
     """Handler that collects records as plain text, which can be sent to another process."""
 
     def __init__(self) -> None:
@@ -222,8 +222,8 @@ class Workers:
         Futures among the arguments must be done; the function receives their results.
         """
         self._number += 1
-        held = tuple(argument.result() if isinstance(argument, Future) else argument for argument in arguments)
-        task = _Task(rank, self._number, function, held)
+        values = tuple(argument.result() if isinstance(argument, Future) else argument for argument in arguments)
+        task = _Task(rank, self._number, function, values)
         self._queue.put(task)
         return task.future
 
@@ -423,13 +423,13 @@ class Cluster:
         from distributed import Client
 
         with self._reconnecting:
-            told, end = False, time.monotonic() + SCHEDULER_TIMEOUT_S
+            warned, end = False, time.monotonic() + SCHEDULER_TIMEOUT_S
             while self._client.status != "running":
                 if self.ended or time.monotonic() > end:
                     raise ComputeError(SCHEDULER_LOST, timeout_s=SCHEDULER_TIMEOUT_S)
-                if not told:
+                if not warned:
                     log.warning("the Dask scheduler does not answer; waiting for %.0f s", SCHEDULER_TIMEOUT_S)
-                    told = True
+                    warned = True
                 if self._client.status == "closed":
                     with suppress(OSError):
                         self._client = Client(self._address, timeout=ANSWER_S, set_as_default=False)
@@ -454,12 +454,12 @@ class ClusterTask:
 
     def _begin(self) -> None:
         """Submit the task, after those among its arguments that the scheduler has lost."""
-        client, held = self._cluster.client(), []
+        client, arguments = self._cluster.client(), []
         for argument in self._task:
             if isinstance(argument, ClusterTask) and argument.future.cancelled():
                 argument._begin()
-            held.append(argument.future if isinstance(argument, ClusterTask) else argument)
-        self.future = client.submit(call, with_one_thread, *held, priority=-self._rank, pure=False)
+            arguments.append(argument.future if isinstance(argument, ClusterTask) else argument)
+        self.future = client.submit(call, with_one_thread, *arguments, priority=-self._rank, pure=False)
         self.future.add_done_callback(self._ended)
 
     def _ended(self, future: ClusterFuture[LoggedResult]) -> None:
@@ -482,9 +482,9 @@ class ClusterTask:
         except BaseException as error:  # told where the answer is awaited
             self._answer.set_exception(error)
 
-    def add_done_callback(self, told: Callable[[ClusterTask], object]) -> None:
+    def add_done_callback(self, callback: Callable[[ClusterTask], object]) -> None:
         """Call a function when the task has ended."""
-        self._answer.add_done_callback(lambda _: told(self))
+        self._answer.add_done_callback(lambda _: callback(self))
 
     def result(self) -> LoggedResult:
         """Return the result; raise `ComputeError` if the cluster has none."""

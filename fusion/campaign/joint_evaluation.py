@@ -204,8 +204,8 @@ def main_channel(evaluation: CampaignEvaluation, channels: Sequence[str], compon
     for curve in evaluation.curves:
         for e, (channel, j) in enumerate(curve.elements):
             if j == component and curve.channels[channel] in channels:
-                place = list(channels).index(curve.channels[channel])
-                size[place] = max(size[place], float(np.nanmax(np.abs(curve.value[:, e]), initial=0.0)))
+                index = list(channels).index(curve.channels[channel])
+                size[index] = max(size[index], float(np.nanmax(np.abs(curve.value[:, e]), initial=0.0)))
     return int(np.argmax(size))
 
 
@@ -280,12 +280,12 @@ FULL_HEADLINES = 2
 def main_points(evaluation: CampaignEvaluation, points: Sequence[CurvePoint]) -> dict[str, list[CurvePoint]]:
     """Return the points of the main outputs by component: ratios before elements of matrices."""
     found: dict[str, list[CurvePoint]] = {}
-    for place, component in enumerate(LOAD_COMPONENTS):
-        own = [point for point in points if point.component == component]
-        channels = list(dict.fromkeys(point.channel for point in own))
-        if own:
-            main = channels[main_channel(evaluation, channels, place)]
-            found[component] = [point for point in own if point.channel == main]
+    for index, component in enumerate(LOAD_COMPONENTS):
+        matching = [point for point in points if point.component == component]
+        channels = list(dict.fromkeys(point.channel for point in matching))
+        if matching:
+            main = channels[main_channel(evaluation, channels, index)]
+            found[component] = [point for point in matching if point.channel == main]
     return found
 
 
@@ -365,15 +365,15 @@ def _curve_columns(exponent: int, magnitude: str) -> list[TableColumn[CurvePoint
 
 def _scatter_headline(evaluation: CampaignEvaluation) -> list[Headline]:
     """Return the effect of a new mounting over all excitations with several mountings."""
-    known = [found for found in evaluation.repeats if found.between_dof and found.within_dof]
-    if not known:
+    repeated = [found for found in evaluation.repeats if found.between_dof and found.within_dof]
+    if not repeated:
         return []
-    places = [main_channel(evaluation, found.channels, found.component) for found in known]
+    channels = [main_channel(evaluation, found.channels, found.component) for found in repeated]
     sizes = [
-        float(np.sqrt(np.mean([value[place] ** 2 for value, place in zip(values, places, strict=True)])))
-        for values in ([found.between for found in known], [found.within for found in known])
+        float(np.sqrt(np.mean([value[channel] ** 2 for value, channel in zip(values, channels, strict=True)])))
+        for values in ([found.between for found in repeated], [found.within for found in repeated])
     ]
-    remark = f"a recording: {small(100.0 * sizes[1])} %; rms of {len(known)} excitations, beyond what is stated"
+    remark = f"a recording: {small(100.0 * sizes[1])} %; rms of {len(repeated)} excitations, beyond what is stated"
     return [Headline("Mounting anew, standard deviation", f"{small(100.0 * sizes[0])} %", remark)]
 
 
@@ -381,11 +381,11 @@ def _crosstalk_headline(evaluation: CampaignEvaluation) -> list[Headline]:
     """Return the largest cross-talk that has been shown."""
     best: tuple[float, CrossTalk, int, int] | None = None
     for found in evaluation.cross_talks:
-        least = np.where(found.holds_zero, -np.inf, np.abs(found.value) - found.half_axis)
-        least[np.arange(len(found.main)), list(found.main)] = -np.inf
-        place = divmod(int(np.argmax(least)), least.shape[1])
-        if np.isfinite(least[place]) and (best is None or least[place] > best[0]):
-            best = float(least[place]), found, *place
+        bounds = np.where(found.holds_zero, -np.inf, np.abs(found.value) - found.half_axis)
+        bounds[np.arange(len(found.main)), list(found.main)] = -np.inf
+        index = divmod(int(np.argmax(bounds)), bounds.shape[1])
+        if np.isfinite(bounds[index]) and (best is None or bounds[index] > best[0]):
+            best = float(bounds[index]), found, *index
     if best is None:
         return []
     _, found, c, j = best

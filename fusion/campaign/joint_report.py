@@ -130,7 +130,7 @@ def campaign_tables(evaluation: CampaignEvaluation, folders: Sequence[Path]) -> 
     tables: dict[str, Iterable[str]] = {name: merged_table(name, folders) for name in MERGED_FILES}
     tables[SENSITIVITY_FILE] = chain(tables[SENSITIVITY_FILE], _of_matrices(evaluation))
     tables[CURVE_FILE] = [csv_text(CURVE, curve_points(evaluation))]
-    cross_talk = (element for found in evaluation.cross_talks for element in _beside_the_main(found))
+    cross_talk = (element for found in evaluation.cross_talks for element in _side_elements(found))
     tables[CROSSTALK_FILE] = [csv_text(CROSSTALK, cross_talk)]
     return tables
 
@@ -143,7 +143,7 @@ def _of_matrices(evaluation: CampaignEvaluation) -> Iterator[str]:
             yield csv_text(SENSITIVITY, elements).partition("\n")[2]
 
 
-def _beside_the_main(found: CrossTalk) -> Iterator[CrossTalkElement]:
+def _side_elements(found: CrossTalk) -> Iterator[CrossTalkElement]:
     """Yield every element except the main ones."""
     (elements,) = polar_elements(found.value.reshape(1, -1), found.uncertainty)
     for (c, j), value in zip(np.ndindex(found.value.shape), elements, strict=True):
@@ -249,10 +249,10 @@ def _agreement_table(evaluation: CampaignEvaluation) -> Table | None:
     names = [entry.name for entry in evaluation.recorded if entry.name in compared]
     rows = []
     for name in names:
-        own = [cells.get((name, k)) for k in range(len(fits))]
-        mounting = next(item.mounting for item in own if item is not None)
+        row = [cells.get((name, k)) for k in range(len(fits))]
+        mounting = next(item.mounting for item in row if item is not None)
         rows.append(
-            (name, mounting, *(DASH if item is None else signed_text(item.normalised_deviation) for item in own))
+            (name, mounting, *(DASH if item is None else signed_text(item.normalised_deviation) for item in row))
         )
     total = tuple(f"{fit.chi2:.1f} / {fit.dof}" for fit in fits)
     rows.append((Markup("<b>χ² / degrees of freedom</b>"), "", *total))
@@ -266,10 +266,10 @@ def _rank_sentences(evaluation: CampaignEvaluation) -> list[str]:
     sentences, fits = [], evaluation.matrices
     if fits:
         least = min(fits, key=lambda fit: float(fit.excitation.singular[-1]))
-        where, count = [fit.frequency_hz for fit in fits], len(fits)
-        places = f"At {count} frequencies from {min(where):.6g} Hz to {max(where):.6g} Hz"
+        lines, count = [fit.frequency_hz for fit in fits], len(fits)
+        frequencies = f"At {count} frequencies from {min(lines):.6g} Hz to {max(lines):.6g} Hz"
         sentences.append(
-            f"{places if count > 1 else f'At {where[0]:.6g} Hz'} the recordings excite six independent loads. The "
+            f"{frequencies if count > 1 else f'At {lines[0]:.6g} Hz'} the recordings excite six independent loads. The "
             f"weakest of them is {number(float(least.excitation.singular[-1]))} times its standard uncertainty at "
             f"{least.frequency_hz:.6g} Hz; a matrix needs {MIN_SINGULAR:g}."
         )
@@ -289,8 +289,8 @@ def repeats_table(evaluation: CampaignEvaluation) -> Table | None:
 
     def percent(found: RepeatMean, share: FloatArray) -> str:
         """Return a standard deviation; a dash if it is not determined."""
-        own = share[main_channel(evaluation, found.channels, found.component)]
-        return DASH if not np.isfinite(own) else small(100.0 * own) if own > 0.0 else "0"
+        deviation = share[main_channel(evaluation, found.channels, found.component)]
+        return DASH if not np.isfinite(deviation) else small(100.0 * deviation) if deviation > 0.0 else "0"
 
     columns: list[TableColumn[RepeatMean]] = [
         page_column("frequency / Hz", lambda found: f"{found.frequency_hz:.4f}"),
@@ -414,10 +414,10 @@ def render_campaign(evaluation: CampaignEvaluation) -> str:
         "curves": [draw_curve(points, evaluation.curves, evaluation.excited_lines, stated) for points in drawn],
         "curve_tables": curve_tables(mains),
         "outputs": [draw_outputs(c, main_channel(evaluation, c.channels, c.elements[0][1])) for c in ratios],
-        "maps": [picture for picture in [draw_crosstalk(evaluation.cross_talks)] if picture],
+        "maps": [figure for figure in [draw_crosstalk(evaluation.cross_talks)] if figure],
         "crosstalk": [_crosstalk_table(found) for found in evaluation.cross_talks],
         "rank": _rank_sentences(evaluation),
-        "excitations": [picture for picture in [draw_excitation(evaluation.matrices)] if picture],
+        "excitations": [figure for figure in [draw_excitation(evaluation.matrices)] if figure],
         "agreement": _agreement_table(evaluation),
         "repeats": repeats_table(evaluation),
         "linearity": linearity_table(evaluation),
@@ -466,17 +466,17 @@ def join_campaign(
     inputs = InputFiles.without_hashes(folder / file for folder in folders for file in (*MERGED_FILES, RESULT_FILE))
     with ExitStack() as stack:
         with report_write_errors(top):
-            shelf = DiskStore(stack.enter_context(TemporaryFile(dir=staging_dir(top))))
+            store = DiskStore(stack.enter_context(TemporaryFile(dir=staging_dir(top))))
             entries = (read_recorded(folder) for folder in folders)
-            recorded = [_shelved(entry, shelf) for entry in entries]
-        evaluation = evaluate_campaign(name, recorded, failed, shelf.put)
+            recorded = [_stored_on_disk(entry, store) for entry in entries]
+        evaluation = evaluate_campaign(name, recorded, failed, store.put)
         return evaluation, _write(top, evaluation, folders, inputs)
 
 
-def _shelved(entry: RecordingResults, shelf: DiskStore) -> RecordingResults:
+def _stored_on_disk(entry: RecordingResults, store: DiskStore) -> RecordingResults:
     """Return a recording whose large tables are on disk."""
-    knowledge = None if entry.knowledge is None else shelf.store(entry.knowledge())
-    return replace(entry, excited_lines=tuple(map(shelf.put, entry.excited_lines)), knowledge=knowledge)
+    knowledge = None if entry.knowledge is None else store.store(entry.knowledge())
+    return replace(entry, excited_lines=tuple(map(store.put, entry.excited_lines)), knowledge=knowledge)
 
 
 def _write(top: Path, evaluation: CampaignEvaluation, folders: Sequence[Path], inputs: InputFiles) -> list[Path]:

@@ -124,19 +124,19 @@ def fit_matrix(drives: Sequence[ExcitedLine], channels: Sequence[str] | None = N
     if high > low * (1.0 + FREQUENCY_TOLERANCE):
         width = f"{FREQUENCY_TOLERANCE:.2%}"
         raise ValueError(f"drives: expected one frequency within {width}, found {low:g} Hz to {high:g} Hz")
-    wanted = tuple(dict.fromkeys(name for drive in drives for name in drive.channels) if channels is None else channels)
+    names = tuple(dict.fromkeys(name for drive in drives for name in drive.channels) if channels is None else channels)
     require_six(drives_excite(drives), len(drives))
-    stack = stack_drives(drives, wanted)
+    stack = stack_drives(drives, names)
     found = excitation(stack)
     require_six(found, len(drives))
-    kept = [c for c in range(len(wanted)) if excitation(stack, np.flatnonzero(stack.usable[:, c])).determines]
-    if not kept:
+    determined = [c for c in range(len(names)) if excitation(stack, np.flatnonzero(stack.usable[:, c])).determines]
+    if not determined:
         raise ValueError("drives: expected an output recorded under six independent loads, found none")
     notices = []
-    if len(kept) < len(wanted):
-        left_out = ", ".join(name for c, name in enumerate(wanted) if c not in kept)
+    if len(determined) < len(names):
+        left_out = ", ".join(name for c, name in enumerate(names) if c not in determined)
         notices.append(Notice(MISSING_MATRIX_ROW, "matrix", channels=left_out))
-    stack = stack_drives(drives, [wanted[c] for c in kept])
+    stack = stack_drives(drives, [names[c] for c in determined])
     solution, first, tau = _solve(stack)
     agreement = _agreement(stack, first)
     fit = MatrixFit(
@@ -176,8 +176,11 @@ def _agreement(stack: Stack, solution: MatrixSolution) -> tuple[Agreement, ...]:
     """Return the agreement of every line's outputs with all others."""
     judged = []
     for r, (drive, usable) in enumerate(zip(stack.drives, np.tile(stack.usable, (1, 2)), strict=True)):
-        rows, own = np.flatnonzero(usable), (solution.projector[r], solution.projected_residual[r], solution.size[r])
-        chi2, count, _ = leave_out_rows(*own, rows, RANK_TOLERANCE)
+        rows, numbers = (
+            np.flatnonzero(usable),
+            (solution.projector[r], solution.projected_residual[r], solution.size[r]),
+        )
+        chi2, count, _ = leave_out_rows(*numbers, rows, RANK_TOLERANCE)
         deviation = float(np.sqrt(chi2 / count)) if count else np.nan
         judged.append(Agreement(drive.recording, drive.mounting, drive.frequency_hz, deviation, count))
     return tuple(judged)
@@ -232,10 +235,10 @@ def _uncertainty(stack: Stack, solution: MatrixSolution, tau: float) -> Uncertai
     if tau > 0.0:
         # One error for drives mounted and driven alike.
         spread = np.tile(_spread(stack, tau), (1, 2))
-        alike: dict[tuple[str, tuple[float, ...]], list[int]] = {}
+        same_setup: dict[tuple[str, tuple[float, ...]], list[int]] = {}
         for r, drive in enumerate(stack.drives):
-            alike.setdefault((drive.mounting, drive.direction), []).append(r)
-        effects = (np.sum(solution.gain[members] * spread[members, None], axis=0) for members in alike.values())
+            same_setup.setdefault((drive.mounting, drive.direction), []).append(r)
+        effects = (np.sum(solution.gain[members] * spread[members, None], axis=0) for members in same_setup.values())
         covariance = sum(
             (effect @ effect.T for effect in effects), np.zeros((solution.gain.shape[1], solution.gain.shape[1]))
         )
@@ -290,14 +293,14 @@ def cross_talk(fit: MatrixFit, capacity: Sequence[float]) -> CrossTalk:
     check_shape("capacity", rated, (LOADS,))
     channels = len(fit.channels)
     main = main_components(fit.value, rated)
-    own = fit.value[np.arange(channels), list(main)]
+    main_values = fit.value[np.arange(channels), list(main)]
     ratio = rated / rated[list(main)][:, None]
-    value = ratio * fit.value / own[:, None]
+    value = ratio * fit.value / main_values[:, None]
     jacobian = np.zeros((channels * LOADS, channels * LOADS), np.complex128)
     for i, j in np.ndindex(channels, LOADS):
         if j != main[i]:
-            jacobian[i * LOADS + j, i * LOADS + j] = ratio[i, j] / own[i]
-            jacobian[i * LOADS + j, i * LOADS + main[i]] = -value[i, j] / own[i]
+            jacobian[i * LOADS + j, i * LOADS + j] = ratio[i, j] / main_values[i]
+            jacobian[i * LOADS + j, i * LOADS + main[i]] = -value[i, j] / main_values[i]
     uncertainty = fit.uncertainty.transformed(real_design(jacobian)[None])
     matrices = uncertainty.regions(value.reshape(1, -1))[0]
     regions = [region(e, matrix) for e, matrix in zip(value.ravel().tolist(), matrices, strict=True)]

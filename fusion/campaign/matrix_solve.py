@@ -24,7 +24,7 @@ SLOPE = 1.0
 """Standard uncertainty of dln S/dln f: what is not known of a sensor below a third of its resonance."""
 SAME_LINE = 1e-7
 """Relative difference of frequencies that changes no sensitivity."""
-LINE_SPACING = "lines apart"
+LINE_SPACING = "line spacing"
 
 
 @dataclass(frozen=True)
@@ -90,45 +90,45 @@ def stack_drives(drives: Sequence[ExcitedLine], channels: Sequence[str]) -> Stac
     """
     if not drives:
         raise ValueError("drives: expected at least one, found none")
-    wanted = tuple(channels)
+    names = tuple(channels)
     load = np.stack([drive.load for drive in drives])
-    output = np.array([[drive.output(channel) for channel in wanted] for drive in drives], dtype=np.complex128)
+    output = np.array([[drive.output(channel) for channel in names] for drive in drives], dtype=np.complex128)
     load_size, output_size = _size(load), _size(output)
     output = output / output_size
     sized = [
         (
             of_load.scaled(np.asarray((1.0 / load_size)[None], dtype=np.complex128)),
-            _outputs_in_order(of_outputs, drive, wanted, output_size),
+            _outputs_in_order(of_outputs, drive, names, output_size),
         )
         for drive, (of_load, of_outputs) in ((drive, drive.campaign_uncertainties()) for drive in drives)
     ]
-    known = {influence.name: influence for both in sized for part in both for influence in part.influences}
-    place = {name: number for number, name in enumerate(known)}
-    names = [list(dict.fromkeys(i.name for part in both for i in part.influences)) for both in sized]
-    most = max(map(len, names))
+    unknowns = {influence.name: influence for both in sized for part in both for influence in part.influences}
+    index = {name: number for number, name in enumerate(unknowns)}
+    unknown_names = [list(dict.fromkeys(i.name for part in both for i in part.influences)) for both in sized]
+    most = max(map(len, unknown_names))
     acting = np.full((len(drives), most), -1)
     load_effect = np.zeros((len(drives), most, LOADS), np.complex128)
-    output_effect = np.zeros((len(drives), most, len(wanted)), np.complex128)
-    for row, (own, (of_load, of_outputs)) in enumerate(zip(names, sized, strict=True)):
-        slot = {name: number for number, name in enumerate(own)}
-        acting[row, : len(own)] = [place[name] for name in own]
+    output_effect = np.zeros((len(drives), most, len(names)), np.complex128)
+    for row, (acting_names, (of_load, of_outputs)) in enumerate(zip(unknown_names, sized, strict=True)):
+        slot = {name: number for number, name in enumerate(acting_names)}
+        acting[row, : len(acting_names)] = [index[name] for name in acting_names]
         for influence in of_load.influences:
             load_effect[row, slot[influence.name]] = as_complex(influence.effect[0])
         # Relative to the output, zero where there is none.
         usable = np.isfinite(output[row]) & (output[row] != 0.0)
         for influence in of_outputs.influences:
-            change, relative = as_complex(influence.effect[0]), np.zeros(len(wanted), np.complex128)
+            change, relative = as_complex(influence.effect[0]), np.zeros(len(names), np.complex128)
             output_effect[row, slot[influence.name]] = np.divide(change, output[row], out=relative, where=usable)
     stack = Stack(
         drives=tuple(drives),
-        channels=wanted,
+        channels=names,
         load_size=load_size,
         output_size=output_size,
         load=load / load_size,
         output=output,
         load_noise=tuple(Uncertainty(of_load.random) for of_load, _ in sized),
         output_noise=tuple(Uncertainty(of_outputs.random) for _, of_outputs in sized),
-        unknowns=tuple(known.values()),
+        unknowns=tuple(unknowns.values()),
         acting=acting,
         load_effect=load_effect,
         output_effect=output_effect,
@@ -162,14 +162,14 @@ def _with_slopes(stack: Stack) -> Stack:
     s·ln(f/f₀); s has the standard uncertainty `SLOPE` in its real and imaginary part. Equal frequencies add no
     uncertainty.
     """
-    away = np.log(np.array([drive.frequency_hz for drive in stack.drives]) / stack.frequency_hz)
-    if np.ptp(away) <= SAME_LINE:
+    log_ratio = np.log(np.array([drive.frequency_hz for drive in stack.drives]) / stack.frequency_hz)
+    if np.ptp(log_ratio) <= SAME_LINE:
         return stack
     unknowns, drives = [], len(stack.drives)
     effects = np.zeros((drives, 2 * len(stack.channels), len(stack.channels)), np.complex128)
-    for place, channel in enumerate(stack.channels):
+    for index, channel in enumerate(stack.channels):
         for number, (part, turn) in enumerate((("in phase", 1.0), ("out of phase", 1.0j))):
-            effects[:, 2 * place + number, place] = SLOPE * turn * away
+            effects[:, 2 * index + number, index] = SLOPE * turn * log_ratio
             name = f"change of {channel} with frequency at {stack.frequency_hz:.6g} Hz, {part}"
             unknowns.append(Influence(name, LINE_SPACING, SLOPE, "", np.zeros((1, 2)), "rig"))
     further = np.broadcast_to(len(stack.unknowns) + np.arange(len(unknowns)), effects.shape[:2])
@@ -404,10 +404,10 @@ def estimated_noise(stack: Stack, solution: MatrixSolution) -> EstimatedNoise:
             (stack.output_noise[r], np.eye(len(usable))),
             (stack.load_noise[r], solution.load_design[r]),
         ):
-            own = turn[usable]
+            design = turn[usable]
             for part in noise.random:
                 dof = np.inf if part.dof is None else float(part.dof[0])
-                parts.append((rows, own @ part.covariance[0] @ own.T, dof))
+                parts.append((rows, design @ part.covariance[0] @ design.T, dof))
     return EstimatedNoise.of_parts(parts, solution.residual.size)
 
 
@@ -425,7 +425,7 @@ def changes(stack: Stack, solution: MatrixSolution) -> FloatArray:
     """Return the change of the matrix by one standard uncertainty of every unknown (E, 12C)."""
     total = np.zeros((len(stack.unknowns), solution.gain.shape[1]))
     for group in stack.order.chunks():
-        drives = np.concatenate([own for own, _ in group])
+        drives = np.concatenate([members for members, _ in group])
         effects = _linearise(stack, solution.point, drives).effects
         np.add.at(total, stack.acting[drives], (solution.gain[drives] @ effects).swapaxes(1, 2))
     return total
@@ -458,19 +458,19 @@ def _linearise(stack: Stack, point: LinearisationPoint, drives: IntArray) -> _Li
     residual = output - factor * plain + (output_effect @ acting[..., None])[..., 0]
     residual = residual - (through @ (given - load)[..., None])[..., 0]
     effects = output_effect - through @ (of_load.swapaxes(1, 2) * size[:, None, None])
-    known = np.tile(np.isfinite(output), (1, 2))
+    finite = np.tile(np.isfinite(output), (1, 2))
     turn = real_design(through)
     noise = stack.individual_output_covariance[drives] + turn @ stack.individual_load_covariance[
         drives
     ] @ turn.swapaxes(1, 2)
-    noise = np.where(known[:, :, None] & known[:, None], noise, 0.0)
+    noise = np.where(finite[:, :, None] & finite[:, None], noise, 0.0)
     return _Linear(
-        residual=np.where(known, real_stack(residual), 0.0),
-        design=np.where(known[:, :, None], real_design(rows.reshape(len(drives), channels, -1)), 0.0),
+        residual=np.where(finite, real_stack(residual), 0.0),
+        design=np.where(finite[:, :, None], real_design(rows.reshape(len(drives), channels, -1)), 0.0),
         through=turn,
-        effects=np.where(known[:, :, None], np.concatenate([effects.real, effects.imag], axis=1), 0.0),
+        effects=np.where(finite[:, :, None], np.concatenate([effects.real, effects.imag], axis=1), 0.0),
         load_step=real_design(step),
-        noise=noise + ~known[:, :, None] * np.eye(known.shape[1]),
+        noise=noise + ~finite[:, :, None] * np.eye(finite.shape[1]),
     )
 
 
@@ -488,13 +488,13 @@ class _White:
     columns: FloatArray
     groups: tuple[tuple[slice, int], ...]
 
-    def group(self, place: slice, count: int, width: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def group(self, rows_of_group: slice, count: int, width: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Eliminate the `count` unknowns of a group from its `width` last columns.
 
         Of the system [L B; 1 0] of its rows: Q (n, count) of L, B (n, P) less its projection on Q, and the remaining
         rows for the system of all groups.
         """
-        rows = self.columns[place].reshape(-1, self.columns.shape[2])
+        rows = self.columns[rows_of_group].reshape(-1, self.columns.shape[2])
         within, rest = rows[:, :count], rows[:, -width:]
         if not count:
             return within, rest, rest
@@ -510,7 +510,7 @@ def _whitened(stack: Stack, point: LinearisationPoint, discrepancy: FloatArray) 
     digits = (DIGITS * np.max(np.abs(readings[np.isfinite(readings)]))) ** 2
     extra = np.tile(discrepancy**2, 2)
     for chunk in order.chunks():
-        drives = np.concatenate([own for own, _ in chunk])
+        drives = np.concatenate([members for members, _ in chunk])
         linear = _linearise(stack, point, drives)
         # Raised where it is far below the common errors, or below the digits of the readings.
         diagonal = np.diagonal(linear.noise, axis1=1, axis2=2) + extra[drives]
@@ -524,15 +524,17 @@ def _whitened(stack: Stack, point: LinearisationPoint, discrepancy: FloatArray) 
         turn = np.linalg.solve(upper.swapaxes(1, 2), np.linalg.solve(root, one))
         # Where the effect of an unknown stands; what is its drive's own, or nothing, behind all others.
         most = max(len(within) for _, within in chunk)
-        place = np.full(len(stack.unknowns) + 1, most + len(order.wide))
-        place[order.wide] = most + np.arange(len(order.wide))
+        column = np.full(len(stack.unknowns) + 1, most + len(order.wide))
+        column[order.wide] = most + np.arange(len(order.wide))
         for _, within in chunk:
-            place[within] = np.arange(len(within))
+            column[within] = np.arange(len(within))
         shared = np.zeros((len(drives), most + len(order.wide) + 1, raised.shape[1]))
-        shared[np.arange(len(drives))[:, None], place[stack.acting[drives]]] = linear.effects.swapaxes(1, 2)
+        shared[np.arange(len(drives))[:, None], column[stack.acting[drives]]] = linear.effects.swapaxes(1, 2)
         parts = [shared[:, :-1].swapaxes(1, 2), linear.design, linear.residual[..., None]]
-        ends = np.cumsum([len(own) for own, _ in chunk]).tolist()
-        groups = [(slice(end - len(own), end), len(within)) for end, (own, within) in zip(ends, chunk, strict=True)]
+        ends = np.cumsum([len(members) for members, _ in chunk]).tolist()
+        groups = [
+            (slice(end - len(members), end), len(within)) for end, (members, within) in zip(ends, chunk, strict=True)
+        ]
         yield _White(drives, linear, turn, turn @ np.concatenate(parts, axis=2), tuple(groups))
 
 
@@ -546,8 +548,8 @@ def _upper(stack: Stack, point: LinearisationPoint, discrepancy: FloatArray, wid
     """
     upper, pending = np.eye(len(stack.order.wide), width), list[FloatArray]()
     for white in _whitened(stack, point, discrepancy):
-        for place, count in white.groups:
-            pending.append(white.group(place, count, width)[2])
+        for rows_of_group, count in white.groups:
+            pending.append(white.group(rows_of_group, count, width)[2])
             if sum(map(len, pending)) > 4 * width:
                 upper, pending = np.asarray(np.linalg.qr(np.concatenate([upper, *pending]), mode="r")), []
     return np.asarray(np.linalg.qr(np.concatenate([upper, *pending]), mode="r")[: width - 1])
@@ -556,38 +558,42 @@ def _upper(stack: Stack, point: LinearisationPoint, discrepancy: FloatArray, wid
 def _step(stack: Stack, point: LinearisationPoint, discrepancy: FloatArray) -> MatrixSolution:
     """Return one Gauss-Newton step: generalised least squares for the matrix, then loads and errors."""
     drives, channels = stack.output.shape
-    known, shape, wide = np.tile(stack.usable, (1, 2)), (drives, 2 * channels, 2 * channels), len(stack.order.wide)
+    finite, shape, wide = np.tile(stack.usable, (1, 2)), (drives, 2 * channels, 2 * channels), len(stack.order.wide)
     width = wide + 2 * LOADS * channels + 1
     upper = _upper(stack, point, discrepancy, width)
     inverse = solve_triangular(upper[:, :-1], np.eye(width - 1))
     found, spread = inverse @ upper[:, -1], np.linalg.norm(inverse[wide:], axis=1)
-    residual, size, left = (np.zeros(known.shape) for _ in range(3))
+    residual, size, projected_residual = (np.zeros(finite.shape) for _ in range(3))
     noise, projector = np.zeros(shape), np.zeros(shape)
-    through, gain = np.zeros((*known.shape, 2 * LOADS)), np.zeros((drives, 2 * LOADS * channels, 2 * channels))
+    load_design, gain = np.zeros((*finite.shape, 2 * LOADS)), np.zeros((drives, 2 * LOADS * channels, 2 * channels))
     errors = np.zeros(len(stack.unknowns))
     steps = np.zeros((drives, 2 * LOADS, 2 * LOADS))
     for white in _whitened(stack, point, discrepancy):
-        own, linear = white.drives, white.linear
-        for place, count in white.groups:
-            q, rest, _ = white.group(place, count, width)
-            rows, turn = own[place], white.turn[place]
+        members, linear = white.drives, white.linear
+        for rows_of_group, count in white.groups:
+            q, rest, _ = white.group(rows_of_group, count, width)
+            rows, turn = members[rows_of_group], white.turn[rows_of_group]
             common = rest[:, :-1] @ inverse
             q = np.concatenate([q, common], axis=1).reshape(len(rows), 2 * channels, -1)
             projector[rows] = turn.swapaxes(1, 2) @ (np.eye(2 * channels) - q @ q.swapaxes(1, 2)) @ turn
             common = common.reshape(len(rows), 2 * channels, -1)
             gain[rows] = inverse[wide:] @ common.swapaxes(1, 2) @ turn
             off = (rest[:, -1] - rest[:, :-1] @ found).reshape(len(rows), -1, 1)
-            left[rows] = (turn.swapaxes(1, 2) @ off)[..., 0]
-        residual[own], noise[own], through[own], steps[own] = (
+            projected_residual[rows] = (turn.swapaxes(1, 2) @ off)[..., 0]
+        residual[members], noise[members], load_design[members], steps[members] = (
             linear.residual, linear.noise, linear.through, linear.load_step,
         )  # fmt: skip
-        size[own] = np.sqrt(np.diagonal(linear.noise, axis1=1, axis2=2) + np.sum(linear.effects**2, axis=2))
-        np.add.at(errors, stack.acting[own], (linear.effects.swapaxes(1, 2) @ left[own][..., None])[..., 0])
+        size[members] = np.sqrt(np.diagonal(linear.noise, axis1=1, axis2=2) + np.sum(linear.effects**2, axis=2))
+        np.add.at(
+            errors,
+            stack.acting[members],
+            (linear.effects.swapaxes(1, 2) @ projected_residual[members][..., None])[..., 0],
+        )
     # What is left of a drive's outputs is shared with the noise of its load. Readings at the point,
     # l(L, e) = L + E(L)·e, leave l - l(L, e) - E·(e_new - e) - noise to the step of L.
-    shared = (stack.individual_load_covariance @ (through.swapaxes(1, 2) @ left[..., None]))[..., 0]
-    apart = real_stack(stack.load - point.load) - real_stack(_shift(stack, point, errors)) + shared
-    load = point.load + as_complex((steps @ apart[..., None])[..., 0])
+    shared = (stack.individual_load_covariance @ (load_design.swapaxes(1, 2) @ projected_residual[..., None]))[..., 0]
+    deviation = real_stack(stack.load - point.load) - real_stack(_shift(stack, point, errors)) + shared
+    load = point.load + as_complex((steps @ deviation[..., None])[..., 0])
     return MatrixSolution(
         matrix=point.matrix + as_complex(found[wide:]).reshape(channels, LOADS),
         load=load,
@@ -597,12 +603,12 @@ def _step(stack: Stack, point: LinearisationPoint, discrepancy: FloatArray) -> M
         noise=noise,
         size=size,
         gain=gain,
-        load_design=through,
-        projected_residual=left,
+        load_design=load_design,
+        projected_residual=projected_residual,
         projector=projector,
         step=float(np.max(np.abs(found[wide:]) / spread)),
-        chi2=float(np.sum(residual * left)),
-        dof=int(np.count_nonzero(known)) - 2 * LOADS * channels,
+        chi2=float(np.sum(residual * projected_residual)),
+        dof=int(np.count_nonzero(finite)) - 2 * LOADS * channels,
     )
 
 

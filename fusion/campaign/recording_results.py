@@ -174,8 +174,8 @@ def _knowledge(file: h5py.File) -> Callable[[], Knowledge] | None:
         return None
     both = _texts(file["load"], "both") if "both" in file["load"] else ()
     numbers = (fused[name][()] for name in ("unknowns/estimate", "posterior", "products"))
-    known = Knowledge.of(read_uncertainty(fused["uncertainty"]).influences, both, *numbers)
-    return partial(identity, known)
+    knowledge = Knowledge.of(read_uncertainty(fused["uncertainty"]).influences, both, *numbers)
+    return partial(identity, knowledge)
 
 
 def _grids(file: h5py.File) -> tuple[Grid, ...]:

@@ -67,14 +67,14 @@ class RepeatMean:
     kind: Literal["ratio", "element"] = "ratio"
 
 
-def drive_element(drive: ExcitedLine, known: PriorMatrix) -> tuple[ComplexArray, Uncertainty]:
+def drive_element(drive: ExcitedLine, matrix: PriorMatrix) -> tuple[ComplexArray, Uncertainty]:
     """Return the sensor's elements (E,) of one line by a given matrix, otherwise as `drive_ratio`."""
     of_load, of_outputs = drive.campaign_uncertainties()
-    places = [drive.channels.index(channel) for channel in known.channels]
-    outputs, load = drive.outputs[None, places], drive.load[None]
+    indices = [drive.channels.index(channel) for channel in matrix.channels]
+    outputs, load = drive.outputs[None, indices], drive.load[None]
     # Loads that nobody observed lie within their uncertainty.
     given = np.abs(load) ** 2 > total_variance(np.nan_to_num(of_load.covariance))
-    return known.elements(outputs, load)[0], known.uncertainty(outputs, load, of_outputs.at(places), of_load, given)
+    return matrix.elements(outputs, load)[0], matrix.uncertainty(outputs, load, of_outputs.at(indices), of_load, given)
 
 
 def known_matrix_of(drives: Sequence[ExcitedLine], component: int, stated: StatedMatrix | None) -> PriorMatrix | None:
@@ -91,34 +91,34 @@ def drive_ratio(drive: ExcitedLine, component: int, channels: Sequence[str]) -> 
     dS = (dU - S·dL)/L; unknowns that outputs and load share act on both.
     """
     of_load, of_outputs = drive.campaign_uncertainties()
-    places = [drive.channels.index(channel) for channel in channels]
+    indices = [drive.channels.index(channel) for channel in channels]
     load = drive.load[component]
-    ratio = drive.outputs[places] / load
+    ratio = drive.outputs[indices] / load
     through = real_design(-ratio[:, None] / load)[None]
-    upper = of_outputs.at(places).scaled(np.full((1, len(places)), 1.0 / load, dtype=np.complex128))
+    upper = of_outputs.at(indices).scaled(np.full((1, len(indices)), 1.0 / load, dtype=np.complex128))
     return np.asarray(ratio), upper.plus(of_load.at([component]).transformed(through))
 
 
 def drive_value(
-    drive: ExcitedLine, component: int, channels: Sequence[str], known: PriorMatrix | None
+    drive: ExcitedLine, component: int, channels: Sequence[str], matrix: PriorMatrix | None
 ) -> tuple[ComplexArray, Uncertainty]:
     """Return the sensor's elements of some outputs (C,) if its matrix is given, otherwise ratios."""
-    if known is None:
+    if matrix is None:
         return drive_ratio(drive, component, channels)
-    value, uncertainty = drive_element(drive, known)
-    places = [known.rows.index(known.channels.index(channel)) for channel in channels]
-    return value[places], uncertainty.at(places)
+    value, uncertainty = drive_element(drive, matrix)
+    indices = [matrix.rows.index(matrix.channels.index(channel)) for channel in channels]
+    return value[indices], uncertainty.at(indices)
 
 
 def drive_values(
     drives: Sequence[ExcitedLine], component: int, stated: StatedMatrix | None, channels: Sequence[str]
 ) -> tuple[Literal["ratio", "element"], list[tuple[ComplexArray, Uncertainty]]]:
     """Return elements of some outputs if the stated matrix gives all of them, otherwise ratios."""
-    known = known_matrix_of(drives, component, stated)
-    if known is not None and not set(channels) <= {known.channels[row] for row in known.rows}:
-        known = None
-    kind: Literal["ratio", "element"] = "ratio" if known is None else "element"
-    return kind, [drive_value(drive, component, channels, known) for drive in drives]
+    matrix = known_matrix_of(drives, component, stated)
+    if matrix is not None and not set(channels) <= {matrix.channels[row] for row in matrix.rows}:
+        matrix = None
+    kind: Literal["ratio", "element"] = "ratio" if matrix is None else "element"
+    return kind, [drive_value(drive, component, channels, matrix) for drive in drives]
 
 
 def find_repeats(
@@ -180,7 +180,7 @@ def _same(first: ExcitedLine, other: ExcitedLine, component: int, *, amplitudes_
     return bool(np.max(np.abs(loads[0] - loads[1])) <= SAME_LOAD * loads[0][component])
 
 
-def mean_ratio(drives: Sequence[ExcitedLine], component: int, known: PriorMatrix | None = None) -> RepeatMean:
+def mean_ratio(drives: Sequence[ExcitedLine], component: int, matrix: PriorMatrix | None = None) -> RepeatMean:
     """Return the mean over recordings of one excitation, of output over load or of elements.
 
     The M means of the mountings differ by everything that mountings do not share (noise, unknowns of a recording and of
@@ -199,8 +199,8 @@ def mean_ratio(drives: Sequence[ExcitedLine], component: int, known: PriorMatrix
     usable = common_outputs(drives)
     if not usable:
         raise ValueError("drives: expected an output that all recordings of one excitation have, found none")
-    usable = usable if known is None else [known.channels[row] for row in known.rows]
-    each = (drive_value(drive, component, usable, known) for drive in drives)
+    usable = usable if matrix is None else [matrix.channels[row] for row in matrix.rows]
+    each = (drive_value(drive, component, usable, matrix) for drive in drives)
     found: list[tuple[ComplexArray, Uncertainty]] = [
         (value, LazyUncertainty.of(uncertainty)) for value, uncertainty in each
     ]
@@ -217,8 +217,8 @@ def mean_ratio(drives: Sequence[ExcitedLine], component: int, known: PriorMatrix
         uncertainty = Uncertainty((*uncertainty.random, *bounds), uncertainty.influences)
     # Relative standard deviations of the whole complex value: root of the sum of both parts' variances.
     within, between = (
-        np.sqrt(total_variance(matrix[None])[0]) if dof else np.full(len(usable), np.nan)
-        for matrix, dof in ((scatter.within, scatter.within_dof), (scatter.between, scatter.between_dof))
+        np.sqrt(total_variance(covariance[None])[0]) if dof else np.full(len(usable), np.nan)
+        for covariance, dof in ((scatter.within, scatter.within_dof), (scatter.between, scatter.between_dof))
     )
     return RepeatMean(
         frequency_hz=float(np.mean([drive.frequency_hz for drive in drives])),
@@ -235,7 +235,7 @@ def mean_ratio(drives: Sequence[ExcitedLine], component: int, known: PriorMatrix
         between=between,
         within_dof=scatter.within_dof,
         between_dof=scatter.between_dof,
-        kind="ratio" if known is None else "element",
+        kind="ratio" if matrix is None else "element",
     )
 
 
@@ -250,10 +250,10 @@ def cached_mean_ratio() -> Mean:
     """
     found: dict[tuple[object, ...], RepeatMean] = {}
 
-    def mean(drives: Sequence[ExcitedLine], component: int, known: PriorMatrix | None) -> RepeatMean:
-        key = (component, known is None, *map(id, drives))
+    def mean(drives: Sequence[ExcitedLine], component: int, matrix: PriorMatrix | None) -> RepeatMean:
+        key = (component, matrix is None, *map(id, drives))
         if key not in found:
-            found[key] = mean_ratio(drives, component, known)
+            found[key] = mean_ratio(drives, component, matrix)
         return found[key]
 
     return mean
@@ -318,21 +318,21 @@ class NestedAnova(NamedTuple):
         return np.asarray(self._means(values, rows) - np.sum(values, axis=0) / len(self.mounting_index))
 
     def _means(self, values: FloatArray, rows: IntArray | None) -> FloatArray:
-        place = self.mounting_index if rows is None else self.mounting_index[rows]
-        kinds, own = np.unique(place, return_inverse=True)
+        mounting = self.mounting_index if rows is None else self.mounting_index[rows]
+        kinds, inverse = np.unique(mounting, return_inverse=True)
         sums = np.zeros((len(kinds), *values.shape[1:]))
-        np.add.at(sums, own, values)
+        np.add.at(sums, inverse, values)
         size = self.sizes[kinds].reshape(-1, *[1] * (values.ndim - 1))
-        return np.asarray((sums / size)[own])
+        return np.asarray((sums / size)[inverse])
 
 
 def nested_anova(mountings: Sequence[str]) -> NestedAnova:
     """Return the analysis of variance of recordings (N,) by mounting (Searle et al. 1992, 3.6)."""
-    kinds = {mounting: number for number, mounting in enumerate(dict.fromkeys(mountings))}
-    place = np.array([kinds[mounting] for mounting in mountings])
-    sizes, count, dof = np.bincount(place).astype(np.float64), len(place), len(kinds) - 1
+    kinds = {name: number for number, name in enumerate(dict.fromkeys(mountings))}
+    mounting = np.array([kinds[name] for name in mountings])
+    sizes, count, dof = np.bincount(mounting).astype(np.float64), len(mounting), len(kinds) - 1
     each = (count - float(np.sum(sizes**2)) / count) / dof if dof else np.nan
-    return NestedAnova(place, sizes, count - len(kinds), dof, each)
+    return NestedAnova(mounting, sizes, count - len(kinds), dof, each)
 
 
 @dataclass(frozen=True)
@@ -380,24 +380,26 @@ def split_covariance(
             alone.setdefault(rows[0], []).append(effects[0])
         else:
             groups.setdefault(rows, []).append(effects)
-    own = np.array([np.sum([part.covariance[0] for part in uncertainty.random], axis=0) for _, uncertainty in values])
+    individual = np.array(
+        [np.sum([part.covariance[0] for part in uncertainty.random], axis=0) for _, uncertainty in values]
+    )
     for n, effects in alone.items():
-        own[n] += np.array(effects).T @ np.array(effects)
-    return own, [(list(rows), np.array(several)) for rows, several in groups.items()]
+        individual[n] += np.array(effects).T @ np.array(effects)
+    return individual, [(list(rows), np.array(several)) for rows, several in groups.items()]
 
 
 def _components(values: Sequence[tuple[ComplexArray, Uncertainty]], mountings: Sequence[str]) -> _Scatter:
     """Return the variance components of a recording and of a mounting."""
     readings, forms = np.array([real_stack(value) for value, _ in values]), nested_anova(mountings)
     size = readings.shape[1]
-    own, shared = split_covariance(values)
+    individual, shared = split_covariance(values)
 
     def mean_square(form: Callable[..., FloatArray], diagonal: FloatArray, dof: int) -> FloatArray:
         """Return the mean square of a projection, less its expectation by stated uncertainties."""
-        stated = np.einsum("n,nij->ij", diagonal, own)
+        stated = np.einsum("n,nij->ij", diagonal, individual)
         for rows, effect in shared:
-            turned = effect.swapaxes(0, 1)
-            stated += np.tensordot(turned, form(turned, np.array(rows)), axes=((0, 1), (0, 1)))
+            effects_by_row = effect.swapaxes(0, 1)
+            stated += np.tensordot(effects_by_row, form(effects_by_row, np.array(rows)), axes=((0, 1), (0, 1)))
         return np.asarray((readings.T @ form(readings) - stated) / dof)
 
     def positive(matrix: FloatArray) -> FloatArray:
@@ -406,11 +408,11 @@ def _components(values: Sequence[tuple[ComplexArray, Uncertainty]], mountings: S
         return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
     within = between = np.zeros((size, size))
-    alike = 1.0 / forms.sizes[forms.mounting_index]
+    share = 1.0 / forms.sizes[forms.mounting_index]
     if forms.within_dof:
-        within = positive(mean_square(forms.within, 1.0 - alike, forms.within_dof))
+        within = positive(mean_square(forms.within, 1.0 - share, forms.within_dof))
     if forms.between_dof:
-        whole = mean_square(forms.between, alike - 1.0 / len(readings), forms.between_dof)
+        whole = mean_square(forms.between, share - 1.0 / len(readings), forms.between_dof)
         between = positive((whole - within) / forms.each)
     return _Scatter(within, between, forms.within_dof, forms.between_dof)
 
@@ -424,16 +426,16 @@ def _weights(
     mounting, both in the channel of smallest uncertainty.
     """
     # What no other recording shares: noise, and unknowns of the recording.
-    seen = Counter(influence.name for _, uncertainty in values for influence in uncertainty.influences)
-    alone = (Uncertainty(u.random, tuple(i for i in u.influences if seen[i.name] == 1)) for _, u in values)
-    own = np.array([total_variance(uncertainty.covariance)[0] for uncertainty in alone])
-    best = int(np.argmin(np.sum(own, axis=0)))
+    count = Counter(influence.name for _, uncertainty in values for influence in uncertainty.influences)
+    individual = (Uncertainty(u.random, tuple(i for i in u.influences if count[i.name] == 1)) for _, u in values)
+    variances = np.array([total_variance(uncertainty.covariance)[0] for uncertainty in individual])
+    best = int(np.argmin(np.sum(variances, axis=0)))
     within, between = (total_variance(part[None])[0, best] for part in (scatter.within, scatter.between))
-    variance = own[:, best] + within
+    variance = variances[:, best] + within
     if not np.all(variance > 0.0):
         return np.full(len(values), 1.0 / len(values))
-    place, precision = nested_anova(mountings).mounting_index, 1.0 / variance
-    total = np.bincount(place, precision)[place]
+    mounting, precision = nested_anova(mountings).mounting_index, 1.0 / variance
+    total = np.bincount(mounting, precision)[mounting]
     weight = precision / total / (between + 1.0 / total)
     return np.asarray(weight / np.sum(weight))
 
@@ -454,7 +456,7 @@ def _of_mean(
         added_up(influence for one in weighted for influence in one.influences),
     )
     several = len(set(mountings)) > 1
-    groups = list(mountings) if several else [str(place) for place in range(len(values))]
+    groups = list(mountings) if several else [str(mounting) for mounting in range(len(values))]
     kinds = list(dict.fromkeys(groups))
     if len(kinds) == 1:
         return total
@@ -463,16 +465,16 @@ def _of_mean(
         for influence in uncertainty.influences:
             acts_on.setdefault(influence.name, set()).add(group)
     shared = tuple(influence for influence in total.influences if len(acts_on[influence.name]) > 1)
-    place, means = nested_anova(groups).mounting_index, np.zeros((len(kinds), 2 * len(plain)))
-    share = np.bincount(place, weight)
+    mounting, means = nested_anova(groups).mounting_index, np.zeros((len(kinds), 2 * len(plain)))
+    share = np.bincount(mounting, weight)
     readings = np.array([real_stack(value / plain) for value, _ in values])
-    np.add.at(means, place, (weight / share[place])[:, None] * readings)
+    np.add.at(means, mounting, (weight / share[mounting])[:, None] * readings)
     off = means - share @ means
     matrix = np.einsum("m,mi,mj->ij", share, off, off) / (len(kinds) - 1)
-    turn = real_stacked_diagonal(plain[None])[0]
-    scattered = (turn @ matrix @ turn.T)[None]
+    design = real_stacked_diagonal(plain[None])[0]
+    scattered = (design @ matrix @ design.T)[None]
     part = Contribution(BETWEEN if several else WITHIN, "A", scattered, np.array([len(kinds) - 1.0]))
-    return Uncertainty((part, _turned_apart(np.array([value for value, _ in values]), weight)), shared)
+    return Uncertainty((part, _phase_loss(np.array([value for value, _ in values]), weight)), shared)
 
 
 def _bounds(
@@ -492,7 +494,7 @@ def _bounds(
     return merge_contributions(list(parts))
 
 
-def _turned_apart(values: ComplexArray, weight: FloatArray) -> Contribution:
+def _phase_loss(values: ComplexArray, weight: FloatArray) -> Contribution:
     """Return the possible loss of magnitude in a mean of values (N, C) with different phases.
 
     The mean of values with phase differences φ_n is short by Σw·φ²/2; noise does not shorten it. The scatter across the
@@ -504,5 +506,5 @@ def _turned_apart(values: ComplexArray, weight: FloatArray) -> Contribution:
     usable = weight @ np.abs(off) ** 2 < 1.0
     short = np.where(usable, np.maximum(weight @ (off.imag**2 - off.real**2), 0.0), 0.0) / 2.0
     along = real_stack(mean * short / np.sqrt(3.0))
-    own = np.outer(along, along) * np.tile(np.eye(values.shape[1]), (2, 2))
-    return Contribution(PHASE_DIFFERENCES, "B", own[None])
+    covariance = np.outer(along, along) * np.tile(np.eye(values.shape[1]), (2, 2))
+    return Contribution(PHASE_DIFFERENCES, "B", covariance[None])

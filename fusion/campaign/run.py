@@ -102,21 +102,21 @@ def _evaluated(
     job: Job, manifest: Manifest, hashes: Hashing, progress: ProgressCallback, executor: Executor | None
 ) -> Outcome:
     """Evaluate a recording while its files are being hashed, and write the results."""
-    there = partial(is_current, job.folder, hashes, job.settings.as_dict())
-    if not job.force and there():
+    current = partial(is_current, job.folder, hashes, job.settings.as_dict())
+    if not job.force and current():
         log.debug("%s: results of the same input are there, nothing to compute", job.folder)
         return Outcome(job.recording, job.folder, resumed=True)
     check_folder(job.folder, hashes, force=job.force)
     with file_lock(job.folder, job.patience_s), one_blas_thread():
-        if job.patience_s and not job.force and there():  # whoever had it has finished it meanwhile
+        if job.patience_s and not job.force and current():  # whoever had it has finished it meanwhile
             return Outcome(job.recording, job.folder)
         if executor is not None:
             for _ in range(executor.size):  # workers begin while the files are opened here
                 executor.submit(0, _ready)
-        kept = Checkpoint(job.folder, partial(origin_key, hashes, job.settings.as_dict(), versions()))
-        evaluation = evaluate_recording(manifest, job.settings, hashes, progress, executor, kept)
+        checkpoint = Checkpoint(job.folder, partial(origin_key, hashes, job.settings.as_dict(), versions()))
+        evaluation = evaluate_recording(manifest, job.settings, hashes, progress, executor, checkpoint)
         write_results(evaluation, job.folder, hashes.all(), force=job.force)
-        kept.remove()
+        checkpoint.remove()
     return Outcome(job.recording, job.folder, notices=evaluation.notices)
 
 
@@ -196,9 +196,9 @@ def run_path(
             if alone:
                 return (_with_notices(_run_one(jobs[0], executor, progress)),)
             if executor is None or SHARED_FRAMES * len(jobs) <= executor.size:
-                outcomes = _run_here(jobs, executor, progress)
+                outcomes = _run_local(jobs, executor, progress)
             else:
-                outcomes = _run_elsewhere(jobs, executor, progress)
+                outcomes = _run_distributed(jobs, executor, progress)
         finished = [outcome.folder for outcome in outcomes if outcome.error is None]
         failed = {outcome.name: str(outcome.error) for outcome in outcomes if outcome.error is not None}
         if finished:
@@ -248,7 +248,7 @@ def _run_one(job: Job, executor: Executor | None, progress: ProgressCallback) ->
     return replace(run_job(job.with_absolute_paths(), progress, executor), recording=job.recording, folder=job.folder)
 
 
-def _run_here(jobs: Sequence[Job], executor: Executor | None, progress: ProgressCallback) -> tuple[Outcome, ...]:
+def _run_local(jobs: Sequence[Job], executor: Executor | None, progress: ProgressCallback) -> tuple[Outcome, ...]:
     """Evaluate one recording after another; an error is part of its outcome."""
     outcomes = []
     for done, job in enumerate(jobs):
@@ -258,14 +258,14 @@ def _run_here(jobs: Sequence[Job], executor: Executor | None, progress: Progress
     return tuple(outcomes)
 
 
-def _run_elsewhere(jobs: Sequence[Job], executor: Executor, progress: ProgressCallback) -> tuple[Outcome, ...]:
+def _run_distributed(jobs: Sequence[Job], executor: Executor, progress: ProgressCallback) -> tuple[Outcome, ...]:
     """Evaluate all recordings by workers; outcomes are in the order of the recordings."""
     answered: SimpleQueue[int] = SimpleQueue()
     pending: list[Pending] = [
         executor.submit(rank, run_job, job.with_absolute_paths(executor.patience_s)) for rank, job in enumerate(jobs)
     ]
     for rank, answer in enumerate(pending):
-        answer.add_done_callback(partial(_tell, answered, rank))
+        answer.add_done_callback(partial(_announce, answered, rank))
     outcomes: dict[int, Outcome] = {}
     while len(outcomes) < len(jobs):
         progress(RECORDINGS, len(outcomes), len(jobs))
@@ -279,7 +279,7 @@ def _run_elsewhere(jobs: Sequence[Job], executor: Executor, progress: ProgressCa
     return tuple(outcomes[rank] for rank in range(len(jobs)))
 
 
-def _tell(answered: SimpleQueue[int], rank: int, _: object) -> None:
+def _announce(answered: SimpleQueue[int], rank: int, _: object) -> None:
     answered.put(rank)
 
 

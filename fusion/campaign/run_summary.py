@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 MOST_ROWS = 300  # of the sensitivity that the terminal shows
 COUNTS = "recordings (mountings)"
-NO_OUTPUT = "no sensitivity, since no output of a sensor was recorded"
+NO_OUTPUT = "no sensitivity: no output of a sensor was recorded"
 CAMPAIGN = "campaign"
 """Name under which notices of the campaign itself are listed."""
 Row = dict[str, str]
@@ -59,8 +59,8 @@ def main_rows(rows: Sequence[Row]) -> list[Row]:
     def of(row: Row, *keys: str) -> tuple[str, ...]:
         return tuple(row[key] for key in ("frequency_hz", "component", *keys))
 
-    own = {of(row, "channel") for row in rows if row["kind"] == "element"}
-    shown = [row for row in rows if row["kind"] != "ratio" or of(row, "channel") not in own]
+    with_element = {of(row, "channel") for row in rows if row["kind"] == "element"}
+    shown = [row for row in rows if row["kind"] != "ratio" or of(row, "channel") not in with_element]
     mains = _main_channels(shown, of)
     shown = [row for row in shown if mains[of(row)] == row["channel"]]
     driven = [row for row in shown if row["kind"] != "harmonic"]
@@ -94,10 +94,11 @@ def sensitivity_table(rows: Sequence[Row], width: int | None = None) -> Table:
     head += f" ({', '.join(kinds)})" if len(kinds) == 1 else ""
     whose = "means of all recordings" if curve else rows[0]["recording"]
     whose += f", the first {MOST_ROWS} of {len(rows)}" if len(rows) > MOST_ROWS else ""
-    told = [_cells_of(row) for row in rows[:MOST_ROWS]]
-    shown = [column for column in told[0] if column != "kind" or len(kinds) > 1]  # one that all share is in the title
+    table_cells = [_cells_of(row) for row in rows[:MOST_ROWS]]
+    # A kind that all rows share is in the title.
+    shown = [column for column in table_cells[0] if column != "kind" or len(kinds) > 1]
     for name in ("k", COUNTS, "kind", *(("unit",) if len(units) == 1 else ())):
-        if width is None or _width(told, shown) <= width:
+        if width is None or _width(table_cells, shown) <= width:
             break
         shown = [column for column in shown if column != name]
     unit = "" if "unit" in shown else f" in {units.pop()}"
@@ -105,7 +106,7 @@ def sensitivity_table(rows: Sequence[Row], width: int | None = None) -> Table:
     for column in shown:
         left = column in ("quantity", "unit", "kind")
         table.add_column(column, justify="left" if left else "right", overflow="fold")
-    for cells in told:
+    for cells in table_cells:
         table.add_row(*(cells[column] for column in shown))
     return table
 
@@ -152,8 +153,8 @@ def _values(element: Polar) -> tuple[str, str, str]:
     if not element.region.holds_zero:
         magnitude = with_u(element.magnitude, element.expanded_magnitude)
         k_factors = magnitude_phase_text(factor_text(element.k), factor_text(element.k_phase))
-        turned = with_u(element.phase_rad, element.expanded_phase_rad) if has_phase(element) else DASH
-        return magnitude, turned, k_factors
+        phase = with_u(element.phase_rad, element.expanded_phase_rad) if has_phase(element) else DASH
+        return magnitude, phase, k_factors
     large, small = element.region.half_axes
     first = round_to_uncertainty(large, large)
     second = round_to_uncertainty(small, large, first.exponent)
@@ -163,7 +164,7 @@ def _values(element: Polar) -> tuple[str, str, str]:
 
 def print_outcomes(outcomes: Sequence[Outcome], *, campaign: bool) -> None:
     """Print missing results, main sensitivities, files and failures to stdout, and notices to stderr."""
-    console, told = stdout_console(), list[tuple[Notice | GatheredNotice, str]]()
+    console, notices = stdout_console(), list[tuple[Notice | GatheredNotice, str]]()
     done, failed = _parted(outcomes)
     for outcome in (one for one in done if one.missing):
         print_text(f"{outcome.name}: {outcome.missing}" if campaign else outcome.missing)
@@ -184,8 +185,8 @@ def print_outcomes(outcomes: Sequence[Outcome], *, campaign: bool) -> None:
             console.print(f"report of all: {done[0].folder.parent / REPORT_FILE}", soft_wrap=True)
     for gathered in notices_of(done, campaign=campaign):
         single = not campaign or gathered.recordings == (CAMPAIGN,)
-        told.append((gathered, "" if single else f" ({gathered.concerned})"))
-    log_notices(told)
+        notices.append((gathered, "" if single else f" ({gathered.concerned})"))
+    log_notices(notices)
 
 
 def as_json(outcomes: Sequence[Outcome], *, campaign: bool) -> str:
@@ -262,5 +263,5 @@ def tally(outcomes: Sequence[Outcome]) -> str:
     failed = sum(outcome.error is not None for outcome in outcomes)
     resumed = sum(outcome.resumed for outcome in outcomes)
     parts = [(len(outcomes) - failed - resumed, "evaluated"), (resumed, "unchanged since the last run")]
-    told = ", ".join(f"{count} {what}" for count, what in (*parts, (failed, "failed")) if count)
-    return f"{count_text(len(outcomes), 'recording')}: {told}"
+    counts = ", ".join(f"{count} {what}" for count, what in (*parts, (failed, "failed")) if count)
+    return f"{count_text(len(outcomes), 'recording')}: {counts}"

@@ -151,8 +151,8 @@ class _Mounted:
     @cached_property
     def conditional(self) -> FloatArray:
         """Covariance (n, n) of the mounting's unknowns for given wide ones."""
-        own = self.information[self.wide :, self.wide :]
-        return np.asarray(np.linalg.inv(np.eye(len(own)) + own))
+        information = self.information[self.wide :, self.wide :]
+        return np.asarray(np.linalg.inv(np.eye(len(information)) + information))
 
     @cached_property
     def slope(self) -> FloatArray:
@@ -161,9 +161,9 @@ class _Mounted:
 
     def of_wide(self) -> tuple[FloatArray, FloatArray]:
         """Return information and score of the wide unknowns, those of the mounting marginalised."""
-        own, mixed = slice(self.wide), self.information[: self.wide, self.wide :]
+        wide, mixed = slice(self.wide), self.information[: self.wide, self.wide :]
         rest = self.conditional @ self.score[self.wide :]
-        return self.information[own, own] - mixed @ self.slope, self.score[own] - mixed @ rest
+        return self.information[wide, wide] - mixed @ self.slope, self.score[wide] - mixed @ rest
 
 
 @dataclass(frozen=True)
@@ -193,13 +193,13 @@ class JointEstimate:
         about: dict[str, UnknownDescription] = {}
         count: dict[str, int] = {}
         for source in sources:
-            known = source.known()
-            remaining = np.sqrt(np.diag(known.covariance))
-            for place in np.flatnonzero(known.shared).tolist():
-                if single or known.descriptions[place][4] == "rig":
-                    name = known.descriptions[place][0]
-                    about.setdefault(name, known.descriptions[place])
-                    count[name] = count.get(name, 0) + bool(remaining[place] < UNTESTED)
+            knowledge = source.known()
+            remaining = np.sqrt(np.diag(knowledge.covariance))
+            for index in np.flatnonzero(knowledge.shared).tolist():
+                if single or knowledge.descriptions[index][4] == "rig":
+                    name = knowledge.descriptions[index][0]
+                    about.setdefault(name, knowledge.descriptions[index])
+                    count[name] = count.get(name, 0) + bool(remaining[index] < UNTESTED)
         none = np.zeros(len(about))
         joint = cls(
             campaign, sources, single, tuple(about.values()), none, np.eye(len(about)), np.outer(none, none),
@@ -207,8 +207,8 @@ class JointEstimate:
         )  # fmt: skip
         information, score = np.outer(none, none), none
         for mounted in joint._mounted():
-            more, told = mounted.of_wide()
-            information, score = information + more, score + told
+            more, score_of = mounted.of_wide()
+            information, score = information + more, score + score_of
         covariance = np.asarray(np.linalg.inv(np.eye(len(none)) + information), dtype=np.float64)
         return replace(joint, information=information, covariance=covariance, estimate=covariance @ score)
 
@@ -220,32 +220,32 @@ class JointEstimate:
 
     def _mounted(self) -> Iterator[_Mounted]:
         """Yield the joint recordings of every mounting."""
-        wide = {about[0]: place for place, about in enumerate(self.descriptions)}
+        wide = {one[0]: index for index, one in enumerate(self.descriptions)}
         groups: dict[str, list[_Source]] = {}
         for source in self.sources:
             groups.setdefault("" if self.single else source.mounting, []).append(source)
         for group in groups.values():
-            places, about, members = dict(wide), list[UnknownDescription](), list[_Member]()
-            information, score = np.zeros((len(places), len(places))), np.zeros(len(places))
+            positions, descriptions, members = dict(wide), list[UnknownDescription](), list[_Member]()
+            information, score = np.zeros((len(positions), len(positions))), np.zeros(len(positions))
             for source in group:
-                known = source.known()  # of one recording at a time, or memory grows as the campaign
-                own = [known.descriptions[place] for place in np.flatnonzero(known.shared).tolist()]
-                for one in own:
-                    if one[0] not in places:
-                        places[one[0]] = len(places)
-                        about.append(one)
-                more = len(places) - len(score)
+                knowledge = source.known()  # of one recording at a time, or memory grows as the campaign
+                shared = [knowledge.descriptions[index] for index in np.flatnonzero(knowledge.shared).tolist()]
+                for one in shared:
+                    if one[0] not in positions:
+                        positions[one[0]] = len(positions)
+                        descriptions.append(one)
+                more = len(positions) - len(score)
                 information, score = np.pad(information, (0, more)), np.pad(score, (0, more))
-                members.append(_Member(source, np.array([places[one[0]] for one in own], np.int64)))
-                information[np.ix_(members[-1].places, members[-1].places)] += known.information
-                score[members[-1].places] += known.score
-            yield _Mounted(tuple(members), tuple(about), information, score, len(wide))
+                members.append(_Member(source, np.array([positions[one[0]] for one in shared], np.int64)))
+                information[np.ix_(members[-1].places, members[-1].places)] += knowledge.information
+                score[members[-1].places] += knowledge.score
+            yield _Mounted(tuple(members), tuple(descriptions), information, score, len(wide))
 
     def _all(self, mounted: _Mounted) -> tuple[FloatArray, FloatArray]:
         """Return estimate and covariance of the wide unknowns and those of one mounting."""
-        slope, told = mounted.slope, mounted.score[mounted.wide :]
+        slope, score = mounted.slope, mounted.score[mounted.wide :]
         mixed = -slope @ self.covariance
-        estimate = np.concatenate([self.estimate, mounted.conditional @ told - slope @ self.estimate])
+        estimate = np.concatenate([self.estimate, mounted.conditional @ score - slope @ self.estimate])
         return estimate, np.block([[self.covariance, mixed.T], [mixed, mounted.conditional - mixed @ slope.T]])
 
     def contradicting(self) -> tuple[str, ...]:
@@ -254,8 +254,8 @@ class JointEstimate:
         for mounted in self._mounted():
             estimate, covariance = self._all(mounted)
             for member in mounted.members:
-                own = member.places
-                p = _contradiction(member.source.known(), estimate[own], covariance[np.ix_(own, own)])
+                places = member.places
+                p = _contradiction(member.source.known(), estimate[places], covariance[np.ix_(places, places)])
                 found.append((p, member.source.recording))
         limit = 1.0 - TEST_LEVEL ** (1.0 / max(len(found), 1))
         return tuple(name for p, name in sorted(found) if p < limit)
@@ -269,22 +269,22 @@ class JointEstimate:
                 yield member.source.recording, JointCorrection(self, mounted, member, estimate[member.places], root)
 
 
-def _contradiction(known: Knowledge, estimate: FloatArray, covariance: FloatArray) -> float:
+def _contradiction(knowledge: Knowledge, estimate: FloatArray, covariance: FloatArray) -> float:
     """Return the probability that a recording deviates this far from the estimate of all others.
 
     Without it the joint estimate has S = (S_joint⁻¹ - M)⁻¹; the score less M times that has the covariance M + MSM.
     Only directions count whose uncertainty this recording alone reduces by more than 1 %.
     """
-    values, vectors = np.linalg.eigh(known.information)
-    kept = values > 1.0 / UNTESTED**2 - 1.0
-    if not np.any(kept):
+    values, vectors = np.linalg.eigh(knowledge.information)
+    significant = values > 1.0 / UNTESTED**2 - 1.0
+    if not np.any(significant):
         return 1.0
     inverse = np.linalg.inv(covariance)
-    others = np.linalg.inv(inverse - known.information)
-    off = known.score - known.information @ (others @ (inverse @ estimate - known.score))
-    root, turned = np.sqrt(values[kept]), vectors[:, kept]
-    white = turned.T @ off / root
-    spread = np.eye(len(root)) + root[:, None] * (turned.T @ others @ turned) * root
+    others = np.linalg.inv(inverse - knowledge.information)
+    off = knowledge.score - knowledge.information @ (others @ (inverse @ estimate - knowledge.score))
+    root, directions = np.sqrt(values[significant]), vectors[:, significant]
+    white = directions.T @ off / root
+    spread = np.eye(len(root)) + root[:, None] * (directions.T @ others @ directions) * root
     return float(chdtrc(float(len(root)), white @ np.linalg.solve(spread, white)))
 
 
@@ -307,13 +307,18 @@ class JointCorrection:
 
     def of(self, drive: ExcitedLine) -> ExcitedLine:
         """Return a line with the load and its uncertainty by the joint estimate."""
-        known, wide = self.member.source.known(), self.mounted.wide
+        knowledge, wide = self.member.source.known(), self.mounted.wide
         uncertainty = drive.load_uncertainty
         old = {influence.name: influence for influence in uncertainty.influences}
         none = np.zeros((1, uncertainty.random[0].covariance.shape[1]))
-        effects = np.array([old[about[0]].effect[0] if about[0] in old else none[0] for about in known.descriptions])
-        shared, local = effects[known.shared], effects[~known.shared] + known.local.T @ effects[known.shared]
-        gain = known.attenuation @ known.inverse @ shared
+        effects = np.array(
+            [old[about[0]].effect[0] if about[0] in old else none[0] for about in knowledge.descriptions]
+        )
+        shared, local = (
+            effects[knowledge.shared],
+            effects[~knowledge.shared] + knowledge.local.T @ effects[knowledge.shared],
+        )
+        gain = knowledge.attenuation @ knowledge.inverse @ shared
         full = np.zeros((len(self.mounted.score), none.shape[1]))
         full[self.member.places] = gain
         through = full[:wide] - self.mounted.slope.T @ full[wide:]
@@ -321,22 +326,24 @@ class JointCorrection:
         narrow = _root(self.mounted.conditional) @ full[wide:]
         both = zip((*self.joint.descriptions, *self.mounted.about), (*remaining, *narrow), strict=True)
         found = dict(old)
-        own = [about for about, mine in zip(known.descriptions, known.shared, strict=True) if not mine]
-        for about, effect in (*both, *zip(own, local, strict=True)):
+        individual = [about for about, mine in zip(knowledge.descriptions, knowledge.shared, strict=True) if not mine]
+        for about, effect in (*both, *zip(individual, local, strict=True)):
             if about[0] in old or np.any(effect):
                 found[about[0]] = Influence(*about[:4], effect[None], *about[4:])
         for number, effect in enumerate(self.root.T @ remaining):
             name = f"campaign {self.joint.campaign}: noise of unknowns {number + 1}"
             found[name] = Influence(name, NOISE, 1.0, "1", effect[None], "rig", "A")
         # Of N = n + E_l·E_lᵀ the noise n alone: its own part and that of the recording's own unknowns cancel together.
-        mixed = local.T @ known.local.T @ shared
+        mixed = local.T @ knowledge.local.T @ shared
         size = np.eye(len(shared))
-        lost = shared.T @ (known.inverse - size - known.local @ known.local.T) @ shared + mixed + mixed.T
-        beyond = shared.T @ known.inverse @ known.second_order @ gain
+        lost = shared.T @ (knowledge.inverse - size - knowledge.local @ knowledge.local.T) @ shared + mixed + mixed.T
+        beyond = shared.T @ knowledge.inverse @ knowledge.second_order @ gain
         random = (*_without(uncertainty.random, lost), Contribution(SECOND_ORDER, "B", beyond[None]))
         # The recording's own part of ε_i is T(1 + MT)⁻¹EᵀPy beside what the rig's unknowns make of it.
-        own_part = known.second_order @ known.score @ known.inverse @ shared
-        change = self.estimate @ gain + own_part - known.estimate[known.shared] @ known.inverse @ shared
+        individual_part = knowledge.second_order @ knowledge.score @ knowledge.inverse @ shared
+        change = (
+            self.estimate @ gain + individual_part - knowledge.estimate[knowledge.shared] @ knowledge.inverse @ shared
+        )
         return replace(
             drive,
             load=drive.load - as_complex(change),
@@ -360,11 +367,11 @@ def _without(random: Sequence[Contribution], lost: FloatArray) -> tuple[Contribu
     size = np.sqrt(np.maximum(np.diag(total), 0.0))
     size = np.where(size > 0.0, size, 1.0)
     values, vectors = np.linalg.eigh(total / np.outer(size, size))
-    kept = values > ROUNDING * values[-1]
-    root, turned = np.sqrt(values[kept]), vectors[:, kept]
-    share, ways = np.linalg.eigh((turned.T @ (lost / np.outer(size, size)) @ turned) / np.outer(root, root))
-    inner = (ways * np.sqrt(1.0 - np.minimum(share, 1.0))) @ ways.T
-    turn = (size[:, None] * turned * root) @ inner @ (turned / root / size[:, None]).T
+    significant = values > ROUNDING * values[-1]
+    root, directions = np.sqrt(values[significant]), vectors[:, significant]
+    share, axes = np.linalg.eigh((directions.T @ (lost / np.outer(size, size)) @ directions) / np.outer(root, root))
+    inner = (axes * np.sqrt(1.0 - np.minimum(share, 1.0))) @ axes.T
+    turn = (size[:, None] * directions * root) @ inner @ (directions / root / size[:, None]).T
     return tuple(replace(part, covariance=(turn @ part.covariance[0] @ turn.T)[None]) for part in random)
 
 
@@ -384,11 +391,11 @@ def apply_joint_estimate(
         notice = Notice(CONTRADICTING_RECORDINGS, "campaign", recordings=named, level_percent=level)
         return tuple(recorded), (), (notice,)
     unknowns = joint.unknowns()
-    places = {entry.name: place for place, entry in enumerate(recorded)}
+    index_of = {entry.name: index for index, entry in enumerate(recorded)}
     found = list(recorded)
     for name, carry in joint.corrections():
-        entry = recorded[places[name]]
-        found[places[name]] = replace(
+        entry = recorded[index_of[name]]
+        found[index_of[name]] = replace(
             entry, excited_lines=tuple(keep(carry.of(drive)) for drive in entry.excited_lines)
         )
     return tuple(found), unknowns, _notices(unknowns, len(recorded) - len(joint.sources))
