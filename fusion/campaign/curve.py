@@ -99,7 +99,7 @@ def linearity(drives: Sequence[ExcitedLine], component: int, stated: StatedMatri
     """
     channels = [name for name in common_outputs(drives) if all(drive.output(name) != 0.0 for drive in drives)]
     matrix = known_matrix_of(drives, component, stated)
-    if matrix is not None:  # outputs of which the matrix tells no element would be ratios among elements
+    if matrix is not None:  # other outputs would be ratios among elements
         channels = [matrix.channels[row] for row in matrix.rows if matrix.channels[row] in channels]
     kind, found = drive_values(drives, component, stated, channels)
     plain = unweighted_mean([value for value, _ in found])
@@ -187,7 +187,7 @@ def _blocks(count: int, shared: Sequence[Shared]) -> list[tuple[list[int], list[
     return list(blocks.values())
 
 
-# Interpolation of noisy values over frequency, with what is not known between the points.
+# Interpolation of noisy values over frequency, with its uncertainty between the points.
 
 
 MIN_POINTS = 5
@@ -402,7 +402,7 @@ def interpolate(curve: SensitivityCurve, frequency_hz: FloatArray) -> Sensitivit
     target_hz = np.asarray(frequency_hz, dtype=np.float64)
     lines, count = curve.value.shape
     data = real_stack(curve.value)
-    # Variance that is a point's own: noise, and unknowns that act on one frequency only.
+    # Individual variance of a point: noise, and unknowns that act on one frequency only.
     noise = np.sum([part.covariance.diagonal(axis1=1, axis2=2) for part in curve.uncertainty.random], axis=0)
     for influence in curve.uncertainty.influences:
         if np.count_nonzero(np.any(influence.effect != 0.0, axis=1)) == 1:

@@ -215,20 +215,20 @@ def start_names(grids: Mapping[str, tuple[Grid, ...]]) -> dict[str, str]:
 
     The timing error between sampled edges is common to these recordings; a mean does not reduce it.
     """
-    # Firsts by where their edges begin, in steps that no two grids alike are further apart than.
+    # First recordings by the position of their edges, in steps no smaller than the difference of equal grids.
     step_s = max((grid.sample_s for edges in grids.values() for grid in edges), default=1.0) / 2.0
     firsts: dict[int, list[tuple[int, str]]] = {}
     named: dict[str, str] = {}
     for number, (recording, edges) in enumerate(grids.items()):
         step = int(edges[0].start_s // step_s) if edges else 0
         near = sorted(first for k in (-1, 0, 1) for first in firsts.get(step + k, ())) if edges else []
-        named[recording] = next((first for _, first in near if _start_alike(grids[first], edges)), recording)
+        named[recording] = next((first for _, first in near if _same_grids(grids[first], edges)), recording)
         if edges and named[recording] == recording:
             firsts.setdefault(step, []).append((number, recording))
     return named
 
 
-def _start_alike(first: tuple[Grid, ...], second: tuple[Grid, ...]) -> bool:
+def _same_grids(first: tuple[Grid, ...], second: tuple[Grid, ...]) -> bool:
     """Return whether two recordings have the same grids."""
     return len(first) == len(second) > 0 and all(map(Grid.like, first, second))
 

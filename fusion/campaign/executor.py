@@ -54,7 +54,7 @@ ONE_THREAD = dict.fromkeys((*LIMITS, "OPENCV_FOR_THREADS_NUM"), "1")
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
     """Limit linear algebra to one thread."""
-    import scipy.linalg  # noqa: F401  (brings a linear algebra of its own, which is to be limited too)
+    import scipy.linalg  # noqa: F401  (loads its linear algebra, which is to be limited too)
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(1, user_api="blas"):
@@ -78,10 +78,10 @@ def with_one_thread(function: Callable[..., Any], *arguments: Any) -> Any:
         cv2.setNumThreads(threads)
 
 
-# A task that another process computes: what it returns, raises and logs comes back as one answer.
+# A task of another process: returned value, exception and log records are one result.
 
 
-_ALONE = threading.Lock()  # threads of one process share the logger and what the libraries are limited to
+_ALONE = threading.Lock()  # threads share the logger and the limits of the libraries
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +176,7 @@ class Workers:
     All end at the end of `with`.
     """
 
-    patience_s = 0.0  # one that died computes nothing any more
+    patience_s = 0.0  # a worker that died does not compute any more
 
     def __init__(self, size: int) -> None:
         self.size = size
@@ -210,7 +210,7 @@ class Workers:
         """End all workers at once, without waiting for locks of the main thread."""
         with suppress(OSError):
             self._stopper.close()
-        self._starting.acquire(timeout=SHUTDOWN_S)  # one that is being started would tell that its parent is gone
+        self._starting.acquire(timeout=SHUTDOWN_S)  # a worker during its start would report a missing parent
         for worker in self._living.copy():
             worker.kill()
 
@@ -233,7 +233,7 @@ class Workers:
         while (task := self._queue.get()).rank > -STOP_RANK:
             try:
                 worker = self._complete(task, worker)
-            except Exception as error:  # told where the answer is awaited
+            except Exception as error:  # raised where the result is awaited
                 worker = None
                 task.future.set_exception(error)
         if worker is not None:
@@ -261,7 +261,7 @@ class Workers:
             if answer is not None:
                 task.future.set_result(answer)
                 return worker
-            if self._stop.poll(SIGNAL_DELAY_S):  # what ends all processes may reach a worker first
+            if self._stop.poll(SIGNAL_DELAY_S):  # a signal to all processes may reach a worker first
                 break
             status, worker = self._end(worker), None
             log.warning("a worker process ended with status %s; another one repeats its task", status)
@@ -353,7 +353,7 @@ def _serve(connection: Connection) -> None:
         answer = call(function, *arguments)
         try:
             packed = pickle.dumps(answer)
-        except Exception as error:  # one that cannot travel is told in its own words
+        except Exception as error:  # one that cannot be pickled is reported as text
             what = error if answer.error is None else answer.error
             packed = pickle.dumps(
                 LoggedResult(None, RuntimeError(f"{type(what).__name__}: {what}"), answer.log_records)
@@ -479,7 +479,7 @@ class ClusterTask:
                 self._begin()
             except (CancelledError, OSError):
                 self._begin()
-        except BaseException as error:  # told where the answer is awaited
+        except BaseException as error:  # raised where the result is awaited
             self._answer.set_exception(error)
 
     def add_done_callback(self, callback: Callable[[ClusterTask], object]) -> None:
@@ -499,7 +499,7 @@ def connect_cluster(address: str) -> Iterator[Cluster]:
     except ImportError as error:
         raise InputError(NO_DASK, OPTION, reason=str(error)) from error
     try:
-        # Where nobody listens this is told: a client that waits in vain does not end in silence.
+        # Test the address first: a client without a scheduler does not fail cleanly.
         parts = urlsplit(address if "://" in address else f"tcp://{address}")
         if not parts.hostname:
             raise ValueError("no address")
@@ -509,7 +509,7 @@ def connect_cluster(address: str) -> Iterator[Cluster]:
         raise InputError(NO_SCHEDULER, OPTION, found=address or "an empty address") from error
     cluster = Cluster(client)
     try:
-        # Workers that would compute something else are refused; those that are still to come are not asked.
+        # Workers of another version are refused; later workers are not checked.
         versions = client.run(_version, on_error="return")
         log.info("%s has %d worker%s", client.scheduler.address, len(versions), "" if len(versions) == 1 else "s")
         for worker, version in versions.items():

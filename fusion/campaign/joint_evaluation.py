@@ -55,7 +55,7 @@ from fusion.report.tables import deviation, result_name
 from shaker.labels import LOAD_COMPONENTS
 from shakercal._common.notices import Notice
 
-# What the recordings of a campaign say together: matrices, cross-talk, repeats, linearity, one curve per element.
+# Joint results of a campaign: matrices, cross-talk, repeats, linearity, one curve per element.
 
 
 Joint = TypeVar("Joint")
@@ -238,7 +238,7 @@ def _fit_matrices(
     return tuple(fits), tuple(notices)
 
 
-# The curves of a campaign as points: magnitude and phase of every element at every frequency, and of recordings.
+# Points of the curves: magnitude and phase of every element at every frequency.
 
 
 def curve_points(evaluation: CampaignEvaluation) -> tuple[CurvePoint, ...]:

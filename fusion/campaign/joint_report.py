@@ -152,7 +152,7 @@ def _side_elements(found: CrossTalk) -> Iterator[CrossTalkElement]:
             yield CrossTalkElement(found.frequency_hz, found.channels[c], found.components[j], value, size, zero)
 
 
-# campaign.h5: what the recordings of a campaign say together, every covariance and every correlation written out.
+# campaign.h5: joint results with every covariance and correlation.
 
 
 JOINT_FIELDS = ("curves", "repeats", "linearity", "matrices", "cross_talks", "unknowns", "notices")
@@ -383,7 +383,7 @@ def _crosstalk_table(found: CrossTalk) -> Table:
     return Table(caption, ("", *found.components), "l" + "r" * len(found.components), tuple(rows))
 
 
-# report.html of a campaign: one self-contained page with what its recordings say together.
+# report.html of a campaign: one self-contained page with its joint results.
 
 
 def render_campaign(evaluation: CampaignEvaluation) -> str:
@@ -394,7 +394,7 @@ def render_campaign(evaluation: CampaignEvaluation) -> str:
     mains = main_points(evaluation, curve_points(evaluation))
     ratios = [curve for curve in evaluation.curves if curve.kind == "ratio" and len(curve.channels) > 1]
     stated = None if evaluation.sensor is None else evaluation.sensor.stated_matrix
-    # Where there are elements, ratios are in the tables only.
+    # If there are elements, ratios are in the tables only.
     drawn = [
         [p for p in points if p.kind != "ratio" or all(other.kind != "element" for other in points)]
         for points in mains.values()

@@ -219,7 +219,7 @@ def _disagreeing(stack: Stack) -> tuple[MatrixSolution, float]:
         low, high = low - 1.0, low
     if excess(low) < 0.0:
         return solve(stack), 0.0
-    from scipy.optimize import brentq  # here, for most drives agree
+    from scipy.optimize import brentq  # imported late: most lines agree
 
     tau = float(np.exp(brentq(excess, low, high, xtol=1e-2)))
     return solve(stack, tau * unit), tau
@@ -233,7 +233,7 @@ def _uncertainty(stack: Stack, solution: MatrixSolution, tau: float) -> Uncertai
         parts += stack.load_noise[r].transformed(-(gain @ solution.load_design[r])[None]).random
         random = merge_contributions(parts)
     if tau > 0.0:
-        # One error for drives mounted and driven alike.
+        # One error for lines of equal mounting and direction.
         spread = np.tile(_spread(stack, tau), (1, 2))
         same_setup: dict[tuple[str, tuple[float, ...]], list[int]] = {}
         for r, drive in enumerate(stack.drives):
@@ -250,7 +250,7 @@ def _uncertainty(stack: Stack, solution: MatrixSolution, tau: float) -> Uncertai
     return Uncertainty(random, influences).transformed(real_stacked_diagonal(units))
 
 
-# Cross-talk: what the outputs of a sensor say of loads that are not theirs, at rated loads.
+# Cross-talk: response of each output to the other loads, at rated loads.
 
 
 @dataclass(frozen=True)

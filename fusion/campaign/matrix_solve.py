@@ -17,7 +17,7 @@ from fusion.estimation.variance_components import EstimatedNoise
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from shaker.labels import LOAD_COMPONENTS
 
-# Loads and outputs of several drives in units of their own size, with everything that makes them uncertain.
+# Loads and outputs of several lines in units of their largest values, with their uncertainties.
 
 
 SLOPE = 1.0
@@ -114,7 +114,7 @@ def stack_drives(drives: Sequence[ExcitedLine], channels: Sequence[str]) -> Stac
         acting[row, : len(acting_names)] = [index[name] for name in acting_names]
         for influence in of_load.influences:
             load_effect[row, slot[influence.name]] = as_complex(influence.effect[0])
-        # Relative to the output, zero where there is none.
+        # Relative to the output, zero if there is none.
         usable = np.isfinite(output[row]) & (output[row] != 0.0)
         for influence in of_outputs.influences:
             change, relative = as_complex(influence.effect[0]), np.zeros(len(names), np.complex128)
@@ -183,7 +183,7 @@ def _with_slopes(stack: Stack) -> Stack:
     )
 
 
-# Whether recordings excite all six components of the load, and what is missing where they do not.
+# Whether recordings excite all six components of the load, and which are missing.
 
 
 MIN_SINGULAR = 10.0
@@ -266,7 +266,7 @@ def _excitation(load: ComplexArray, both: FloatArray) -> LoadExcitation:
     # E[n nᴴ] of complex errors from their covariances of [Re, Im].
     re, im, mixed = both[:LOADS, :LOADS], both[LOADS:, LOADS:], both[LOADS:, :LOADS]
     noise = (re + im + 1j * (mixed - mixed.T)).conj()
-    # Components in units of what is there of them, load or uncertainty, so that none is large or small by itself.
+    # Components in units of their load or uncertainty, so that all have a similar size.
     size = np.sqrt(np.diag(signal).real + np.diag(noise).real)
     size = np.where(size > 0.0, size, 1.0)
     signal, noise = signal / np.outer(size, size), noise / np.outer(size, size) + FLOOR**2 * np.eye(LOADS)
@@ -522,7 +522,7 @@ def _whitened(stack: Stack, point: LinearisationPoint, discrepancy: FloatArray) 
         one = np.broadcast_to(np.eye(raised.shape[1]), root.shape)
         upper = np.asarray(np.linalg.qr(np.concatenate([alone.swapaxes(1, 2), one], axis=1), mode="r"))
         turn = np.linalg.solve(upper.swapaxes(1, 2), np.linalg.solve(root, one))
-        # Where the effect of an unknown stands; what is its drive's own, or nothing, behind all others.
+        # Column of every unknown; individual and empty ones are last.
         most = max(len(within) for _, within in chunk)
         column = np.full(len(stack.unknowns) + 1, most + len(order.wide))
         column[order.wide] = most + np.arange(len(order.wide))
@@ -589,7 +589,7 @@ def _step(stack: Stack, point: LinearisationPoint, discrepancy: FloatArray) -> M
             stack.acting[members],
             (linear.effects.swapaxes(1, 2) @ projected_residual[members][..., None])[..., 0],
         )
-    # What is left of a drive's outputs is shared with the noise of its load. Readings at the point,
+    # The residual of a line's outputs is shared with the noise of its load. Readings at the point,
     # l(L, e) = L + E(L)·e, leave l - l(L, e) - E·(e_new - e) - noise to the step of L.
     shared = (stack.individual_load_covariance @ (load_design.swapaxes(1, 2) @ projected_residual[..., None]))[..., 0]
     deviation = real_stack(stack.load - point.load) - real_stack(_shift(stack, point, errors)) + shared

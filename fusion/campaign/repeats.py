@@ -72,7 +72,7 @@ def drive_element(drive: ExcitedLine, matrix: PriorMatrix) -> tuple[ComplexArray
     of_load, of_outputs = drive.campaign_uncertainties()
     indices = [drive.channels.index(channel) for channel in matrix.channels]
     outputs, load = drive.outputs[None, indices], drive.load[None]
-    # Loads that nobody observed lie within their uncertainty.
+    # Unobserved loads are within their uncertainty.
     given = np.abs(load) ** 2 > total_variance(np.nan_to_num(of_load.covariance))
     return matrix.elements(outputs, load)[0], matrix.uncertainty(outputs, load, of_outputs.at(indices), of_load, given)
 
@@ -209,7 +209,7 @@ def mean_ratio(drives: Sequence[ExcitedLine], component: int, matrix: PriorMatri
     mountings = [drive.mounting for drive in drives]
     scatter = _components(scaled, mountings)
     weight = _weights(scaled, mountings, scatter)
-    del scaled  # of thousands of recordings, as large as what was found
+    del scaled  # for thousands of recordings it is as large as `found`
     value = np.einsum("n,nc->c", weight, np.array([value for value, _ in found]))
     uncertainty = _of_mean(found, weight, mountings, plain)
     if len(drives) > 1:
@@ -425,7 +425,7 @@ def _weights(
     Recordings of a mounting have the inverse of their individual variance, mountings that of their mean and of a new
     mounting, both in the channel of smallest uncertainty.
     """
-    # What no other recording shares: noise, and unknowns of the recording.
+    # Individual errors: noise, and unknowns of the recording.
     count = Counter(influence.name for _, uncertainty in values for influence in uncertainty.influences)
     individual = (Uncertainty(u.random, tuple(i for i in u.influences if count[i.name] == 1)) for _, u in values)
     variances = np.array([total_variance(uncertainty.covariance)[0] for uncertainty in individual])

@@ -28,7 +28,7 @@ LISTEN_S = 0.5  # between looks for an interruption
 SHARED_FRAMES = 2  # workers per recording from which on they share its frames instead of the recordings
 log = logging.getLogger("shakercal")
 
-# One recording: evaluate and write, unless its results are there.
+# One recording: evaluate and write, unless its results are current.
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ def run_job(job: Job, progress: ProgressCallback = no_progress, executor: Execut
     try:
         return _evaluated(job, manifest, hashes, progress, executor)
     except Exception:
-        hashes.all()  # what is wrong with a file as a whole is told before what was found in it
+        hashes.all()  # an error of a file as a whole is reported first
         raise
     finally:
         hashes.end()
@@ -104,14 +104,14 @@ def _evaluated(
     """Evaluate a recording while its files are being hashed, and write the results."""
     current = partial(is_current, job.folder, hashes, job.settings.as_dict())
     if not job.force and current():
-        log.debug("%s: results of the same input are there, nothing to compute", job.folder)
+        log.debug("%s: results of the same input exist", job.folder)
         return Outcome(job.recording, job.folder, resumed=True)
     check_folder(job.folder, hashes, force=job.force)
     with file_lock(job.folder, job.patience_s), one_blas_thread():
-        if job.patience_s and not job.force and current():  # whoever had it has finished it meanwhile
+        if job.patience_s and not job.force and current():  # another process has finished it meanwhile
             return Outcome(job.recording, job.folder)
         if executor is not None:
-            for _ in range(executor.size):  # workers begin while the files are opened here
+            for _ in range(executor.size):  # workers start while this process opens the files
                 executor.submit(0, _ready)
         checkpoint = Checkpoint(job.folder, partial(origin_key, hashes, job.settings.as_dict(), versions()))
         evaluation = evaluate_recording(manifest, job.settings, hashes, progress, executor, checkpoint)
@@ -120,11 +120,11 @@ def _evaluated(
     return Outcome(job.recording, job.folder, notices=evaluation.notices)
 
 
-def _ready() -> None:  # a task, hence a function of this module, whose imports are what a worker needs
+def _ready() -> None:  # its module imports all that a worker needs
     """Do no work; the import of this module prepares a worker."""
 
 
-# One recording or a folder of several: evaluate here, by several processes or on a cluster; resume, merge.
+# One recording or a folder of several: evaluate by one or several processes or a cluster; resume, merge.
 
 
 def run_path(
@@ -189,7 +189,7 @@ def run_path(
     if not alone:
         check_campaign_folder(top, [folder.name for folder in folders], force=force)
     above = staging_dir(top) if alone else top
-    # What processes left that have ended is removed from the folder above the results, before and after.
+    # Unfinished files of ended processes are removed from the parent folder, before and after.
     remove_abandoned(above)
     with nullcontext() if alone else file_lock(top), cleanup_on_signal(partial(remove_abandoned, above)):
         with _executor(workers) as executor:

@@ -333,13 +333,13 @@ class JointCorrection:
         for number, effect in enumerate(self.root.T @ remaining):
             name = f"campaign {self.joint.campaign}: noise of unknowns {number + 1}"
             found[name] = Influence(name, NOISE, 1.0, "1", effect[None], "rig", "A")
-        # Of N = n + E_l·E_lᵀ the noise n alone: its own part and that of the recording's own unknowns cancel together.
+        # Of N = n + E_l·E_lᵀ the noise n alone: its part and that of the unshared unknowns cancel.
         mixed = local.T @ knowledge.local.T @ shared
         size = np.eye(len(shared))
         lost = shared.T @ (knowledge.inverse - size - knowledge.local @ knowledge.local.T) @ shared + mixed + mixed.T
         beyond = shared.T @ knowledge.inverse @ knowledge.second_order @ gain
         random = (*_without(uncertainty.random, lost), Contribution(SECOND_ORDER, "B", beyond[None]))
-        # The recording's own part of ε_i is T(1 + MT)⁻¹EᵀPy beside what the rig's unknowns make of it.
+        # The individual part of ε_i is T(1 + MT)⁻¹EᵀPy, in addition to that of the rig's unknowns.
         individual_part = knowledge.second_order @ knowledge.score @ knowledge.inverse @ shared
         change = (
             self.estimate @ gain + individual_part - knowledge.estimate[knowledge.shared] @ knowledge.inverse @ shared
