@@ -1,4 +1,4 @@
-"""Rows of the 6 x 6 matrix from several recordings, rank of the excitations, maximum likelihood."""
+"""Excitation rank of several recordings, and the 6 x 6 matrix of greatest likelihood."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the recordings of a campaign know together of unknowns that they share, and what that makes of their loads."""
+"""Joint estimate of the unknowns that recordings share, and the correction of their loads."""
 
 from __future__ import annotations
 

@@ -64,16 +64,16 @@ def write_files(folder: Path, contents: Mapping[str, str | bytes | Iterable[str]
 
 def write_atomically(path: Path, content: str | bytes) -> None:
     """Write a file that appears completely or not at all."""
-    place = path.parent.resolve() / path.name
-    with report_write_errors(path), file_lock(place):
-        remove_abandoned(place.parent, place.name)
-        with temporary_path(place) as part:
+    target = path.parent.resolve() / path.name
+    with report_write_errors(path), file_lock(target):
+        remove_abandoned(target.parent, target.name)
+        with temporary_path(target) as part:
             write_file(part, content)
-            os.replace(part, place)
+            os.replace(part, target)
 
 
 @contextmanager
-def report_write_errors(place: Path) -> Iterator[None]:
+def report_write_errors(target: Path) -> Iterator[None]:
     """Convert an `OSError` into a `ComputeError` that names the place of the results."""
     try:
         yield
@@ -84,37 +84,37 @@ def report_write_errors(place: Path) -> Iterator[None]:
             reason = f"{refused.parent} accepts no files"  # such as /proc
         characters = len(str(error.filename))
         if isinstance(error, FileNotFoundError) and characters > LONG_PATH:
-            raise ComputeError(PATH_TOO_LONG, str(place), reason=f"{reason}{file}", characters=characters) from error
-        raise ComputeError(NOT_WRITTEN, str(place), reason=f"{reason}{file}") from error
+            raise ComputeError(PATH_TOO_LONG, str(target), reason=f"{reason}{file}", characters=characters) from error
+        raise ComputeError(NOT_WRITTEN, str(target), reason=f"{reason}{file}") from error
 
 
 # One run at a time: who writes a place holds its lock.
 
 
-_held: dict[Path, int | None] = {}
+_locks: dict[Path, int | None] = {}
 _made: set[Path] = set()
 """Locks and unfinished paths of this process."""
 
 
 @contextmanager
-def file_lock(place: Path, patience_s: float = 0.0) -> Iterator[None]:
+def file_lock(target: Path, patience_s: float = 0.0) -> Iterator[None]:
     """Lock a file or folder that is to be written, and create its parent folder.
 
     If another process still has the lock after `patience_s`, a `ComputeError` is raised. At the end the lock and new
     empty folders are removed.
     """
-    place = place.resolve()
-    lock = _lock_of(place)
-    if lock in _held:
+    target = target.resolve()
+    lock = _lock_of(target)
+    if lock in _locks:
         yield
         return
     new = [folder for folder in lock.parents if not folder.exists()]
     with cleanup_on_signal(partial(_free, lock, new)):
         end = time.monotonic() + patience_s
-        while lock not in _held:
+        while lock not in _locks:
             try:
-                with defer_signals(), report_write_errors(place):
-                    _held[lock] = _locked(lock, place)
+                with defer_signals(), report_write_errors(target):
+                    _locks[lock] = _locked(lock, target)
             except ComputeError:
                 if time.monotonic() >= end:
                     raise
@@ -122,13 +122,13 @@ def file_lock(place: Path, patience_s: float = 0.0) -> Iterator[None]:
         yield
 
 
-def staging_dir(place: Path) -> Path:
+def staging_dir(target: Path) -> Path:
     """Return the folder in which `place` is prepared.
 
     It is the parent folder, or `place` itself if that is a mount point or its parent is not writable.
     """
-    within = place.is_dir() and (os.path.ismount(place) or not os.access(place.parent, os.W_OK | os.X_OK))
-    return place if within else place.parent
+    within = target.is_dir() and (os.path.ismount(target) or not os.access(target.parent, os.W_OK | os.X_OK))
+    return target if within else target.parent
 
 
 def is_internal_name(name: str) -> bool:
@@ -136,11 +136,11 @@ def is_internal_name(name: str) -> bool:
     return INTERNAL_NAME.fullmatch(name) is not None or (name.startswith(".") and name.endswith(CHECKPOINT_SUFFIX))
 
 
-def _lock_of(place: Path) -> Path:
-    return staging_dir(place) / f".{place.name}.{LOCK}"
+def _lock_of(target: Path) -> Path:
+    return staging_dir(target) / f".{target.name}.{LOCK}"
 
 
-def _locked(lock: Path, place: Path) -> int | None:
+def _locked(lock: Path, target: Path) -> int | None:
     """Create and lock a file and return its handle.
 
     Returns None if the file system has no locks.
@@ -159,7 +159,7 @@ def _locked(lock: Path, place: Path) -> int | None:
             os.close(handle)
             if error.errno not in LOCK_BUSY_ERRNOS:
                 return None
-            raise ComputeError(LOCKED, str(place)) from error
+            raise ComputeError(LOCKED, str(target)) from error
         with contextlib.suppress(OSError):
             if os.path.samestat(os.fstat(handle), os.stat(lock)):
                 return handle
@@ -184,8 +184,8 @@ def _lock(handle: int) -> None:
 
 def _free(lock: Path, folders: Sequence[Path]) -> None:
     """Release a lock of this process and remove empty folders."""
-    if lock in _held:
-        handle, windows = _held[lock], sys.platform == "win32"
+    if lock in _locks:
+        handle, windows = _locks[lock], sys.platform == "win32"
         with contextlib.suppress(OSError):
             if not windows:  # as long as nobody else can hold it
                 lock.unlink()
@@ -194,7 +194,7 @@ def _free(lock: Path, folders: Sequence[Path]) -> None:
                 os.close(handle)
             if windows:  # which removes no open file
                 lock.unlink()
-        _held.pop(lock, None)
+        _locks.pop(lock, None)
     for folder in folders:
         with contextlib.suppress(OSError):
             folder.rmdir()
@@ -203,15 +203,15 @@ def _free(lock: Path, folders: Sequence[Path]) -> None:
 # What is being made, and what was left by runs that are gone.
 
 
-def _hidden(place: Path, kind: str) -> Path:
+def _hidden(target: Path, kind: str) -> Path:
     """Return a unique hidden name next to a path."""
-    return staging_dir(place) / f".{place.name}-{os.urandom(6).hex()}.{kind}"
+    return staging_dir(target) / f".{target.name}-{os.urandom(6).hex()}.{kind}"
 
 
 @contextmanager
-def temporary_path(place: Path) -> Iterator[Path]:
+def temporary_path(target: Path) -> Iterator[Path]:
     """Yield an unused path for an unfinished file or folder; remove it at the end."""
-    path = _hidden(place, "part")
+    path = _hidden(target, "part")
     _made.add(path)
     with cleanup_on_signal(partial(_remove, path)):
         yield path
@@ -226,8 +226,8 @@ def _remove(path: Path) -> None:
         gone = path.with_name(re.sub(r"[0-9a-f]{12}\.[a-z]+$", f"{os.urandom(6).hex()}.part", path.name))
         with contextlib.suppress(OSError):
             os.replace(path, gone)
-        for place in (path, gone):
-            shutil.rmtree(place, ignore_errors=True)
+        for target in (path, gone):
+            shutil.rmtree(target, ignore_errors=True)
     else:
         with contextlib.suppress(OSError):
             path.unlink(missing_ok=True)
@@ -249,32 +249,32 @@ def remove_abandoned(folder: Path, name: str | None = None) -> list[Path]:
         found = INTERNAL_NAME.fullmatch(entry.name)
         if found is None or entry in _made or name not in (None, found["name"]):
             continue
-        place = folder / found["name"]
-        if folder.name == place.name and _lock_of(folder).parent == folder:
-            place = folder  # it is made in itself
-        own = _lock_of(place) in _held
-        if own and found["kind"] is None:
+        target = folder / found["name"]
+        if folder.name == target.name and _lock_of(folder).parent == folder:
+            target = folder  # it is made in itself
+        owned = _lock_of(target) in _locks
+        if owned and found["kind"] is None:
             continue
-        with contextlib.suppress(ComputeError, OSError), file_lock(place):
-            locked = _held.get(_lock_of(place)) is not None
+        with contextlib.suppress(ComputeError, OSError), file_lock(target):
+            locked = _locks.get(_lock_of(target)) is not None
             if not locked and time.time() - entry.stat().st_mtime < ABANDONED_AGE_S:
                 continue
             if found["kind"] in ("old", "aside"):
-                _restore(entry, place)
+                _restore(entry, target)
             if found["kind"] is not None:
                 _remove(entry)
             removed.append(entry)
     return removed
 
 
-def _restore(aside: Path, place: Path) -> None:
+def _restore(backup: Path, target: Path) -> None:
     """Move back the files that a run had moved away and not replaced."""
-    if aside.suffix == ".old":
-        if not place.exists():
-            os.replace(aside, place)
+    if backup.suffix == ".old":
+        if not target.exists():
+            os.replace(backup, target)
         return
-    for file in [path for path in aside.rglob("*") if path.is_file()]:
-        _move(file, place / file.relative_to(aside))
+    for file in [path for path in backup.rglob("*") if path.is_file()]:
+        _move(file, target / file.relative_to(backup))
 
 
 # What a run has found so far.
@@ -288,10 +288,10 @@ class Checkpoint:
     `key` returns a text that identifies all inputs of the files; files of another key are ignored.
     """
 
-    def __init__(self, place: Path, key: Callable[[], str]) -> None:
-        place = place.resolve()
-        self.disk = staging_dir(place)
-        self._folder = self.disk / f".{place.name}{CHECKPOINT_SUFFIX}"
+    def __init__(self, target: Path, key: Callable[[], str]) -> None:
+        target = target.resolve()
+        self.disk = staging_dir(target)
+        self._folder = self.disk / f".{target.name}{CHECKPOINT_SUFFIX}"
         self._make_key = key
 
     @cached_property
@@ -343,11 +343,11 @@ def write_together(
             names = make(part)
             ready()
             with defer_signals():
-                _put_in_place(part, folder, names, earlier())
+                _move_to_target(part, folder, names, earlier())
     return [folder / name for name in names]
 
 
-def _put_in_place(part: Path, folder: Path, names: Sequence[str], earlier: Sequence[str]) -> None:
+def _move_to_target(part: Path, folder: Path, names: Sequence[str], earlier: Sequence[str]) -> None:
     """Move finished files into place.
 
     The folder is replaced as a whole, or file by file if it contains other files.
@@ -356,33 +356,33 @@ def _put_in_place(part: Path, folder: Path, names: Sequence[str], earlier: Seque
         os.replace(part, folder)
         return
     gone = [name for name in dict.fromkeys((names[-1], *earlier, *names)) if (folder / name).is_file()]
-    if part.parent == folder.parent and _holds_only(folder, gone) and _swapped(part, folder):
+    if part.parent == folder.parent and _contains_only(folder, gone) and _swap_folders(part, folder):
         return
-    aside, placed = _hidden(folder, "aside"), list[str]()
+    backup, moved = _hidden(folder, "aside"), list[str]()
     try:
         for name in gone:  # without the one that comes first here and last there the folder is no result
-            _move(folder / name, aside / name)
+            _move(folder / name, backup / name)
         for name in names:
             _move(part / name, folder / name)
-            placed.append(name)
+            moved.append(name)
     except OSError:
-        for name in placed:
+        for name in moved:
             _move(folder / name, part / name)
-        _restore(aside, folder)
-        shutil.rmtree(aside, ignore_errors=True)
+        _restore(backup, folder)
+        shutil.rmtree(backup, ignore_errors=True)
         raise
-    if aside.exists():
-        old = aside.with_suffix(".old")  # which nobody puts back
+    if backup.exists():
+        old = backup.with_suffix(".old")  # which nobody puts back
         with contextlib.suppress(OSError):
-            os.replace(aside, old)
-        for place in (aside, old):
-            shutil.rmtree(place, ignore_errors=True)
+            os.replace(backup, old)
+        for target in (backup, old):
+            shutil.rmtree(target, ignore_errors=True)
     for below in sorted({(folder / name).parent for name in gone} - {folder}, reverse=True):
         with contextlib.suppress(OSError):
             below.rmdir()  # where nothing is left in it
 
 
-def _holds_only(folder: Path, names: Sequence[str]) -> bool:
+def _contains_only(folder: Path, names: Sequence[str]) -> bool:
     """Return whether a folder contains only files of these names."""
     tops = {Path(name).parts[0] for name in names}
     if any(entry.name not in tops for entry in folder.iterdir()):
@@ -390,12 +390,12 @@ def _holds_only(folder: Path, names: Sequence[str]) -> bool:
     return sum(not path.is_dir() or path.is_symlink() for path in folder.rglob("*")) == len(names)
 
 
-def _move(file: Path, place: Path) -> None:
-    place.parent.mkdir(parents=True, exist_ok=True)
-    os.replace(file, place)
+def _move(file: Path, target: Path) -> None:
+    target.parent.mkdir(parents=True, exist_ok=True)
+    os.replace(file, target)
 
 
-def _swapped(part: Path, folder: Path) -> bool:
+def _swap_folders(part: Path, folder: Path) -> bool:
     """Replace one folder by another; return False if the system refuses.
 
     A process that is killed in between leaves the old folder under a hidden name; the next run moves it back.

@@ -308,39 +308,43 @@ def describe(top: Group) -> None:
     """
     whole = "mounting" in top.attrs or "curves" in top
     for path, group, data in sorted(top.datasets(), key=lambda one: (one[0].count("/"), len(one[2].shape), one[0])):
-        own, shape = path.rpartition("/")[2], data.shape
-        known = whole or set(group.inside) >= PHASORS
-        told = _told(path) if known else OTHERS.get(own, DatasetDescription())
+        field, shape = path.rpartition("/")[2], data.shape
+        described = whole or set(group.inside) >= PHASORS
+        description = _description(path) if described else OTHERS.get(field, DatasetDescription())
         if data.numbers:
-            unit = _unit(group, own, shape, told)
+            unit = _unit(group, field, shape, description)
             if unit:
                 data.attrs["units"] = unit
-        data.attrs["long_name"] = told.text or _words(path)
-        names = told.axes.split() if known else [name for name in OVER if _along(group, own, shape, name)]
-        if not known and not names:
+        data.attrs["long_name"] = description.text or _words(path)
+        axes = (
+            description.axes.split()
+            if described
+            else [name for name in OVER if _has_coordinates(group, field, shape, name)]
+        )
+        if not described and not axes:
             continue
-        if len(names) != len(shape):
-            rest = [own] if len(shape) == 1 else [f"{own}_{axis + 1}" for axis in range(len(shape))]
-            names = rest if known else [*names[:1], *rest[1:]]
-        for axis, name in enumerate(names):
+        if len(axes) != len(shape):
+            free_axes = [field] if len(shape) == 1 else [f"{field}_{axis + 1}" for axis in range(len(shape))]
+            axes = free_axes if described else [*axes[:1], *free_axes[1:]]
+        for axis, name in enumerate(axes):
             scale = _scale(group, name, shape[axis])
             if scale is not data:
                 data.attach(axis, scale)
 
 
-def _along(group: Group, own: str, shape: tuple[int, ...], name: str) -> bool:
+def _has_coordinates(group: Group, field: str, shape: tuple[int, ...], name: str) -> bool:
     """Return whether the data set of this name has the coordinates of the first axis."""
-    beside = group.get(name)
-    return isinstance(beside, Data) and own != name and len(shape) > 0 and beside.shape == shape[:1]
+    coordinates = group.get(name)
+    return isinstance(coordinates, Data) and field != name and len(shape) > 0 and coordinates.shape == shape[:1]
 
 
-def _told(path: str) -> DatasetDescription:
+def _description(path: str) -> DatasetDescription:
     """Return the description for the longest match of a path, one without `*` first."""
-    return _told_of(tuple(path.strip("/").split("/")[-_LONGEST:]))
+    return _longest_match(tuple(path.strip("/").split("/")[-_LONGEST:]))
 
 
 @cache
-def _told_of(names: tuple[str, ...]) -> DatasetDescription:
+def _longest_match(names: tuple[str, ...]) -> DatasetDescription:
     """Return the description for the last names of a path."""
     parts = [re.sub(r"^\w+_uncertainty$", "uncertainty", part) for part in names]
     fitting = [
@@ -363,7 +367,7 @@ def _words(path: str) -> str:
 # Units: those of the values of a group, from what it says of itself.
 
 
-def _unit(group: Group, name: str, shape: tuple[int, ...], told: DatasetDescription) -> str:
+def _unit(group: Group, name: str, shape: tuple[int, ...], description: DatasetDescription) -> str:
     """Return the unit of a data set, empty if unknown."""
     rules: dict[str, Callable[[], str]] = {
         "": lambda: next((unit for suffix, unit in SUFFIXES.items() if name.endswith(suffix)), ""),
@@ -382,7 +386,7 @@ def _unit(group: Group, name: str, shape: tuple[int, ...], told: DatasetDescript
         return _units_of_values(group)
 
     try:
-        return rules[told.unit]() if told.unit in rules else told.unit
+        return rules[description.unit]() if description.unit in rules else description.unit
     except KeyError:  # nothing here says of which unit
         return ""
 
@@ -454,12 +458,12 @@ def _units_of_values(group: Group) -> list[str]:
 # Axes: coordinates of the group or of those above it, labels, or a length alone.
 
 
-def _scale(own: Group, name: str, length: int) -> Data:
+def _scale(start: Group, name: str, length: int) -> Data:
     """Return the dimension scale of an axis from this group or one above it.
 
     Create it if missing.
     """
-    group = own
+    group = start
     while True:
         near = group.get(name)
         if isinstance(near, Data) and near.shape == (length,):
@@ -468,8 +472,8 @@ def _scale(own: Group, name: str, length: int) -> Data:
         if group is group.top:
             break
         group = group.parent
-    free = next(text for text in (name, *(f"{name}_{number}" for number in range(2, 99))) if text not in own)
-    values = _coordinate(own, name, length)
+    free = next(text for text in (name, *(f"{name}_{number}" for number in range(2, 99))) if text not in start)
+    values = _coordinate(start, name, length)
     if values is None:
         scale = Data(np.zeros(length, ">f4"), stored=False)
         scale.scale = f"This is a netCDF dimension but not a netCDF variable. {length:9d}"
@@ -481,7 +485,7 @@ def _scale(own: Group, name: str, length: int) -> Data:
         )
         if scale.numbers:
             scale.attrs["units"] = "Hz"
-    own.inside[free] = scale
+    start.inside[free] = scale
     return scale
 
 
@@ -489,8 +493,11 @@ def _coordinate(group: Group, name: str, length: int) -> Any:
     """Return the coordinates of an axis, None if only its length is known."""
     owner, which = _owner(group)
     labels = _labels(owner, which) if name in ("row", "column", "element") else []
-    places = [owner, *(owner[inner] for inner in ("phasors", "fit/phasors") if inner in owner)]
-    found: Any = next((place[name] for place in places if name in place and place[name].shape == (length,)), None)
+    groups = [owner, *(owner[inner] for inner in ("phasors", "fit/phasors") if inner in owner)]
+    found: Any = next(
+        (inner_group[name] for inner_group in groups if name in inner_group and inner_group[name].shape == (length,)),
+        None,
+    )
     if name in ("row", "column"):
         values: Any = [f"{part} {label}" for part in ("Re", "Im") for label in labels]
     elif name == "element":

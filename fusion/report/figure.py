@@ -261,8 +261,8 @@ class Panel:
     ) -> None:
         """Add one ellipse about a complex value with its half-axes."""
         width, height = (_row(2.0 * axis) for axis in axes)
-        place: Any = {"x": _row(centre.real), "y": _row(centre.imag), "angle_rad": _row(angle_rad)}
-        self.marks.append(Ellipses(label=label, **place, width=width, height=height, **look))
+        centre_fields: Any = {"x": _row(centre.real), "y": _row(centre.imag), "angle_rad": _row(angle_rad)}
+        self.marks.append(Ellipses(label=label, **centre_fields, width=width, height=height, **look))
 
     def boxes(
         self, x: tuple[ArrayLike, ArrayLike], y: tuple[ArrayLike, ArrayLike], label: str = "", **look: Any
@@ -279,15 +279,15 @@ class Panel:
         x, y = middle.T
         self.boxes((x - half, x + half), (y - half, y + half), label, **look)
 
-    def arrows(self, place: FloatArray, vector: FloatArray, label: str = "", **look: Any) -> None:
+    def arrows(self, position: FloatArray, vector: FloatArray, label: str = "", **look: Any) -> None:
         """Add `Arrows` from places (N, 2) by vectors (N, 2)."""
-        (x, y), (dx, dy) = np.asarray(place, np.float64).T, np.asarray(vector, np.float64).T
+        (x, y), (dx, dy) = np.asarray(position, np.float64).T, np.asarray(vector, np.float64).T
         self.marks.append(Arrows(label=label, x=x, y=y, dx=dx, dy=dy, **look))
 
     def text(self, x: ArrayLike, y: ArrayLike, texts: Sequence[str] | str, **look: Any) -> None:
         """Add `Texts`, black without a colour."""
-        told = (texts,) if isinstance(texts, str) else tuple(texts)
-        self.marks.append(Texts(x=_row(x), y=_row(y), texts=told, **{"colour": BLACK, **look}))
+        lines = (texts,) if isinstance(texts, str) else tuple(texts)
+        self.marks.append(Texts(x=_row(x), y=_row(y), texts=lines, **{"colour": BLACK, **look}))
 
     def image(self, grey: NDArray[np.uint8], across: tuple[float, float], down: tuple[float, float]) -> None:
         """Add an `Image` from `across` to `down` ends in the units of the axes."""
@@ -408,8 +408,8 @@ def jpeg_uri(grey: NDArray[np.uint8]) -> str:
 
 def padded_limits(low: float, high: float, share: float = 0.15) -> tuple[float, float]:
     """Return axis limits with a margin on both sides."""
-    room = share * (high - low) if high > low else share * max(abs(high), 1e-300)
-    return low - room, high + room
+    margin = share * (high - low) if high > low else share * max(abs(high), 1e-300)
+    return low - margin, high + margin
 
 
 def power_text(exponent: int) -> str:
@@ -433,10 +433,10 @@ def extremes(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     if each <= 4:
         return x, y
     whole = np.concatenate([y, np.full(-len(y) % each, np.nan)]).reshape(-1, each)
-    unknown = np.isnan(whole)
-    ends = np.where(unknown, np.inf, whole).argmin(axis=1), np.where(unknown, -np.inf, whole).argmax(axis=1)
-    kept = np.unique(np.concatenate(ends).reshape(2, -1) + each * np.arange(len(whole)))
-    return x[kept], y[kept]
+    missing = np.isnan(whole)
+    ends = np.where(missing, np.inf, whole).argmin(axis=1), np.where(missing, -np.inf, whole).argmax(axis=1)
+    selected = np.unique(np.concatenate(ends).reshape(2, -1) + each * np.arange(len(whole)))
+    return x[selected], y[selected]
 
 
 def decimate_edges(x: FloatArray, y: FloatArray, edges: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -512,9 +512,9 @@ def frame_bars(
     references = [] if static is None else [static[0]], [0.0]
     for panel, level, half, reference in zip((upper, lower), *bars, references, strict=True):
         ends = np.concatenate([level - half, level + half, reference])
-        known = ends[np.isfinite(ends)]
-        if len(known):
-            panel.y.limits = padded_limits(float(known.min()), float(known.max()))
+        finite = ends[np.isfinite(ends)]
+        if len(finite):
+            panel.y.limits = padded_limits(float(finite.min()), float(finite.max()))
     upper.y.label, lower.y.label = f"magnitude / {magnitude}", "phase / rad"
     lower.rule(0.0, colour=GREY)
     if static is not None:

@@ -108,8 +108,8 @@ def _canvas(figure: Figure) -> Canvas:
     shares = {"height_ratios": figure.heights, "width_ratios": figure.widths}
     every = canvas.subplots(rows, columns, squeeze=False, gridspec_kw=shares, **shared)
     handles, upright = dict[str, Any](), has_upright_names(figure)
-    for place, panel in enumerate(figure.panels):
-        row, column = divmod(place, columns)
+    for index, panel in enumerate(figure.panels):
+        row, column = divmod(index, columns)
         inner = (figure.shared_x and row < rows - 1, figure.shared_y and column > 0)
         if upright:
             every[row, column].tick_params(axis="x", labelrotation=90)
@@ -124,9 +124,9 @@ def _canvas(figure: Figure) -> Canvas:
 def _lay_out(figure: Figure, every: Any, legend_in: float) -> None:
     """Set the positions of axes, labels and colour bars."""
     for axes, panel, frame in zip(every.flat, figure.panels, frames(figure, legend_in), strict=True):
-        place = frame.left, figure.height_in - frame.top - frame.height, frame.width, frame.height
+        rect = frame.left, figure.height_in - frame.top - frame.height, frame.width, frame.height
         axes.set_position(
-            tuple(part / whole for part, whole in zip(place, 2 * (WIDTH_IN, figure.height_in), strict=True))
+            tuple(part / whole for part, whole in zip(rect, 2 * (WIDTH_IN, figure.height_in), strict=True))
         )
         axes.yaxis.set_label_coords(-(frame.left_margin - 0.16) / frame.width, 0.5)
         if (scale := scale_below(panel)) is not None:
@@ -135,11 +135,11 @@ def _lay_out(figure: Figure, every: Any, legend_in: float) -> None:
 
 def _colour_bar(axes: Axes, scale: Scale, below: float, height: float) -> None:
     """Draw a horizontal colour bar below a panel."""
-    place = axes.inset_axes((0.0, below - height, 1.0, height))
+    bar_axes = axes.inset_axes((0.0, below - height, 1.0, height))
     colours, norm = _colours(scale)
-    axes.figure.colorbar(ScalarMappable(norm, colours), cax=place, orientation="horizontal")
-    place.set_xlabel(scale.label)
-    place.grid(visible=False)
+    axes.figure.colorbar(ScalarMappable(norm, colours), cax=bar_axes, orientation="horizontal")
+    bar_axes.set_xlabel(scale.label)
+    bar_axes.grid(visible=False)
 
 
 def _draw_panel(axes: Axes, panel: Panel, inner: tuple[bool, bool]) -> dict[str, Any]:
@@ -147,16 +147,16 @@ def _draw_panel(axes: Axes, panel: Panel, inner: tuple[bool, bool]) -> dict[str,
 
     `inner`: whether another panel has its numbers of x, of y.
     """
-    for way in "xy":
-        if getattr(panel, way).log:
-            getattr(axes, f"set_{way}scale")("log")
+    for name in "xy":
+        if getattr(panel, name).log:
+            getattr(axes, f"set_{name}scale")("log")
     handles: dict[str, Any] = {}
     for mark in panel.marks:
         drawn = DRAWN[type(mark)](axes, mark)
         if mark.label:
             handles.setdefault(mark.label, drawn)
-    for way, hidden in zip("xy", inner, strict=True):
-        _dress(axes, way, getattr(panel, way), hidden=hidden)
+    for name, hidden in zip("xy", inner, strict=True):
+        _set_axis(axes, name, getattr(panel, name), hidden=hidden)
     if panel.equal:
         axes.set_aspect("equal", adjustable="datalim" if panel.x.limits is None else "box")
     if panel.title:
@@ -166,36 +166,36 @@ def _draw_panel(axes: Axes, panel: Panel, inner: tuple[bool, bool]) -> dict[str,
     return handles
 
 
-def _dress(axes: Axes, way: str, said: PanelAxis, *, hidden: bool) -> None:
+def _set_axis(axes: Axes, name: str, spec: PanelAxis, *, hidden: bool) -> None:
     """Set label, limits, numbers and second scale of one axis."""
-    axis = axes.xaxis if way == "x" else axes.yaxis
-    if said.label and not hidden:
-        axis.set_label_text(said.label)
-    if said.names:
-        axis.set_ticks(range(len(said.names)), [] if hidden else list(said.names))
-        getattr(axes, f"set_{way}lim")(
-            *((-0.6, len(said.names) - 0.4) if way == "x" else (len(said.names) - 0.4, -0.6))
+    axis = axes.xaxis if name == "x" else axes.yaxis
+    if spec.label and not hidden:
+        axis.set_label_text(spec.label)
+    if spec.names:
+        axis.set_ticks(range(len(spec.names)), [] if hidden else list(spec.names))
+        getattr(axes, f"set_{name}lim")(
+            *((-0.6, len(spec.names) - 0.4) if name == "x" else (len(spec.names) - 0.4, -0.6))
         )
-    elif said.ticks:
-        axis.set_ticks(said.ticks)
-    elif said.log:
-        _logarithm(axes, way)
+    elif spec.ticks:
+        axis.set_ticks(spec.ticks)
+    elif spec.log:
+        _logarithm(axes, name)
     else:
         axis.set_major_locator(MaxNLocator(6))
-    if said.limits is not None:
-        getattr(axes, f"set_{way}lim")(*said.limits)
-    axes.grid(visible=said.grid and not (said.names and way == "y"), axis="x" if way == "x" else "y")
-    if said.second is not None and way == "y":
-        label, zero, factor = said.second
+    if spec.limits is not None:
+        getattr(axes, f"set_{name}lim")(*spec.limits)
+    axes.grid(visible=spec.grid and not (spec.names and name == "y"), axis="x" if name == "x" else "y")
+    if spec.second is not None and name == "y":
+        label, zero, factor = spec.second
         functions: Any = (lambda v: factor * (np.asarray(v) - zero), lambda v: np.asarray(v) / factor + zero)
         right = axes.secondary_yaxis("right", functions=functions)
         right.set_ylabel(label)
         right.spines["right"].set_visible(True)
 
 
-def _logarithm(axes: Axes, way: str) -> None:
+def _logarithm(axes: Axes, name: str) -> None:
     """Set the numbers of a logarithmic axis: powers of ten, or 1, 2, 5."""
-    axis = axes.xaxis if way == "x" else axes.yaxis
+    axis = axes.xaxis if name == "x" else axes.yaxis
     low, high = sorted(axis.get_view_interval())
     narrow = low > 0.0 and high < 100.0 * low and high < 1e5
     axis.set_major_locator(LogLocator(10.0, subs=(1.0, 2.0, 5.0) if narrow else (1.0,), numticks=8))
@@ -269,14 +269,14 @@ def _draw_rule(axes: Axes, mark: Rule) -> Any:
 
 
 def _draw_ellipses(axes: Axes, mark: Ellipses) -> Any:
-    place, reach = np.stack([mark.x, mark.y], 1), 0.5 * np.maximum(mark.width, mark.height)[:, None]
+    centres, reach = np.stack([mark.x, mark.y], 1), 0.5 * np.maximum(mark.width, mark.height)[:, None]
     look: dict[str, Any] = {"facecolors": "none", "edgecolors": mark.colour, "linewidths": 1.1}
     angles = np.degrees(mark.angle_rad)
     drawn = EllipseCollection(
-        mark.width, mark.height, angles, units="xy", offsets=place, offset_transform=axes.transData, **look
+        mark.width, mark.height, angles, units="xy", offsets=centres, offset_transform=axes.transData, **look
     )
     axes.add_collection(drawn)
-    axes.update_datalim(np.concatenate([place - reach, place + reach]))
+    axes.update_datalim(np.concatenate([centres - reach, centres + reach]))
     return drawn
 
 

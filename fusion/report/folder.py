@@ -133,11 +133,11 @@ def hash_files(files: Iterable[Path], root: Path, read: Mapping[Path, FileIdenti
     A file outside `root` has its absolute path. `read`: identities of files that were read before. A file that has
     changed since then, or while it is hashed, is refused.
     """
-    begun = hashing(files, root, read)
+    started = hashing(files, root, read)
     try:
-        return begun.all()
+        return started.all()
     finally:
-        begun.end()
+        started.end()
 
 
 def hashing(files: Iterable[Path], root: Path, read: Mapping[Path, FileIdentity] | None = None) -> Hashing:
@@ -147,10 +147,10 @@ def hashing(files: Iterable[Path], root: Path, read: Mapping[Path, FileIdentity]
     """
     files = set(files)
     check_names(files)
-    known, before, base = read or {}, list[tuple[Path, Path, FileIdentity | None]](), root.resolve()
+    identities, before, base = read or {}, list[tuple[Path, Path, FileIdentity | None]](), root.resolve()
     for path in files:
         resolved = path.resolve()
-        before.append((path, resolved, known.get(resolved) or FileIdentity.of(path)))
+        before.append((path, resolved, identities.get(resolved) or FileIdentity.of(path)))
 
     ended = Event()
 
@@ -326,7 +326,7 @@ def render_page(template: str, context: Mapping[str, Any]) -> str:
         lstrip_blocks=True,
         bytecode_cache=CompiledTemplates(),
     )
-    environment.filters |= {"data_uri": data_uri, "sections": sections, "live": live, "still": static_svg}
+    environment.filters |= {"data_uri": data_uri, "sections": sections, "live": live, "static_svg": static_svg}
     environment.globals |= {
         "shown": shown,
         "figures_library": bokeh_library,

@@ -226,8 +226,8 @@ def _labelled(
     `labels`: channel, component and unit of each element.
     """
     channel, component, unit = zip(*labels, strict=True) if labels else ((), (), ())
-    places: list[Any] = [group.get("frequency_hz"), group.get("phasors/frequency_hz")]
-    found = next((read_numbers(place) for place in places if place is not None), None)
+    datasets: list[Any] = [group.get("frequency_hz"), group.get("phasors/frequency_hz")]
+    found = next((read_numbers(dataset) for dataset in datasets if dataset is not None), None)
     frequency = np.array([group.attrs["frequency_hz"]]) if found is None else found
     uncertainty = read_uncertainty(group["uncertainty"])
     return LabelledPhasors(name, frequency, value, channel, component, unit, uncertainty, tuple(kind))

@@ -69,8 +69,8 @@ class _View:
     def limits_mm(self) -> tuple[FloatArray, FloatArray]:
         """Lower and upper corner of the panels: the whole body with a margin."""
         low, high = self.plan_mm.min(axis=0), self.plan_mm.max(axis=0)
-        room = 1.2 * self.side_mm + MARGIN_SHARE * float((high - low).max())
-        return low - room, high + room
+        margin = 1.2 * self.side_mm + MARGIN_SHARE * float((high - low).max())
+        return low - margin, high + margin
 
     @property
     def height_in(self) -> float:
@@ -85,10 +85,10 @@ def draw_deflection(shape: DeflectionShape, line: int, rigid: ComplexArray, name
     `rigid` (6,): displacement phasors of the body at this line; phases are relative to its largest translation. None if
     fewer than three points have a deflection.
     """
-    known = np.isfinite(shape.value[line]).all(axis=1)
-    if known.sum() < 3:
+    finite = np.isfinite(shape.value[line]).all(axis=1)
+    if finite.sum() < 3:
         return None
-    view = _view(shape.reference_m[known], shape.value[line][known], shape.u[line][known])
+    view = _view(shape.reference_m[finite], shape.value[line][finite], shape.u[line][finite])
     leader = int(np.argmax(np.abs(rigid[:3])))
     above = np.abs(view.out) > view.out_level
     drawn = empty_figure(f"deflection-{name}", view.height_in + FIGURE_MARGIN_IN, 1, 3)
@@ -160,9 +160,9 @@ def _draw_in_plane(panel: Panel, view: _View) -> None:
     longest = max(float(np.quantile(np.hypot(vector[:, 0], vector[:, 1]), 0.98)), 1e-12 * factor)
     shown = vector * (LONGEST_ARROW * view.side_mm / longest)
     weak = length <= view.inside_level
-    for own, colour in ((~weak, BLUE), (weak, GREY)):
-        if own.any():
-            panel.arrows(view.plan_mm[own], shown[own], colour=colour)
+    for mask, colour in ((~weak, BLUE), (weak, GREY)):
+        if mask.any():
+            panel.arrows(view.plan_mm[mask], shown[mask], colour=colour)
     level = float(np.median(view.inside_level)) / factor
     names = ", ".join(AXES[axis] for axis in view.across)
     panel.title = f"in plane ({names}): longest {longest / factor:#.2g}, noise {level:#.2g} {letter}m"
@@ -275,22 +275,22 @@ def draw_residual_spectrum(stereo: StereoResult) -> Figure:
 
 def subset_figures(evaluation: Evaluation) -> list[Figure]:
     """Draw the tracked subsets in the first left image of every stereo pair."""
-    seen = [
+    pairs = [
         (item.name, item.reference_image, item.subsets_px)
         for item in evaluation.stereo
         if item.reference_image is not None and item.subsets_px is not None
     ]
-    if not seen:
+    if not pairs:
         return []
-    columns = max(2, len(seen))
-    tallest = max(image.shape[0] / image.shape[1] for _, image, _ in seen)
+    columns = max(2, len(pairs))
+    tallest = max(image.shape[0] / image.shape[1] for _, image, _ in pairs)
     drawn = empty_figure("subsets", 0.75 + 7.2 / columns * tallest, 1, columns)
-    for panel, (name, image, points) in zip(drawn.panels, seen, strict=False):
+    for panel, (name, image, points) in zip(drawn.panels, pairs, strict=False):
         _draw_image(panel, image)
         side = 0.92 * (21.0 if len(points) < 2 else neighbour_distance(points, 0.5))
         panel.squares(points, side, "subsets", colour=ORANGE, filled=False)
         panel.x.label, panel.title = "x / px", f"{name}: {len(points)} subsets"
-    for panel in drawn.panels[len(seen) :]:
+    for panel in drawn.panels[len(pairs) :]:
         panel.blank = True
     drawn.panels[0].y.label = "y / px"
     return [drawn.with_title("Subsets", "First left images, contrast stretched, with the subsets tracked in them.")]
@@ -326,17 +326,17 @@ def folded_curve(stereo: StereoResult, frequency_hz: float, phase: FloatArray) -
     """Return the fitted curve (T, 6) of one line and its multiples over its phase."""
     phasors = stereo.fit.phasors
     multiple = phasors.frequency_hz / frequency_hz
-    own = np.abs(multiple - np.round(multiple)) * frequency_hz * np.ptp(stereo.time_s) < 0.02
-    turns = np.exp(2j * np.pi * np.multiply.outer(phase, np.round(multiple[own])))
-    return np.asarray((turns @ phasors.value[own]).real)
+    multiples = np.abs(multiple - np.round(multiple)) * frequency_hz * np.ptp(stereo.time_s) < 0.02
+    turns = np.exp(2j * np.pi * np.multiply.outer(phase, np.round(multiple[multiples])))
+    return np.asarray((turns @ phasors.value[multiples]).real)
 
 
 def residual_spectrum(stereo: StereoResult) -> tuple[FloatArray, FloatArray]:
     """Return frequencies (B,) and amplitudes (B, 6) of the residuals; missing frames count as zero."""
     spacing = np.diff(stereo.time_s)
-    place = np.concatenate([[0], np.cumsum(np.round(spacing / np.median(spacing)))]).astype(np.int64)
-    filled = np.zeros((place[-1] + 1, 6))
-    filled[place] = np.nan_to_num(stereo.residual)
+    index = np.concatenate([[0], np.cumsum(np.round(spacing / np.median(spacing)))]).astype(np.int64)
+    filled = np.zeros((index[-1] + 1, 6))
+    filled[index] = np.nan_to_num(stereo.residual)
     frequency = np.fft.rfftfreq(len(filled), 1.0 / camera_rate_hz(stereo))
     present = int(np.isfinite(stereo.residual).all(axis=1).sum())
     return np.asarray(frequency, dtype=np.float64), np.abs(np.fft.rfft(filled, axis=0)) * 2.0 / max(present, 1)
@@ -392,7 +392,7 @@ SMALLEST_PX = 1e-3  # range of the colours where residuals are smaller
 def draw_epipolar(check: EpipolarCheck, time_s: FloatArray, name: str) -> Figure:
     """Draw the mean epipolar residual over time and over the image."""
     drawn = empty_figure(f"epipolar-{name}", 3.0, 1, (1.5, 1.0))
-    _draw_course(drawn.panels[0], check, time_s)
+    _draw_mean_residual(drawn.panels[0], check, time_s)
     drawn.panels[0].x.link = f"time of {name}"
     _draw_residuals(drawn.panels[1], check)
     explained = (
@@ -408,7 +408,7 @@ def draw_epipolar(check: EpipolarCheck, time_s: FloatArray, name: str) -> Figure
     return drawn.with_title(f"Epipolar residuals of {name}", caption)
 
 
-def _draw_course(panel: Panel, check: EpipolarCheck, time_s: FloatArray) -> None:
+def _draw_mean_residual(panel: Panel, check: EpipolarCheck, time_s: FloatArray) -> None:
     """Draw the mean residual over time."""
     if check.pattern_covariance is not None:
         explained = MPX * COVERAGE * float(np.sqrt(check.pattern_covariance[0, 0]))
@@ -424,16 +424,16 @@ def _draw_residuals(panel: Panel, check: EpipolarCheck) -> None:
 
     Outliers as crosses.
     """
-    known = np.isfinite(check.residual_px)
-    if not known.any():
+    finite = np.isfinite(check.residual_px)
+    if not finite.any():
         panel.blank = True
         return
-    limit = MPX * max(SMALLEST_PX, float(np.abs(check.residual_px[known]).max()))
+    limit = MPX * max(SMALLEST_PX, float(np.abs(check.residual_px[finite]).max()))
     x, y = check.position_px.T
     scale = Scale("RdBu", -limit, limit, "residual / mpx")
-    panel.points(x[known], y[known], values=MPX * check.residual_px[known], scale=scale, size=3.8)
-    if not known.all():
-        panel.points(x[~known], y[~known], "left out", marker="x", colour=RED, size=4.0)
+    panel.points(x[finite], y[finite], values=MPX * check.residual_px[finite], scale=scale, size=3.8)
+    if not finite.all():
+        panel.points(x[~finite], y[~finite], "left out", marker="x", colour=RED, size=4.0)
     panel.equal = True
     panel.x.limits = (float(x.min()) - 20.0, float(x.max()) + 20.0)
     panel.y.limits = (float(y.max()) + 20.0, float(y.min()) - 20.0)

@@ -30,10 +30,10 @@ def load_or_make(name: str, key: str, make: Callable[[], bytes]) -> bytes:
 
     `key` identifies everything that the content depends on.
     """
-    content = _find(name, key)
+    content = _read_entry(name, key)
     if content is None:
         content = make()
-        _keep(name, key, content)
+        _write_entry(name, key, content)
     return content
 
 
@@ -42,47 +42,47 @@ class CompiledTemplates(jinja2.BytecodeCache):
 
     def load_bytecode(self, bucket: Bucket) -> None:
         """Load the code of a template if it is cached."""
-        code = _find(bucket.key, self._key(bucket))
+        code = _read_entry(bucket.key, self._key(bucket))
         if code is not None:
             bucket.bytecode_from_string(code)
 
     def dump_bytecode(self, bucket: Bucket) -> None:
         """Cache the code of a template."""
-        _keep(bucket.key, self._key(bucket), bucket.bytecode_to_string())
+        _write_entry(bucket.key, self._key(bucket), bucket.bytecode_to_string())
 
     @staticmethod
     def _key(bucket: Bucket) -> str:
         """Return everything that the code depends on: versions, source text and parser settings."""
-        own = bucket.environment
-        how = own.autoescape, own.trim_blocks, own.lstrip_blocks, own.undefined.__name__
+        environment = bucket.environment
+        how = environment.autoescape, environment.trim_blocks, environment.lstrip_blocks, environment.undefined.__name__
         return f"{jinja2.__version__} {sys.version} {bucket.checksum} {how}"
 
 
-def _place(name: str, key: str) -> Path:
+def _entry_path(name: str, key: str) -> Path:
     return user_cache("pages") / hashlib.sha256(f"{name} {key}".encode()).hexdigest()[:32]
 
 
-def _find(name: str, key: str) -> bytes | None:
+def _read_entry(name: str, key: str) -> bytes | None:
     """Return a cached content, None if it is missing, damaged or too old."""
     with suppress(OSError, RuntimeError):  # the latter of a user without a home
-        place = _place(name, key)
-        if time.time() - place.stat().st_mtime < UNUSED_S:
-            digest, content = (whole := place.read_bytes())[:32], whole[32:]
+        path = _entry_path(name, key)
+        if time.time() - path.stat().st_mtime < UNUSED_S:
+            digest, content = (whole := path.read_bytes())[:32], whole[32:]
             return content if hashlib.sha256(content).digest() == digest else None
     return None
 
 
-def _keep(name: str, key: str, content: bytes) -> None:
+def _write_entry(name: str, key: str, content: bytes) -> None:
     """Write a cache entry if possible, and remove old entries."""
     with suppress(OSError, RuntimeError):
-        place = _place(name, key)
-        place.parent.mkdir(parents=True, exist_ok=True)
-        part = place.with_name(f"{place.name}-{secrets.token_hex(6)}.part")
+        path = _entry_path(name, key)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part = path.with_name(f"{path.name}-{secrets.token_hex(6)}.part")
         try:
             write_file(part, hashlib.sha256(content).digest() + content)
-            os.replace(part, place)
+            os.replace(part, path)
         finally:
             part.unlink(missing_ok=True)
-        for other in place.parent.iterdir():
+        for other in path.parent.iterdir():
             if time.time() - other.stat().st_mtime > UNUSED_S:
                 other.unlink(missing_ok=True)

@@ -107,9 +107,9 @@ MERGED_FILES = {SENSITIVITY_FILE: SENSITIVITY, ACCELERATION_FILE: PHASORS, LOAD_
 POSE = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 
 
-def _pose_column(place: int, prefix: str = "") -> TableColumn[Pose]:
+def _pose_column(index: int, prefix: str = "") -> TableColumn[Pose]:
     """Return the column of one component of the pose, or of its u."""
-    return TableColumn(prefix + POSE[place], lambda frame: float((frame.u if prefix else frame.pose)[place]))
+    return TableColumn(prefix + POSE[index], lambda frame: float((frame.u if prefix else frame.pose)[index]))
 
 
 MOTION: list[TableColumn[Pose]] = [
@@ -123,11 +123,16 @@ MOTION: list[TableColumn[Pose]] = [
 
 def result_tables(evaluation: Evaluation) -> dict[str, str]:
     """Return the text of every CSV file of one recording, by file name."""
-    name, found = evaluation.manifest.name, [own for own in (evaluation.sensitivity, evaluation.element) if own]
+    name, found = (
+        evaluation.manifest.name,
+        [result for result in (evaluation.sensitivity, evaluation.element) if result],
+    )
     accelerations, load = evaluation.accelerations, evaluation.load
     moved = (entry for result in accelerations for entry in _phasors(result, result.body, result.source, name))
     texts = {
-        SENSITIVITY_FILE: csv_text(SENSITIVITY, (row for own in found for row in sensitivity_elements(own, name))),
+        SENSITIVITY_FILE: csv_text(
+            SENSITIVITY, (row for result in found for row in sensitivity_elements(result, name))
+        ),
         ACCELERATION_FILE: csv_text(PHASORS, moved),
         LOAD_FILE: csv_text(PHASORS, [] if load is None else _phasors(load, "load", "fused", name)),
     }
@@ -164,12 +169,12 @@ def poses(stereo: StereoResult) -> Iterator[Pose]:
 
     A failed frame has `nan` and no points.
     """
-    motion, unknown = stereo.motion, np.full(6, np.nan)
+    motion, missing = stereo.motion, np.full(6, np.nan)
     u_pose = np.sqrt(motion.covariance.diagonal(axis1=1, axis2=2))
     frames = zip(stereo.time_s, motion.pose, u_pose, motion.residual_m, motion.points, strict=True)
     for time, pose, u, residual, points in frames:
         failed = not np.isfinite(pose).all()
-        numbers = (unknown, unknown, np.nan, 0) if failed else (pose, u, float(residual), int(points))
+        numbers = (missing, missing, np.nan, 0) if failed else (pose, u, float(residual), int(points))
         yield Pose(float(time), *numbers)
 
 
@@ -198,8 +203,8 @@ def draw_all(evaluation: Evaluation) -> dict[str, list[Figure]]:
         "sensitivity": sensitivity_figures(evaluation),
         "acceleration": acceleration_figures(evaluation),
         "points": point_figures(evaluation),
-        "budget": [picture for picture in [draw_budget(evaluation)] if picture],
-        "motion": [picture for stereo in evaluation.stereo for picture in pair_motion_figures(stereo)],
+        "budget": [figure for figure in [draw_budget(evaluation)] if figure],
+        "motion": [figure for stereo in evaluation.stereo for figure in pair_motion_figures(stereo)],
         "subsets": subset_figures(evaluation),
         "channels": channel_figures(evaluation),
         "trigger": trigger_figures(evaluation),
@@ -256,8 +261,8 @@ def _subject(evaluation: Evaluation) -> list[tuple[str, str]]:
         facts.append(("Load mass", f"{stated}, k = 2"))
     nominal = ", ".join(f"{frequency:g} Hz" for frequency in excitation.frequencies or ())
     direction = ", ".join(f"{element:g}" for element in excitation.direction or ())
-    told = [excitation.kind, nominal, f"direction ({direction})" if direction else ""]
-    facts.append(("Excitation", ", ".join(filter(None, told))))
+    excitation_texts = [excitation.kind, nominal, f"direction ({direction})" if direction else ""]
+    facts.append(("Excitation", ", ".join(filter(None, excitation_texts))))
     manifest, around = evaluation.manifest, rig.surroundings
     parts = moving_parts(rig, manifest.part)
     if parts:
@@ -279,7 +284,7 @@ def _subject(evaluation: Evaluation) -> list[tuple[str, str]]:
 CROSSTALK_FILE = "crosstalk.csv"
 CAMPAIGN_FILES = (*MERGED_FILES, CURVE_FILE, CROSSTALK_FILE, REPORT_FILE, CAMPAIGN_FILE)
 """Files at the top of a campaign's results."""
-OWN_FILE = re.compile(
+REPLACEABLE_FILES = re.compile(
     r"(sensitivity|acceleration|load|motion-.+)\.csv|points-.+\.(csv|pvd|vtp)|result\.h5|report\.html"
 )
 
@@ -298,7 +303,7 @@ def write_results(
         return names
 
     inputs = InputFiles(evaluation.input_hashes) if inputs is None else inputs
-    return write_folder(folder, inputs, make, force=force, marker=RESULT_FILE, replaceable=OWN_FILE)
+    return write_folder(folder, inputs, make, force=force, marker=RESULT_FILE, replaceable=REPLACEABLE_FILES)
 
 
 def check_campaign_folder(top: Path, recordings: Sequence[str], *, force: bool) -> None:
@@ -312,8 +317,8 @@ def check_campaign_folder(top: Path, recordings: Sequence[str], *, force: bool) 
     if taken is not None:
         raise InputError(RESERVED_NAME, top / taken)
     names = {entry.name for entry in top.iterdir()} if top.exists() and not force else set()
-    known = set(recordings)
-    ours = {name for name in names if name in known or read_provenance(top / name) is not None}
+    expected = set(recordings)
+    ours = {name for name in names if name in expected or read_provenance(top / name) is not None}
     other = {name for name in names - ours if not name.startswith(".") and not (ours and name in CAMPAIGN_FILES)}
     if other:
         raise InputError(OTHER_CAMPAIGN_CONTENT, top, found=min(other))

@@ -66,7 +66,7 @@ MOST_POINTS = 120  # of one tracked surface that a page shows
 GAP = 2.0  # longest side of a triangle over their median: beyond, nothing was tracked between its points
 MOST_NAMES = 3  # of recordings that have one rig
 MOST_LABELS = 12  # of channels of one kind
-STANDS_OUT = 1.5  # rms of a deflection over what its noise makes of it
+SIGNIFICANT_RATIO = 1.5  # rms of a deflection over what its noise makes of it
 SHOWN_SHARE = 0.08  # of the size of the bodies: largest displacement at the first magnification
 
 
@@ -117,10 +117,10 @@ class ScenePage(NamedTuple):
 
     name: str
     json: Markup
-    still: Markup
+    views: Markup
     legend: list[tuple[str, str]]
     colours: list[tuple[str, str]]
-    places: list[tuple[str, str]]
+    descriptions: list[tuple[str, str]]
     lines: list[str]
     remarks: tuple[str, ...]
     deflects: bool
@@ -132,10 +132,10 @@ def scene_page(scene: Scene) -> ScenePage:
     return ScenePage(
         name=scene.name,
         json=htmlsafe_json_dumps(data, separators=(",", ":"), allow_nan=False),
-        still=static_views(scene.shapes),
+        views=static_views(scene.shapes),
         legend=[(kind, KINDS[kind][0]) for kind in scene.kinds],
         colours=[(kind, "var(--ink)" if colour == BLACK else colour) for kind, (_, colour) in KINDS.items()],
-        places=[(shape.name, shape.description) for shape in scene.shapes],
+        descriptions=[(shape.name, shape.description) for shape in scene.shapes],
         lines=[motion.name for motion in scene.motions],
         remarks=scene.remarks,
         deflects=any(motion.deflection for motion in scene.motions),
@@ -149,7 +149,7 @@ def _numbers(values: FloatArray, digits: int) -> list[float]:
 
 
 def _shape_data(shape: SceneShape) -> dict[str, Any]:
-    told = {
+    data = {
         "k": shape.kind,
         "n": shape.name,
         "t": shape.description,
@@ -165,7 +165,7 @@ def _shape_data(shape: SceneShape) -> dict[str, Any]:
         "c": int(shape.closed),
         "u": shape.surface,
     }
-    return {key: value for key, value in told.items() if value}
+    return {key: value for key, value in data.items() if value}
 
 
 def _motion_data(motion: SceneMotion, shapes: Sequence[SceneShape]) -> dict[str, Any]:
@@ -228,14 +228,14 @@ def rig_scene(manifest: Manifest, surfaces: Mapping[str, FloatArray] | None = No
     sizes = [max(sizes)] if sizes else [float(np.linalg.norm(measuring_point(entry))) for entry in channels]
     reach = max(SMALLEST_REACH_M, float(np.median(sizes or [0.0])))  # of one point far away arrows know nothing
     base = [np.array([entry.point]) for entry in channels if entry.body == "base" and entry.point is not None]
-    said: dict[str, list[str]] = {}
+    pairs_by_remark: dict[str, list[str]] = {}
     for name, pair in rig.stereo.items():
         surface = None if surfaces is None else surfaces.get(name)
-        cameras, seen, told = _pair(name, pair, surface)
+        cameras, target, remark = _pair(name, pair, surface)
         shapes += cameras if surface is None else [*cameras, _surface(name, pair.body, surface)]
-        base += [seen] if pair.body == "base" and len(seen) else []
-        said.setdefault(told, []).append(name)
-    remarks += [f"Stereo {', '.join(names)}: {told}." for told, names in said.items()]
+        base += [target] if pair.body == "base" and len(target) else []
+        pairs_by_remark.setdefault(remark, []).append(name)
+    remarks += [f"Stereo {', '.join(names)}: {remark}." for remark, names in pairs_by_remark.items()]
     if base and not any(shape.body == "base" and shape.closed for shape in shapes):
         shapes.append(_table(np.concatenate(base), middle))
         remarks.append(f"The base has no stated shape: {shapes[-1].description}.")
@@ -269,21 +269,22 @@ def _channels(manifest: Manifest) -> Iterator[ChannelEntry]:
 def _base_parts(manifest: Manifest) -> list[MovingPart]:
     """Return the parts of the base."""
     zero = np.zeros(3), np.zeros(3), np.zeros((3, 3))
-    own = [part for part in manifest.part if part.body == "base"]
+    parts = [part for part in manifest.part if part.body == "base"]
     return [
-        make_moving_part(part.name, part.true_mass, part.centre_of_mass, part.inertia, (0.0, *zero[1:])) for part in own
+        make_moving_part(part.name, part.true_mass, part.centre_of_mass, part.inertia, (0.0, *zero[1:]))
+        for part in parts
     ]
 
 
 def _solid(part: MovingPart, body: str) -> SceneShape:
     """Return a part as a solid of its mass and inertia, or as a point."""
-    points, faces, strokes, told = solid(part.mass_kg, part.centre_of_mass_m, part.inertia_kgm2)
-    text = f"{part.mass_kg:.5g} kg, centre of mass {place(part.centre_of_mass_m)}, {told}"
+    points, faces, strokes, shape_text = solid(part.mass_kg, part.centre_of_mass_m, part.inertia_kgm2)
+    text = f"{part.mass_kg:.5g} kg, centre of mass {position_text(part.centre_of_mass_m)}, {shape_text}"
     made = SceneShape(body, part.name, text, points, faces, strokes, body=body, closed=True, fill=0.5)
     return made if faces else replace(made, dots="one", closed=False)
 
 
-def place(point_m: FloatArray) -> str:
+def position_text(point_m: FloatArray) -> str:
     """Return a position in the sensor frame as text."""
     return "(" + ", ".join(f"{1e3 * x + 0.0:.1f}" for x in point_m) + ") mm"
 
@@ -293,30 +294,30 @@ def along(direction: FloatArray) -> str:
     return "(" + ", ".join(f"{x + 0.0:.3f}" for x in direction) + ")"
 
 
-def _arrow(kind: str, name: str, told: str, ends_m: tuple[FloatArray, FloatArray], **more: Any) -> SceneShape:
-    return SceneShape(kind, name, told, np.stack(ends_m), strokes=((0, 1),), arrow=True, **more)
+def _arrow(kind: str, name: str, description: str, ends_m: tuple[FloatArray, FloatArray], **more: Any) -> SceneShape:
+    return SceneShape(kind, name, description, np.stack(ends_m), strokes=((0, 1),), arrow=True, **more)
 
 
-def _dot(kind: str, name: str, told: str, at: FloatArray, **more: Any) -> SceneShape:
-    return SceneShape(kind, name, told, at[None], dots="one", **more)
+def _dot(kind: str, name: str, description: str, at: FloatArray, **more: Any) -> SceneShape:
+    return SceneShape(kind, name, description, at[None], dots="one", **more)
 
 
 def _axes(length: float) -> Iterator[SceneShape]:
     for letter, axis in zip("xyz", np.eye(3), strict=True):
-        told = f"{letter} axis of the sensor frame, from its origin"
-        yield _arrow("frame", f"axis {letter}", told, (np.zeros(3), length * axis), label=letter)
+        text = f"{letter} axis of the sensor frame, from its origin"
+        yield _arrow("frame", f"axis {letter}", text, (np.zeros(3), length * axis), label=letter)
 
 
 def _gravity(gravity: FloatArray, reach: float, shapes: Sequence[SceneShape]) -> SceneShape:
     """Return the arrow of gravity, next to the bodies on the side opposite the cameras."""
     down = gravity / np.linalg.norm(gravity)
     seen = [shape.points_m[0] for shape in shapes if shape.kind == "camera"]
-    away = -np.mean(seen, axis=0) if seen else np.array([1.0, 0.0, 0.0])
-    across = [v - (v @ down) * down for v in (away, np.eye(3)[int(np.argmin(np.abs(down)))])]
-    aside = next(v for v in across if np.linalg.norm(v) > NEAR_PARALLEL * reach)
-    start = 1.7 * reach * aside / np.linalg.norm(aside) - 0.45 * reach * down
-    told = f"{np.linalg.norm(gravity):.4f} m/s² along {along(down)}"
-    return _arrow("gravity", "gravity", told, (start, start + 0.9 * reach * down), label="g")
+    direction = -np.mean(seen, axis=0) if seen else np.array([1.0, 0.0, 0.0])
+    across = [v - (v @ down) * down for v in (direction, np.eye(3)[int(np.argmin(np.abs(down)))])]
+    across_gravity = next(v for v in across if np.linalg.norm(v) > NEAR_PARALLEL * reach)
+    start = 1.7 * reach * across_gravity / np.linalg.norm(across_gravity) - 0.45 * reach * down
+    text = f"{np.linalg.norm(gravity):.4f} m/s² along {along(down)}"
+    return _arrow("gravity", "gravity", text, (start, start + 0.9 * reach * down), label="g")
 
 
 def _table(points: FloatArray, middle: FloatArray) -> SceneShape:
@@ -338,17 +339,17 @@ def _table(points: FloatArray, middle: FloatArray) -> SceneShape:
         end = low if low[axis] + high[axis] <= 0.0 else high
         end[axis] += np.copysign(thin, low[axis] + high[axis] - 1e-12)
     corners, faces, edges = make_box(high - low)
-    told = f"drawn as a box about the {'xyz'[axis]} axis that holds its points"
+    text = f"drawn as a box about the {'xyz'[axis]} axis that holds its points"
     return SceneShape(
-        "base", "base", told, corners + (low + high) / 2.0, faces, edges, "base", closed=True, fill=0.3, dashed=True
+        "base", "base", text, corners + (low + high) / 2.0, faces, edges, "base", closed=True, fill=0.3, dashed=True
     )
 
 
 def _surface(name: str, body: str, points: FloatArray) -> SceneShape:
-    told = f"{len(points)} points on the {body} that the pair tracks, about {place(points.mean(axis=0))}"
+    text = f"{len(points)} points on the {body} that the pair tracks, about {position_text(points.mean(axis=0))}"
     faces = _triangles(points)
     return SceneShape(
-        "surface", f"points of {name}", told, points, faces, body=body, dots="many", fill=0.5, surface=name
+        "surface", f"points of {name}", text, points, faces, body=body, dots="many", fill=0.5, surface=name
     )
 
 
@@ -370,29 +371,32 @@ def _triangles(points: FloatArray) -> tuple[tuple[int, ...], ...]:
 def _pair(name: str, pair: Stereo, surface: FloatArray | None) -> tuple[list[SceneShape], FloatArray, str]:
     """Return the cameras of a pair, their target, and a remark on it."""
     pose = sensor_from_camera(pair)
-    origin, aside = pose.translation_m, float(np.linalg.norm(pose.translation_m))
+    origin, distance = pose.translation_m, float(np.linalg.norm(pose.translation_m))
     middle = None if surface is None else surface.mean(axis=0)
     if pair.calibration is None:
-        shape = _dot("camera", f"frame of {name}", f"origin {place(origin)}", origin, label=name)
-        told = "without a calibration only the origin of its frame is known, not where its cameras are"
-        return [shape], np.zeros((0, 3)) if surface is None else surface, told
+        shape = _dot("camera", f"frame of {name}", f"origin {position_text(origin)}", origin, label=name)
+        remark = "without a calibration only the origin of its frame is known, not where its cameras are"
+        return [shape], np.zeros((0, 3)) if surface is None else surface, remark
     try:
         rig = read_rig(pair, ())
     except InputError:
         return [], np.zeros((0, 3)), "not drawn, for its calibration cannot be read"
     placed = [(camera, pose @ from_left.inverse()) for camera, from_left in rig.camera_poses]
-    told = "the frusta end at the tracked points"
+    remark = "the frusta end at the tracked points"
     if middle is None and isinstance(rig, FaceCamera):
-        middle, told = pose.apply(rig.point_m), "the frustum ends at the stated surface"
+        middle, remark = pose.apply(rig.point_m), "the frustum ends at the stated surface"
     elif middle is None:
         middle = _fixation(placed[0][1], placed[1][1])
-        told = "the frusta end where the axes of both cameras come nearest to each other"
+        remark = "the frusta end where the axes of both cameras come nearest to each other"
     if middle is None:
-        middle = pose.apply(np.array([0.0, 0.0, max(-(pose.rotation.T @ origin)[2], 0.5 * aside)]))
-        told = "the axes of the cameras do not meet, and the frusta end abreast of the sensor origin"
+        middle = pose.apply(np.array([0.0, 0.0, max(-(pose.rotation.T @ origin)[2], 0.5 * distance)]))
+        remark = "the axes of the cameras do not meet, and the frusta end abreast of the sensor origin"
     names = [f"{name} {side}" for side in ("left", "right")] if len(placed) > 1 else [name]
-    shapes = [_camera(own, pair.body, *of, middle) for own, of in zip(names, placed, strict=True)]
-    return shapes, middle[None] if surface is None else surface, told
+    shapes = [
+        _camera(pair_name, pair.body, *camera_pose, middle)
+        for pair_name, camera_pose in zip(names, placed, strict=True)
+    ]
+    return shapes, middle[None] if surface is None else surface, remark
 
 
 def _fixation(left: RigidTransform, right: RigidTransform) -> FloatArray | None:
@@ -421,9 +425,9 @@ def _camera(name: str, body: str, camera: Camera, pose: RigidTransform, target: 
     strokes = [(0, k) for k in range(1, 5)] + [(1, 2, 3, 4, 1), (5, 6, 7, 8, 5), (5, 9, 6)]
     faces = ((1, 2, 3, 4), (5, 6, 7, 8), (5, 9, 6))
     width, height = (int(length) for length in camera.size_px)
-    told = f"centre {place(pose.translation_m)}, looks along {along(pose.rotation[:, 2])} at the {body}"
-    told += f", {width} × {height} px"
-    return SceneShape("camera", f"camera {name}", told, points, faces, tuple(strokes), label=name, fill=0.1)
+    text = f"centre {position_text(pose.translation_m)}, looks along {along(pose.rotation[:, 2])} at the {body}"
+    text += f", {width} × {height} px"
+    return SceneShape("camera", f"camera {name}", text, points, faces, tuple(strokes), label=name, fill=0.1)
 
 
 def frustum(camera: Camera, pose: RigidTransform, depth_m: float) -> FloatArray:
@@ -450,26 +454,26 @@ def _instruments(channels: Sequence[ChannelEntry], middle: FloatArray, reach: fl
     for kind, entry in zip(kinds, channels, strict=True):
         at = measuring_point(entry)
         if entry.direction is None and not is_aimed_at_mirror(entry):
-            yield _dot(kind, entry.name, f"at {place(at)}", at, label=entry.name, body=entry.body or "")
+            yield _dot(kind, entry.name, f"at {position_text(at)}", at, label=entry.name, body=entry.body or "")
             continue
         direction = unit_direction(entry)
         label = entry.name if kinds.count(kind) <= MOST_LABELS and entry.name not in named else ""
         named.add(entry.name)
         turns = entry.quantity in TRANSDUCERS and TRANSDUCERS[entry.quantity].rotational
         sense = "positive about" if turns else "positive along"
-        told = f"{entry.quantity} of the {entry.body}, at {place(at)}, {sense} {along(direction)}"
+        text = f"{entry.quantity} of the {entry.body}, at {position_text(at)}, {sense} {along(direction)}"
         length = (0.28 if kind == "vibrometer" else 0.35) * reach
         ends = at, at + length * direction
-        yield _arrow(kind, entry.name, told, ends, body=entry.body or "", label=label, dots="one")
+        yield _arrow(kind, entry.name, text, ends, body=entry.body or "", label=label, dots="one")
         if kind == "vibrometer":
             start, head = _beam_start(entry, direction, middle if entry.body == "load" else np.zeros(3), beams, reach)
-            told = f"from {place(start)}" if head else "from an unstated place"
+            text = f"from {position_text(start)}" if head else "from an unstated place"
             name, both = f"beam of {entry.name}", np.stack([start, at])
-            yield SceneShape(kind, name, f"{told} to {place(at)}", both, strokes=((0, 1),), dashed=not head)
+            yield SceneShape(kind, name, f"{text} to {position_text(at)}", both, strokes=((0, 1),), dashed=not head)
             if head:
                 mirrors[head] = start
     for name, mirror in mirrors.items():
-        yield _dot("vibrometer", f"head {name}", f"its beams leave {place(mirror)}", mirror, label=name)
+        yield _dot("vibrometer", f"head {name}", f"its beams leave {position_text(mirror)}", mirror, label=name)
 
 
 def _beam_start(
@@ -493,8 +497,13 @@ def _beam_start(
 
 def evaluation_scene(evaluation: Evaluation) -> Scene:
     """Return the rig of a recording with the motion and significant deflections of its bodies."""
-    seen = [own for item in evaluation.stereo if item.name in evaluation.manifest.rig.stereo for own in _tracked(item)]
-    scene = rig_scene(evaluation.manifest, {own.name: own.points_m for own in seen})
+    seen = [
+        surface
+        for item in evaluation.stereo
+        if item.name in evaluation.manifest.rig.stereo
+        for surface in _tracked(item)
+    ]
+    scene = rig_scene(evaluation.manifest, {surface.name: surface.points_m for surface in seen})
     moved = {body: result for body in BODIES if (result := _result(evaluation.accelerations, body)) is not None}
     remarks = list(scene.remarks)
     remarks += [text for body, result in moved.items() if (text := _unobserved(body, result))]
@@ -503,13 +512,13 @@ def evaluation_scene(evaluation: Evaluation) -> Scene:
     elements = {body: result.polar for body, result in moved.items()}
     displaced = {body: np.nan_to_num(displacement(result)) for body, result in moved.items()}
     for k, f in enumerate(frequency.tolist()):
-        told = [_amplitude_told(body, own[k], f) for body, own in elements.items()]
-        told += [text for surface in seen if (text := surface.told(k))]
+        texts = [_amplitude_text(body, polar[k], f) for body, polar in elements.items()]
+        texts += [text for surface in seen if (text := surface.text(k))]
         bent = {surface.name: value for surface in seen if (value := surface.deflection(k)) is not None}
-        rigid = {body: own[k] for body, own in displaced.items()}
+        rigid = {body: phasors[k] for body, phasors in displaced.items()}
         multiple = int(evaluation.lines.multiple[k]) if k < len(evaluation.lines.multiple) else 1
         title = f"{f:.4f} Hz" + (f", harmonic {multiple}" if multiple > 1 else "")
-        motions.append(SceneMotion(title, f, tuple(told), rigid, bent))
+        motions.append(SceneMotion(title, f, tuple(texts), rigid, bent))
     return replace(scene, motions=tuple(motions), remarks=tuple(remarks))
 
 
@@ -520,8 +529,8 @@ def displacement(result: Acceleration) -> ComplexArray:
 
 def _result(accelerations: Sequence[Acceleration], body: str) -> Acceleration | None:
     """Return the fused acceleration of a body, else that of its first source."""
-    own = [result for result in accelerations if result.body == body]
-    return next((result for result in own if result.source == "fused"), own[0] if own else None)
+    results = [result for result in accelerations if result.body == body]
+    return next((result for result in results if result.source == "fused"), results[0] if results else None)
 
 
 def _unobserved(body: str, result: Acceleration) -> str:
@@ -529,7 +538,7 @@ def _unobserved(body: str, result: Acceleration) -> str:
     return f"{body.capitalize()}: no instrument observes {' '.join(missing)}, drawn as 0." if missing else ""
 
 
-def _amplitude_told(body: str, elements: Sequence[Polar | None], frequency_hz: float) -> str:
+def _amplitude_text(body: str, elements: Sequence[Polar | None], frequency_hz: float) -> str:
     """Return the largest translation of a body at a line as text."""
     square = (2.0 * np.pi * frequency_hz) ** 2
     found = [(axis, value) for axis, value in zip("xyz", elements, strict=False) if value is not None]
@@ -539,8 +548,8 @@ def _amplitude_told(body: str, elements: Sequence[Polar | None], frequency_hz: f
     factor, letter = prefix(value.magnitude / square)
     size = quantity_html(value.magnitude / square / factor, value.expanded_magnitude / square / factor, f"{letter}m")
     phase = np.degrees(np.angle(-complex(value.re, value.im)))
-    told = f"{body} {axis}: {size.striptags()} at {phase:.1f}° (k = {value.k_magnitude:.2f})"
-    return told.replace("-", "\N{MINUS SIGN}")
+    text = f"{body} {axis}: {size.striptags()} at {phase:.1f}° (k = {value.k_magnitude:.2f})"
+    return text.replace("-", "\N{MINUS SIGN}")
 
 
 @dataclass(frozen=True)
@@ -550,11 +559,11 @@ class _Tracked:
     name: str
     usable: BoolArray
     shape: DeflectionShape
-    kept: IntArray
+    shown: IntArray
 
     @property
     def points_m(self) -> FloatArray:
-        return np.asarray(self.shape.reference_m[self.kept])
+        return np.asarray(self.shape.reference_m[self.shown])
 
     def _sizes(self, line: int) -> tuple[float, float] | None:
         """Return the rms of the deflection at a line, and that of noise alone."""
@@ -567,11 +576,11 @@ class _Tracked:
     def deflection(self, line: int) -> ComplexArray | None:
         """Return the deflection (N, 3) of the shown points, None if not significant."""
         sizes = self._sizes(line)
-        if sizes is None or not sizes[0] > STANDS_OUT * sizes[1]:
+        if sizes is None or not sizes[0] > SIGNIFICANT_RATIO * sizes[1]:
             return None
-        return np.asarray(self.shape.value[int(np.count_nonzero(self.usable[:line]))][self.kept])
+        return np.asarray(self.shape.value[int(np.count_nonzero(self.usable[:line]))][self.shown])
 
-    def told(self, line: int) -> str:
+    def text(self, line: int) -> str:
         """Return the size of the deflection as text."""
         sizes = self._sizes(line)
         if sizes is None:
@@ -587,10 +596,10 @@ def _tracked(item: StereoResult) -> Iterator[_Tracked]:
     shape = item.deflection
     if shape is None:
         return
-    known = np.flatnonzero(np.isfinite(shape.value).all(axis=(0, 2)) & np.isfinite(shape.reference_m).all(axis=1))
-    if len(known) >= 3:
-        chosen = np.unique(np.linspace(0, len(known) - 1, min(MOST_POINTS, len(known))).round().astype(int))
-        yield _Tracked(item.name, item.usable, shape, known[chosen])
+    finite = np.flatnonzero(np.isfinite(shape.value).all(axis=(0, 2)) & np.isfinite(shape.reference_m).all(axis=1))
+    if len(finite) >= 3:
+        chosen = np.unique(np.linspace(0, len(finite) - 1, min(MOST_POINTS, len(finite))).round().astype(int))
+        yield _Tracked(item.name, item.usable, shape, finite[chosen])
 
 
 # A page of its own, without any data.

@@ -69,24 +69,24 @@ def solid(mass_kg: float, centre_m: FloatArray, inertia_kgm2: FloatArray) -> tup
     moments, axes = np.linalg.eigh(inertia_kgm2)
     if mass_kg <= 0.0 or moments[2] <= 0.0:
         return centre_m[None], (), (), "a point mass"
-    alike = np.abs(np.diff(moments)) <= ROUND * moments[2]
-    if alike.all():
+    equal = np.abs(np.diff(moments)) <= ROUND * moments[2]
+    if equal.all():
         moments, axes = np.diagonal(inertia_kgm2), np.eye(3)
-    if not alike.any():
+    if not equal.any():
         square = 6.0 * (moments.sum() - 2.0 * moments) / mass_kg
         sides = np.sqrt(np.maximum(square, THINNEST**2 * square.max()))
         points, faces, edges = make_box(sides)
-        told = "block of " + " × ".join(f"{1e3 * side:.1f}" for side in sides) + " mm"
+        text = "block of " + " × ".join(f"{1e3 * side:.1f}" for side in sides) + " mm"
     else:
-        axis = 2 if alike[0] else 0
+        axis = 2 if equal[0] else 0
         radius = np.sqrt(2.0 * moments[axis] / mass_kg)
         across = np.delete(moments, axis).mean()
         height = np.sqrt(max(12.0 * (across / mass_kg - radius**2 / 4.0), (THINNEST * radius) ** 2))
         points, faces, edges = _cylinder(radius, height)
         axes = axes[:, [(axis + 1) % 3, (axis + 2) % 3, axis]]
-        told = f"cylinder ⌀ {2e3 * radius:.1f} × {1e3 * height:.1f} mm"
+        text = f"cylinder ⌀ {2e3 * radius:.1f} × {1e3 * height:.1f} mm"
     axes = axes * np.array([1.0, 1.0, np.linalg.det(axes)])
-    return centre_m + points @ axes.T, faces, edges, f"drawn as the {told} that has its inertia"
+    return centre_m + points @ axes.T, faces, edges, f"drawn as the {text} that has its inertia"
 
 
 def make_box(sides: FloatArray) -> tuple[FloatArray, Faces, Faces]:
@@ -124,7 +124,7 @@ class _Panel:
     corner_px: tuple[float, float]
     scale: float
 
-    def place(self, points_m: FloatArray) -> FloatArray:
+    def position_px(self, points_m: FloatArray) -> FloatArray:
         """Return points (N, 3) in px (N, 2), downwards positive."""
         flat = (points_m[:, list(self.axes)] - self.low_m) * self.scale
         return np.asarray(np.array(self.corner_px) + flat * np.array([1.0, -1.0]))
@@ -138,8 +138,8 @@ def static_views(shapes: Sequence[SceneShape]) -> Markup:
     """Return the three views next to each other, to one scale, with axes in mm."""
     points = np.concatenate([shape.points_m for shape in shapes])
     low, high = points.min(axis=0), points.max(axis=0)
-    room = MARGIN * float((high - low).max()) + 1e-6
-    low, high = low - room, high + room
+    margin = MARGIN * float((high - low).max()) + 1e-6
+    low, high = low - margin, high + margin
     widths = [float((high - low)[view[1]]) for view in VIEWS]
     tallest = max(float((high - low)[view[2]]) for view in VIEWS)
     free = WIDTH_PX - len(VIEWS) * (LEFT_PX + RIGHT_PX)
@@ -165,8 +165,8 @@ def _frame(panel: _Panel) -> Iterator[Markup]:
     yield _text(x, y - size[1] - 7.0, panel.title, "title")
     letters = ["xyz"[axis] for axis in panel.axes]
     yield _text(x + size[0] / 2.0, y + 30.0, f"{letters[0]} / mm", "middle")
-    turned = Markup('<text class="middle" transform="translate({:.1f} {:.1f}) rotate(-90)">{} / mm</text>')
-    yield turned.format(x - 38.0, y - size[1] / 2.0, letters[1])
+    vertical_label = Markup('<text class="middle" transform="translate({:.1f} {:.1f}) rotate(-90)">{} / mm</text>')
+    yield vertical_label.format(x - 38.0, y - size[1] / 2.0, letters[1])
     step = _step(CLOSEST_PX / panel.scale)
     for axis, marks in enumerate(zip(panel.low_m, panel.high_m, strict=True)):
         for k in range(int(np.ceil(marks[0] / step)), int(np.floor(marks[1] / step)) + 1):
@@ -197,18 +197,18 @@ def _drawn(panel: _Panel, shapes: Sequence[SceneShape]) -> Iterator[Markup]:
     taken: list[tuple[float, float, float, float]] = []
     written = set()
     for shape in shapes:
-        place = panel.place(shape.points_m[[shape.anchor]])[0]
-        key = (shape.label, *np.round(place, 0).tolist())
+        position = panel.position_px(shape.points_m[[shape.anchor]])[0]
+        key = (shape.label, *np.round(position, 0).tolist())
         if shape.label and key not in written:
             written.add(key)
-            at = _room(panel, place, LETTER_PX * len(shape.label), taken)
+            at = _label_position(panel, position, LETTER_PX * len(shape.label), taken)
             if at is not None:
                 yield _text(*at, shape.label, f"label k-{shape.kind}")
 
 
 def _strokes(panel: _Panel, shape: SceneShape) -> Iterator[Markup]:
     """Yield outlines, faces, lines, arrow head and dot of a shape."""
-    flat, kind = panel.place(shape.points_m), f"k-{shape.kind}"
+    flat, kind = panel.position_px(shape.points_m), f"k-{shape.kind}"
     if shape.closed or shape.dots == "many":
         yield _path([_hull(flat)], kind, fill=shape.fill or 0.35, closed=True)
     elif shape.faces:
@@ -246,16 +246,16 @@ def _hull(points: FloatArray) -> FloatArray:
     return np.asarray(cv2.convexHull(points.astype(np.float32)).reshape(-1, 2), dtype=np.float64)
 
 
-def _room(
-    panel: _Panel, place: FloatArray, width: float, taken: list[tuple[float, float, float, float]]
+def _label_position(
+    panel: _Panel, position: FloatArray, width: float, occupied: list[tuple[float, float, float, float]]
 ) -> tuple[float, float] | None:
     """Return a free position for a label near a point within its view, or None."""
-    x, y = place.tolist()
+    x, y = position.tolist()
     (left, bottom), size = panel.corner_px, (panel.high_m - panel.low_m) * panel.scale
     for dx, dy in ((5, -4), (5, 11), (-width - 5, -4), (-width - 5, 11), (-width / 2, -8), (-width / 2, 17), (5, -18)):
         box = (x + dx, y + dy - LINE_PX + 3.0, x + dx + width, y + dy + 3.0)
         inside = box[0] >= left and box[2] <= left + size[0] and box[1] >= bottom - size[1] and box[3] <= bottom
-        if inside and all(box[2] <= t[0] or t[2] <= box[0] or box[3] <= t[1] or t[3] <= box[1] for t in taken):
-            taken.append(box)
+        if inside and all(box[2] <= t[0] or t[2] <= box[0] or box[3] <= t[1] or t[3] <= box[1] for t in occupied):
+            occupied.append(box)
             return x + dx, y + dy
     return None

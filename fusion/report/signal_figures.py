@@ -54,10 +54,10 @@ def draw_channels(channels: Sequence[ChannelResult], evaluation: Evaluation) -> 
     exposures = evaluation.stereo[0].time_s if evaluation.stereo and not evaluation.set_ups else np.empty(0)
     # Blocks have clocks of their own: no common axis.
     drawn = empty_figure("channels", 0.3 + 1.7 * len(channels), len(channels), (1.15, 1.0), shared_x=False)
-    for place, channel in enumerate(channels):
-        _draw_excerpt(drawn.panels[2 * place], channel, exposures)
-        _draw_spectrum(drawn.panels[2 * place + 1], channel, evaluation.lines.frequency_hz)
-        drawn.panels[2 * place].x.label, drawn.panels[2 * place + 1].x.label = "time / s", "frequency / Hz"
+    for index, channel in enumerate(channels):
+        _draw_excerpt(drawn.panels[2 * index], channel, exposures)
+        _draw_spectrum(drawn.panels[2 * index + 1], channel, evaluation.lines.frequency_hz)
+        drawn.panels[2 * index].x.label, drawn.panels[2 * index + 1].x.label = "time / s", "frequency / Hz"
     marks = " Vertical lines: middles of the camera exposures." if len(exposures) else ""
     more = len(evaluation.channels) - len(channels)
     caption = f"Left: samples (points) and fitted lines (curve).{marks} Right: triangles mark the lines fitted."
@@ -118,7 +118,7 @@ def _draw_spectrum(panel: Panel, channel: ChannelResult, lines: FloatArray) -> N
     width = 2.0 * (frequency[1] - frequency[0]) if len(frequency) > 1 else np.inf
     around = [slice(*np.searchsorted(frequency, (line - 2.0 * width, line + 2.0 * width))) for line in marked]
     near = [amplitude[part][np.abs(frequency[part] - line) <= width] for part, line in zip(around, marked, strict=True)]
-    tops = [float(own.max() if len(own) else np.median(amplitude)) for own in near]
+    tops = [float(values.max() if len(values) else np.median(amplitude)) for values in near]
     if len(marked):
         names = tuple(f"{line:.4f} Hz" for line in marked)
         panel.points(marked, 2.2 * np.array(tops), "lines", marker="inverted_triangle", colour=RED, names=names)
@@ -138,13 +138,13 @@ NAMES_BELOW = 24
 def point_figures(evaluation: Evaluation) -> list[Figure]:
     """Return one figure per group of parallel points."""
     line = main_line(evaluation)
-    return [draw_points(spread, line, place) for place, spread in enumerate(evaluation.points)]
+    return [draw_points(spread, line, number) for number, spread in enumerate(evaluation.points)]
 
 
-def draw_points(spread: PointSpread, line: int, place: int) -> Figure:
+def draw_points(spread: PointSpread, line: int, group: int) -> Figure:
     """Draw the vibrometer points, and the deviations of amplitude and phase from mean and plane."""
     height = max(2.9, 0.8 + 0.24 * len(spread.channels))
-    drawn = empty_figure(f"points-{place}", height, 1, (1.15, 1.0, 1.0))
+    drawn = empty_figure(f"points-{group}", height, 1, (1.15, 1.0, 1.0))
     chart, amplitude, phase = drawn.panels
     _draw_map(chart, spread, line)
     along, across, u_along, u_across = _deviations(spread, line)
@@ -167,9 +167,9 @@ def _deviations(spread: PointSpread, line: int) -> tuple[FloatArray, FloatArray,
     count = len(spread.channels)
     centre = np.kron(np.eye(2), np.eye(count) - 1.0 / count)
     every = np.broadcast_to(centre, (len(spread.mean), *centre.shape))
-    turned = spread.uncertainty.transformed(every).scaled(np.repeat(1.0 / spread.mean[:, None], count, axis=1))
-    u = np.sqrt(turned.covariance[line].diagonal())
-    parts = [turned.dof_along(np.full(count, direction))[line] for direction in (1.0 + 0.0j, 1.0j)]
+    relative = spread.uncertainty.transformed(every).scaled(np.repeat(1.0 / spread.mean[:, None], count, axis=1))
+    u = np.sqrt(relative.covariance[line].diagonal())
+    parts = [relative.dof_along(np.full(count, direction))[line] for direction in (1.0 + 0.0j, 1.0j)]
     expanded = np.array([coverage_factor(float(dof)) for dof in np.concatenate(parts)]) * u
     ratio = spread.value[line] / spread.mean[line]
     return ratio.real - 1.0, ratio.imag, expanded[:count], expanded[count:]
@@ -186,22 +186,22 @@ def _draw_bars(panel: Panel, value: FloatArray, expanded: FloatArray, planned: F
 def _draw_map(panel: Panel, spread: PointSpread, line: int) -> None:
     """Draw points seen against their direction, coloured by the deviation of their amplitude."""
     first, second = (axis_name(axis) for axis in spread.axes)
-    place = 1e3 * spread.place_m
+    position_mm = 1e3 * spread.place_m
     deviation = 100.0 * (np.abs(spread.value[line] / spread.mean[line]) - 1.0)
     limit = float(np.max(np.abs(deviation))) or 1.0
     scale = Scale("RdBu", -limit, limit, "amplitude from the mean / %")
-    panel.points(*place.T, values=deviation, scale=scale, size=8.4, names=tuple(spread.channels))
-    if len(place) <= NAMES_BELOW:
+    panel.points(*position_mm.T, values=deviation, scale=scale, size=8.4, names=tuple(spread.channels))
+    if len(position_mm) <= NAMES_BELOW:
         panel.text(
-            place[:, 0],
-            place[:, 1],
-            [str(number + 1) for number in range(len(place))],
+            position_mm[:, 0],
+            position_mm[:, 1],
+            [str(number + 1) for number in range(len(position_mm))],
             align="left",
             offset_px=(7.0, 6.0),
         )
     panel.points(0.0, 0.0, marker="plus", colour=GREY, names=("origin",))
     panel.equal = True
-    low, high = place.min(axis=0, initial=0.0), place.max(axis=0, initial=0.0)
-    room = 0.2 * float((high - low).max())
-    panel.x.limits, panel.y.limits = (low[0] - room, high[0] + room), (low[1] - room, high[1] + room)
+    low, high = position_mm.min(axis=0, initial=0.0), position_mm.max(axis=0, initial=0.0)
+    margin = 0.2 * float((high - low).max())
+    panel.x.limits, panel.y.limits = (low[0] - margin, high[0] + margin), (low[1] - margin, high[1] + margin)
     panel.x.label, panel.y.label = f"{first} / mm", f"{second} / mm"

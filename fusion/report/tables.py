@@ -87,11 +87,15 @@ def main_result(evaluation: Evaluation) -> tuple[Sensitivity, int] | None:
     """
     if evaluation.sensitivity is None:
         return None
-    place = driven_channel(evaluation), driven_component(evaluation)
+    element_index = driven_channel(evaluation), driven_component(evaluation)
     element = evaluation.element
-    if element is not None and place in element.elements and np.isfinite(element.value[main_line(evaluation), *place]):
-        return element, element.elements.index(place)
-    return evaluation.sensitivity, evaluation.sensitivity.elements.index(place)
+    if (
+        element is not None
+        and element_index in element.elements
+        and np.isfinite(element.value[main_line(evaluation), *element_index])
+    ):
+        return element, element.elements.index(element_index)
+    return evaluation.sensitivity, evaluation.sensitivity.elements.index(element_index)
 
 
 def result_name(kind: str, channel: str, component: str, *, main: bool) -> str:
@@ -226,7 +230,9 @@ def source_tables(evaluation: Evaluation) -> list[Table]:
         for component, name in enumerate(MOTION_COMPONENTS):
             scale, letter = prefix(sizes[:, :3] if component < 3 else sizes[:, 3:])
             unit = letter + typeset(results[0].phasors.unit[component])
-            rows.append((name, unit, *(_source_cell(own[component], round(np.log10(scale))) for own in found)))
+            rows.append(
+                (name, unit, *(_source_cell(elements[component], round(np.log10(scale))) for elements in found))
+            )
         head = ("", "unit", *(result.source for result in results))
         frequency = float(results[0].phasors.frequency_hz[line])
         caption = f"Acceleration of the {body} at the sensor origin, {frequency:.4f} Hz, with U = k·u (95 %)"
@@ -262,7 +268,7 @@ def load_table(evaluation: Evaluation) -> Table | None:
 
 def side_by_side(caption: str, heads: Sequence[str], facts: Facts[R], items: Sequence[R]) -> Table:
     """Return a table of facts in rows with one column per item."""
-    rows = tuple((name, *(told(item) for item in items)) for name, told in facts.items())
+    rows = tuple((name, *(text(item) for item in items)) for name, text in facts.items())
     return Table(caption, ("", *heads), "l" + "r" * len(items), rows)
 
 
@@ -316,8 +322,8 @@ def shape_tables(evaluation: Evaluation) -> list[Table]:
         found = pair.shapes
         if found is None:
             continue
-        for k, place in enumerate(np.flatnonzero(pair.usable)):
-            if place == line or found.deforms[k]:
+        for k, line_index in enumerate(np.flatnonzero(pair.usable)):
+            if line_index == line or found.deforms[k]:
                 sizes = zip(np.abs(found.phasors.value[k]), found.u_size[k], strict=True)
                 amplitudes = (quantity_html(1e9 * float(size), 2e9 * float(u)) for size, u in sizes)
                 cells = pair.name, f"{found.phasors.frequency_hz[k]:.4f}", *amplitudes, f"{found.chance[k]:.1g}"
@@ -356,9 +362,9 @@ def _over_static(evaluation: Evaluation, found: Sensitivity, line: int, element:
         return None
     channel, component = element
     u, name = StatedMatrix.of(sensor).u_elements(static), f"{found.channels[channel]}/{LOAD_COMPONENTS[component]}"
-    own = found.uncertainty.at([found.elements.index(element)]).at_lines([line])
+    uncertainty = found.uncertainty.at([found.elements.index(element)]).at_lines([line])
     value, stated = found.value[line, channel, component].reshape(1, 1), (static[element][None], u[element][None])
-    ((relative,),) = polar_elements(*over_static(value, own, *stated, [name]))
+    ((relative,),) = polar_elements(*over_static(value, uncertainty, *stated, [name]))
     return relative
 
 
@@ -410,9 +416,9 @@ def supports_table(evaluation: Evaluation) -> Table | None:
                     if c < 3
                     else DASH
                 )
-                told = (moved.name, ", ".join(moved.references), f"{moved.phasors.frequency_hz[k]:.4f}")
+                names = (moved.name, ", ".join(moved.references), f"{moved.phasors.frequency_hz[k]:.4f}")
                 size = quantity_html(one.magnitude, one.expanded_magnitude, unit)
-                rows.append((*told, MOTION_COMPONENTS[c], size, share))
+                rows.append((*names, MOTION_COMPONENTS[c], size, share))
     head = (
         "what moves",
         "told by",
@@ -445,8 +451,8 @@ def lines_table(evaluation: Evaluation) -> Table:
     ]
     for i in np.argsort(-others.snr, kind="stable")[:OTHER_LINES].tolist():
         f, u = float(others.frequency_hz[i]), float(others.u_frequency_hz[i])
-        beside = bool(np.any(np.abs(lines.nuisance_hz - f) <= 6.0 * u))
-        use = "fitted beside" if beside else "not fitted"
+        fitted = bool(np.any(np.abs(lines.nuisance_hz - f) <= 6.0 * u))
+        use = "fitted beside" if fitted else "not fitted"
         rows.append((f, (quantity_html(f, 2.0 * u), DASH, DASH, use, others.why[i])))
     rows.sort(key=lambda row: row[0])
     more = len(others.snr) - OTHER_LINES
@@ -466,8 +472,8 @@ def channels_table(evaluation: Evaluation) -> Table | None:
             element.magnitude / factor, element.expanded_magnitude / factor, letter + channel.unit
         )
         rest = Markup("{} {}").format(short(channel.residual_rms / factor), typeset(letter + channel.unit))
-        known = (channel.name, channel.daq, channel.quantity, f"{channel.sample_rate_hz:g}")
-        rows.append((*known, amplitude, phase(element), rest))
+        texts = (channel.name, channel.daq, channel.quantity, f"{channel.sample_rate_hz:g}")
+        rows.append((*texts, amplitude, phase(element), rest))
     head = ("channel", "DAQ", "quantity", "rate / Hz", "amplitude", "phase / rad", "residual rms")
     caption = "Channels at the strongest line; U (95 %) from the scatter alone"
     return Table(caption, head, "lllrrrr", tuple(rows)) if rows else None
@@ -497,11 +503,11 @@ def drift_table(evaluation: Evaluation) -> Table | None:
 def clocks_table(evaluation: Evaluation) -> Table | None:
     """Return triggers and ties of the DAQ blocks, one column each."""
 
-    def of_trigger(told: Callable[[TriggerFit], str], none: str = DASH) -> Callable[[ClockResult], str]:
-        return lambda clock: none if clock.trigger is None else told(clock.trigger)
+    def of_trigger(text: Callable[[TriggerFit], str], none: str = DASH) -> Callable[[ClockResult], str]:
+        return lambda clock: none if clock.trigger is None else text(clock.trigger)
 
-    def of_tie(told: Callable[[ClockTie], str]) -> Callable[[ClockResult], str]:
-        return lambda clock: DASH if clock.tie is None else told(clock.tie)
+    def of_tie(text: Callable[[ClockTie], str]) -> Callable[[ClockResult], str]:
+        return lambda clock: DASH if clock.tie is None else text(clock.tie)
 
     def u_of(trigger: TriggerFit, parameter: int) -> float:
         return 2.0 * float(np.sqrt(trigger.covariance[parameter, parameter]))

@@ -116,9 +116,9 @@ def _explanations_table(results: list[Acceleration]) -> Table | None:
             for one in result.explanations:
                 if np.isfinite(one.value[k, c]):
                     value = polar(complex(one.value[k, c]), element_covariance(one.covariance[k], c))
-                    told = round_to_uncertainty(value.magnitude, value.expanded_magnitude, 0)
+                    size = round_to_uncertainty(value.magnitude, value.expanded_magnitude, 0)
                     turn = round_to_uncertainty(value.phase_rad, value.expanded_phase_rad, 0)
-                    numbers = (told.value, told.expanded, units[c], turn.value, turn.expanded)
+                    numbers = (size.value, size.expanded, units[c], turn.value, turn.expanded)
                 else:
                     numbers = (DASH,) * 5
                 use = "no mean" if result.disputed is not None and result.disputed[k, c] else "fused, U covers it"
@@ -200,35 +200,35 @@ def budget_tables(evaluation: Evaluation) -> list[Table]:
     motion = acceleration(evaluation, "load", "fused")
     tables = []
     if main is not None and np.isfinite(main[0].value[line, driven_channel(evaluation), component]):
-        found, place = main
+        found, index = main
         channel = found.channels[driven_channel(evaluation)]
-        what = result_name(found.kind[line], channel, LOAD_COMPONENTS[component], main=True)
-        tables.append(_budget_table(found.budget, line, place, what, found.frequency_hz[line]))
+        quantity = result_name(found.kind[line], channel, LOAD_COMPONENTS[component], main=True)
+        tables.append(_budget_table(found.budget, line, index, quantity, found.frequency_hz[line]))
     if load is not None and load.observed[line, component]:
         entries = budget(load.uncertainty.at([component]), load.value[:, [component]])
-        what = f"load {LOAD_COMPONENTS[component]}"
-        tables.append(_budget_table(entries, line, 0, what, load.frequency_hz[line]))
+        quantity = f"load {LOAD_COMPONENTS[component]}"
+        tables.append(_budget_table(entries, line, 0, quantity, load.frequency_hz[line]))
     if motion is not None and motion.observed[line, component]:
         entries = budget(motion.uncertainty.at([component]), motion.phasors.value[:, [component]])
-        what = f"acceleration {MOTION_COMPONENTS[component]} of the load"
-        tables.append(_budget_table(entries, line, 0, what, motion.phasors.frequency_hz[line]))
+        quantity = f"acceleration {MOTION_COMPONENTS[component]} of the load"
+        tables.append(_budget_table(entries, line, 0, quantity, motion.phasors.frequency_hz[line]))
     return tables
 
 
-def _budget_table(entries: Sequence[BudgetEntry], line: int, place: int, what: str, frequency_hz: float) -> Table:
+def _budget_table(entries: Sequence[BudgetEntry], line: int, element: int, quantity: str, frequency_hz: float) -> Table:
     """Return one budget: contributions, their inputs, coefficients, and shares in magnitude and phase.
 
     Influences that one recording cannot assess, such as repeatability and a new mounting, are listed without a number.
     """
-    u = np.array([[entry.u_relative[line, place], entry.u_phase_rad[line, place]] for entry in entries])
+    u = np.array([[entry.u_relative[line, element], entry.u_phase_rad[line, element]] for entry in entries])
     total = np.sqrt(np.sum(u**2, axis=0))
     share = 100.0 * np.divide(u**2, total**2, out=np.zeros_like(u), where=total > 0.0)
     order = np.argsort(-np.sum(u**2, axis=1), kind="stable")
-    shown = [int(place) for place in order if np.max(share[place]) >= SMALLEST_SHARE]
+    shown = [int(element) for element in order if np.max(share[element]) >= SMALLEST_SHARE]
     rows: list[tuple[str, ...]] = []
     for index in shown:
         entry = entries[index]
-        slopes = (_slope(entry.coefficient[part, line, place], share[index, part]) for part in (0, 1))
+        slopes = (_slope(entry.coefficient[part, line, element], share[index, part]) for part in (0, 1))
         kind = f"{entry.type}, {degrees_of_freedom(entry.dof[line])}"
         rows.append((entry.label, kind, _input(entry), *slopes, *_contribution(u[index], share[index])))
     rest = np.delete(np.arange(len(entries)), shown)
@@ -241,7 +241,7 @@ def _budget_table(entries: Sequence[BudgetEntry], line: int, place: int, what: s
         *("contribution", "type, dof", "u of the input", "magnitude per unit", "rad per unit"),
         *("u(magnitude) / %", "share / %", "u(phase) / mrad", "share / %"),
     )
-    return Table(f"Budget of {what} at {frequency_hz:.4f} Hz", head, "llrrrrrrr", tuple(rows))
+    return Table(f"Budget of {quantity} at {frequency_hz:.4f} Hz", head, "llrrrrrrr", tuple(rows))
 
 
 def _contribution(u: FloatArray, share: FloatArray) -> tuple[str, str, str, str]:
@@ -460,18 +460,18 @@ def _interval(low: float, high: float, u: float) -> str:
 
 def _as_stated(item: UncertainInput) -> str:
     """Return the form and the source of a stated uncertainty."""
-    own = item.stated
-    if own is None:
+    stated = item.stated
+    if stated is None:
         return "u"
-    how = f"U, k = {own.k:g}" if own.k is not None else f"half-width, {own.distribution}"
-    freedom = "" if own.dof is None else f"{own.dof:g} degrees of freedom"
+    how = f"U, k = {stated.k:g}" if stated.k is not None else f"half-width, {stated.distribution}"
+    freedom = "" if stated.dof is None else f"{stated.dof:g} degrees of freedom"
     return ", ".join(filter(None, (how, freedom, item.source)))
 
 
 def inputs_table(inputs: Sequence[UncertainInput]) -> Table | None:
     """Return every uncertain input as it is used, with u and U = 2·u."""
 
-    def told(item: UncertainInput, factor: float) -> str:
+    def size_text(item: UncertainInput, factor: float) -> str:
         sizes = factor * np.unique(np.ravel(item.u))
         sizes = 100.0 * sizes if item.relative else sizes
         text = " to ".join(dict.fromkeys((f"{sizes[0]:.3g}", f"{sizes[-1]:.3g}")))
@@ -485,8 +485,8 @@ def inputs_table(inputs: Sequence[UncertainInput]) -> Table | None:
         page_column("file", lambda item: item.file.name, "l"),
         page_column("key", lambda item: item.key, "l"),
         page_column("value", value),
-        page_column("u", lambda item: told(item, 1.0)),
-        page_column("2·u", lambda item: told(item, 2.0)),
+        page_column("u", lambda item: size_text(item, 1.0)),
+        page_column("2·u", lambda item: size_text(item, 2.0)),
         page_column("stated as", _as_stated, "l"),
     )
     return table("Inputs with their standard uncertainties, in the units of the manifest", columns, inputs)

@@ -88,21 +88,21 @@ def _of_results(file: Path) -> UniversalExport:
     functions = [function for found in every for function in _of_phasors(results.name, found, outputs)]
     if not functions:
         raise InputError(NO_SENSITIVITY_TO_EXPORT, file)
-    nodes = {ORIGIN + place: np.zeros(3) for place in range(len(outputs) + 1)}
+    nodes = {ORIGIN + number: np.zeros(3) for number in range(len(outputs) + 1)}
     return UniversalExport(functions, nodes, [])
 
 
 def _of_phasors(name: str, found: LabelledPhasors, outputs: Sequence[str]) -> Iterator[UniversalFunction]:
     """Yield one function for each element, without lines that have no result."""
     for e, (channel, component) in enumerate(zip(found.channel, found.component, strict=True)):
-        known = np.isfinite(found.value[:, e])
-        if known.any():
+        finite = np.isfinite(found.value[:, e])
+        if finite.any():
             output_unit = found.unit[e].rpartition("/")[0].removeprefix("(").removesuffix(")")
             yield UniversalFunction(
                 name=f"{channel}/{component}",
                 kind="frequency response",
-                abscissa=found.frequency_hz[known],
-                value=found.value[known, e],
+                abscissa=found.frequency_hz[finite],
+                value=found.value[finite, e],
                 abscissa_unit="Hz",
                 unit=f"({output_unit})/({load_unit(component)})",
                 response=f"{ORIGIN + 1 + outputs.index(channel)}",
@@ -120,17 +120,17 @@ def _of_transfer(file: Path) -> UniversalExport:
             ratio, reference = group["transfer/ratio"], str(group["transfer"].attrs["reference"])
             first = ORIGIN + len(functions)
             channels, units = (ratio[key].asstr()[()].tolist() for key in ("channels", "unit"))
-            for place, (channel, unit) in enumerate(zip(channels, units, strict=True)):
-                known = np.isfinite(ratio["value"][:, place])
+            for number, (channel, unit) in enumerate(zip(channels, units, strict=True)):
+                finite = np.isfinite(ratio["value"][:, number])
                 functions.append(
                     UniversalFunction(
                         name=channel,
                         kind="transmissibility" if unit == "1" else "frequency response",
-                        abscissa=ratio["frequency_hz"][()][known],
-                        value=ratio["value"][()][known, place],
+                        abscissa=ratio["frequency_hz"][()][finite],
+                        value=ratio["value"][()][finite, number],
                         abscissa_unit="Hz",
                         unit=unit,
-                        response=f"{first + 1 + place}",
+                        response=f"{first + 1 + number}",
                         reference=f"{first}",
                         titles=_titles(name, f"{channel} over {reference}"),
                     )
@@ -142,9 +142,9 @@ def _of_element(file: Path) -> UniversalExport:
     """Return nodes of the frame of an elastic element, and its natural modes."""
     with open_results(file) as content:
         frame, name = content["frame"], str(content.attrs["name"])
-        place, motion = frame["node_m"][()], frame["node_motion"][()]
+        node_m, motion = frame["node_m"][()], frame["node_motion"][()]
         frequency = frame["modes/frequency_hz"][()]
-    node = np.arange(1, len(place) + 1)
+    node = np.arange(1, len(node_m) + 1)
     shapes = [
         UniversalShape(
             node=node,
@@ -158,7 +158,7 @@ def _of_element(file: Path) -> UniversalExport:
         )
         for mode in range(len(frequency))
     ]
-    return UniversalExport([], dict(zip(node.tolist(), place, strict=True)), shapes)
+    return UniversalExport([], dict(zip(node.tolist(), node_m, strict=True)), shapes)
 
 
 def _of_recording(file: Path) -> UniversalExport:
@@ -195,10 +195,10 @@ def _along(direction: Sequence[float]) -> str:
     """Return the axis of a direction, empty if it is not along one."""
     unit = np.asarray(direction, dtype=np.float64)
     unit = unit / np.linalg.norm(unit)
-    place = int(np.argmax(np.abs(unit)))
-    if abs(unit[place]) < 1.0 - ALONG:
+    axis = int(np.argmax(np.abs(unit)))
+    if abs(unit[axis]) < 1.0 - ALONG:
         return ""
-    return f"{'+' if unit[place] > 0.0 else '-'}{AXES[place].upper()}"
+    return f"{'+' if unit[axis] > 0.0 else '-'}{AXES[axis].upper()}"
 
 
 def _unit(manifest: Any, channel: Any) -> str:

@@ -221,7 +221,7 @@ def test_only_a_deflection_that_stands_out_is_drawn(demo_evaluation):
     assert np.abs(found - expected).max() < 5.0 * np.nanmax(shape.u)
     page = scene_page(scene)
     assert page.deflects
-    assert len(page.json) + len(page.still) < 60_000
+    assert len(page.json) + len(page.views) < 60_000
 
 
 # The page.
@@ -243,7 +243,7 @@ def test_names_are_text_wherever_they_stand(manifest):
 def test_the_demo_is_small(demo_evaluation):
     page = scene_page(evaluation_scene(demo_evaluation))
     assert len(page.json.encode()) < 20_000
-    assert len(page.json.encode()) + len(page.still.encode()) < 45_000
+    assert len(page.json.encode()) + len(page.views.encode()) < 45_000
 
 
 def test_the_still_picture_has_three_views_to_one_scale(manifest):
@@ -255,7 +255,7 @@ def test_the_still_picture_has_three_views_to_one_scale(manifest):
     sizes = [np.ptp(places(e), axis=0) for e in shown]
     assert len(sizes) == 3
     np.testing.assert_allclose(sizes, sizes[0][0], atol=0.11)
-    whole = ElementTree.fromstring(scene_page(rig_scene(manifest)).still)
+    whole = ElementTree.fromstring(scene_page(rig_scene(manifest)).views)
     labels = [e for e in whole if "label" in e.get("class", "")]
     assert {"top left", "base right", "x", "z", "velocity_1"} <= {e.text for e in labels}
     boxes = [(float(e.get("x")), float(e.get("y")), 6.0 * len(e.text)) for e in labels]
