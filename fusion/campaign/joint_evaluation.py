@@ -373,8 +373,10 @@ def _scatter_headline(evaluation: CampaignEvaluation) -> list[Headline]:
         float(np.sqrt(np.mean([value[channel] ** 2 for value, channel in zip(values, channels, strict=True)])))
         for values in ([found.between for found in repeated], [found.within for found in repeated])
     ]
-    remark = f"a recording: {small(100.0 * sizes[1])} %; rms of {len(repeated)} excitations, beyond what is stated"
-    return [Headline("Mounting anew, standard deviation", f"{small(100.0 * sizes[0])} %", remark)]
+    remark = (
+        f"a recording: {small(100.0 * sizes[1])} %; rms of {len(repeated)} excitations, beyond stated uncertainties"
+    )
+    return [Headline("New mounting, standard deviation", f"{small(100.0 * sizes[0])} %", remark)]
 
 
 def _crosstalk_headline(evaluation: CampaignEvaluation) -> list[Headline]:
@@ -391,4 +393,4 @@ def _crosstalk_headline(evaluation: CampaignEvaluation) -> list[Headline]:
     _, found, c, j = best
     size = quantity_html(100.0 * abs(found.value[c, j]), 100.0 * float(found.half_axis[c, j]), "%")
     where = f"output {found.channels[c]} under {found.components[j]}, {found.frequency_hz:.4f} Hz"
-    return [Headline("Largest cross-talk that is certain", size, where)]
+    return [Headline("Largest significant cross-talk", size, where)]

@@ -232,7 +232,7 @@ def recordings_table(evaluation: CampaignEvaluation) -> Table | None:
     ]
     caption, count = "Recordings in the order of the tables; names lead to their reports", len(evaluation.recorded)
     if count > MOST_ROWS:
-        caption += f". The first {MOST_ROWS} of {count}; {SENSITIVITY_FILE} has all, and every folder its own report"
+        caption += f". The first {MOST_ROWS} of {count}; {SENSITIVITY_FILE} has all, and every folder has a report"
     found = table(caption, columns, evaluation.recorded[:MOST_ROWS])
     twice = Markup('{0}<br><span class="below">{0}</span>')
     failed = [(twice.format(f), *[DASH] * 4, f"failed: {reason}") for f, reason in evaluation.failed.items()]
@@ -304,8 +304,8 @@ def repeats_table(evaluation: CampaignEvaluation) -> Table | None:
         page_column("k", lambda found: expanded(found)[1]),
     ]
     caption = (
-        "Repeats: relative standard deviation of a recording (within) and of a mounting (between) beyond what is "
-        "stated for them, and U of the mean"
+        "Repeats: relative standard deviation of a recording (within) and of a mounting (between) beyond their stated "
+        "uncertainties, and U of the mean"
     )
     return table(caption, columns, evaluation.repeats)
 
@@ -353,10 +353,10 @@ def unknowns_table(evaluation: CampaignEvaluation) -> Table | None:
         ),
         page_column("value by the campaign", value),
         page_column("u / u stated", lambda found: f"{found.remaining:.2f}"),
-        page_column("recordings that tell of it", lambda found: str(found.recordings)),
-        page_column("", lambda found: "stays as stated" if found.is_as_stated else "", "l"),
+        page_column("contributing recordings", lambda found: str(found.recordings)),
+        page_column("", lambda found: "as stated" if found.is_as_stated else "", "l"),
     ]
-    caption = "What the recordings together say of the rig: deviation from what is stated, with U (k = 2)"
+    caption = "Unknowns of the rig by all recordings: deviation from the stated values, with U (k = 2)"
     return table(caption, columns, sorted(evaluation.unknowns, key=lambda found: found.remaining)[:MOST_ROWS])
 
 

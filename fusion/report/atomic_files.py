@@ -38,7 +38,7 @@ _ATTEMPTS = 100
 LOCK_BUSY_ERRNOS = {errno.EAGAIN, errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK}
 """Error numbers of a lock that another process has; any other error means that the file system has no locks."""
 
-# One place that writes.
+# Writing.
 
 
 def write_file(path: Path, content: str | bytes | Iterable[str]) -> None:
@@ -88,7 +88,7 @@ def report_write_errors(target: Path) -> Iterator[None]:
         raise ComputeError(NOT_WRITTEN, str(target), reason=f"{reason}{file}") from error
 
 
-# One run at a time: who writes a place holds its lock.
+# One run at a time: the writer of a path has its lock.
 
 
 _locks: dict[Path, int | None] = {}
@@ -149,7 +149,7 @@ def _locked(lock: Path, target: Path) -> int | None:
         try:
             lock.parent.mkdir(parents=True, exist_ok=True)
             handle = os.open(lock, os.O_RDWR | os.O_CREAT, 0o666)
-        except FileNotFoundError:  # another run has just removed the folder that it made for nothing
+        except FileNotFoundError:  # another run has just removed its empty folder
             if attempt == _ATTEMPTS:
                 raise
             continue
@@ -163,7 +163,7 @@ def _locked(lock: Path, target: Path) -> int | None:
         with contextlib.suppress(OSError):
             if os.path.samestat(os.fstat(handle), os.stat(lock)):
                 return handle
-        os.close(handle)  # who held it before has removed it in between
+        os.close(handle)  # its previous owner has removed it in between
     return None
 
 
@@ -187,7 +187,7 @@ def _free(lock: Path, folders: Sequence[Path]) -> None:
     if lock in _locks:
         handle, windows = _locks[lock], sys.platform == "win32"
         with contextlib.suppress(OSError):
-            if not windows:  # as long as nobody else can hold it
+            if not windows:  # while this process still has the lock
                 lock.unlink()
         with contextlib.suppress(OSError):
             if handle is not None:
@@ -200,7 +200,7 @@ def _free(lock: Path, folders: Sequence[Path]) -> None:
             folder.rmdir()
 
 
-# What is being made, and what was left by runs that are gone.
+# Unfinished files, also those of ended runs.
 
 
 def _hidden(target: Path, kind: str) -> Path:
@@ -241,7 +241,7 @@ def remove_abandoned(folder: Path, name: str | None = None) -> list[Path]:
     back. On a file system without locks, a file counts as abandoned after one day without a change.
     """
     folder, removed = folder.resolve(), []
-    # Of many thousands of results only what is hidden becomes a path.
+    # Of many thousands of names only hidden ones become paths.
     names = (
         sorted(found for found in os.listdir(folder) if found.startswith(f".{name or ''}")) if folder.is_dir() else []
     )
@@ -251,7 +251,7 @@ def remove_abandoned(folder: Path, name: str | None = None) -> list[Path]:
             continue
         target = folder / found["name"]
         if folder.name == target.name and _lock_of(folder).parent == folder:
-            target = folder  # it is made in itself
+            target = folder  # it is prepared inside itself
         owned = _lock_of(target) in _locks
         if owned and found["kind"] is None:
             continue
@@ -277,7 +277,7 @@ def _restore(backup: Path, target: Path) -> None:
         _move(file, target / file.relative_to(backup))
 
 
-# What a run has found so far.
+# Intermediate results of a run.
 
 
 class Checkpoint:
@@ -360,7 +360,7 @@ def _move_to_target(part: Path, folder: Path, names: Sequence[str], earlier: Seq
         return
     backup, moved = _hidden(folder, "aside"), list[str]()
     try:
-        for name in gone:  # without the one that comes first here and last there the folder is no result
+        for name in gone:  # first the file that marks complete results, which is written last
             _move(folder / name, backup / name)
         for name in names:
             _move(part / name, folder / name)
@@ -372,14 +372,14 @@ def _move_to_target(part: Path, folder: Path, names: Sequence[str], earlier: Seq
         shutil.rmtree(backup, ignore_errors=True)
         raise
     if backup.exists():
-        old = backup.with_suffix(".old")  # which nobody puts back
+        old = backup.with_suffix(".old")  # which no run moves back
         with contextlib.suppress(OSError):
             os.replace(backup, old)
         for target in (backup, old):
             shutil.rmtree(target, ignore_errors=True)
     for below in sorted({(folder / name).parent for name in gone} - {folder}, reverse=True):
         with contextlib.suppress(OSError):
-            below.rmdir()  # where nothing is left in it
+            below.rmdir()  # if it is empty
 
 
 def _contains_only(folder: Path, names: Sequence[str]) -> bool:

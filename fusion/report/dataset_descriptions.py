@@ -33,7 +33,7 @@ SPREAD = {
     "u": "standard deviation of the draws",
     "low": "lower end of the 95 % interval",
     "high": "upper end of the 95 % interval",
-    "u_end": "standard uncertainty of the ends, of so many draws",
+    "u_end": "standard uncertainty of the ends by the number of draws",
     "first_u": "standard uncertainty by first order",
     "first_low": "lower end of the 95 % interval by first order",
     "first_high": "upper end of the 95 % interval by first order",
@@ -55,12 +55,12 @@ DATASETS = {
     "observed": DatasetDescription(KC, "1", "whether the component is a result"),
     "disputed": DatasetDescription(KC, "1", "whether instruments contradict each other in the component"),
     "assumed": DatasetDescription(
-        KC, "value", "largest amplitude of a component that nobody observes, infinite without a limit"
+        KC, "value", "largest amplitude of an unobserved component, infinite without a limit"
     ),
     "driven": DatasetDescription(K, "m/s^2", "largest amplitude of the driven motion, infinite without a limit"),
     "drive": DatasetDescription("motion", "1", "driven motion, rotations times 0.1 m, a unit vector"),
     "leaked": DatasetDescription(
-        "frequency_hz row column", "value", "what one u of unobserved motion adds to [Re, Im]"
+        "frequency_hz row column", "value", "contribution of one u of unobserved motion to [Re, Im]"
     ),
     "instruments": DatasetDescription("instruments"),
     "capacity": DatasetDescription("components", "load", "rated loads"),
@@ -73,7 +73,7 @@ DATASETS = {
         "element of", "1", "number of channel and of component (0 to 5: Fx to Mz) of each element"
     ),
     "half_axis": DatasetDescription("channels components", "1", "larger half axis of the 95 % region"),
-    "holds_zero": DatasetDescription("channels components", "1", "whether the 95 % region holds zero"),
+    "holds_zero": DatasetDescription("channels components", "1", "whether the 95 % region includes zero"),
     "main": DatasetDescription("channels", "1", "number of the main component (0 to 5: Fx to Mz)"),
     "load_size": DatasetDescription("components", "load", "largest loads of the recordings"),
     "effect": DatasetDescription(
@@ -86,14 +86,12 @@ DATASETS = {
     "unknowns/u": DatasetDescription("name", ".", "standard uncertainty of the unknown"),
     "unknowns/estimate": DatasetDescription("name", "1", "estimate of the unknown over its u"),
     "unknowns/remaining": DatasetDescription("name", "1", "u after the estimate over u before"),
-    "unknowns/recordings": DatasetDescription("name", "1", "number of recordings that tell of the unknown"),
+    "unknowns/recordings": DatasetDescription("name", "1", "number of recordings that determine the unknown"),
     "posterior": DatasetDescription(
         "unknown unknown_of", "1", "covariance of the unknowns after the estimate, in their u"
     ),
-    "products": DatasetDescription(
-        "unknown", "1", "by how much each unknown acts otherwise than to first order, in its u"
-    ),
-    "both": DatasetDescription("both", text="unknowns that act on the load through the motion and by themselves"),
+    "products": DatasetDescription("unknown", "1", "second-order effect of each unknown, in its u"),
+    "both": DatasetDescription("both", text="unknowns that act on the load through the motion and directly"),
     "consistency/*": DatasetDescription("instrument"),
     "consistency/channels": DatasetDescription("instrument", "1", "number of channels"),
     "consistency/normalised_deviation": DatasetDescription("instrument", "1", "normalised deviation from all others"),
@@ -107,7 +105,7 @@ DATASETS = {
     "unnoticed/shift": DatasetDescription("case", "1", "shift of the component over its U"),
     "notices/*": DatasetDescription("notice"),
     "evidence/*": DatasetDescription("input"),
-    "evidence/value": DatasetDescription("input", ".", "value of the input as it is stated"),
+    "evidence/value": DatasetDescription("input", ".", "stated value of the input"),
     "evidence/u": DatasetDescription("input", ".", "standard uncertainty of the unknown"),
     "scatter/*/amplitude": DatasetDescription(K, "1", "scatter in phase with the reading, relative to the motion"),
     "scatter/*/phase": DatasetDescription(K, "rad", "scatter at right angles to the reading, relative to the motion"),
@@ -140,15 +138,15 @@ DATASETS = {
     "motion/points": DatasetDescription("time_s", "1", "number of points used"),
     "motion_from_mean/points": DatasetDescription("time_s", "1", "number of points used"),
     "stereo/*/residual": DatasetDescription(
-        "time_s channels", "value", "what the sine approximation leaves of the pose"
+        "time_s channels", "value", "residual of the sine approximation of the pose"
     ),
-    "usable": DatasetDescription("line", "1", "whether the rate of the camera can tell the line apart"),
-    "subsets_px": DatasetDescription("subset coordinate", text="place of the subsets in the first left image"),
+    "usable": DatasetDescription("line", "1", "whether the camera rate resolves the line"),
+    "subsets_px": DatasetDescription("subset coordinate", text="position of the subsets in the first left image"),
     "sigma_px": DatasetDescription("of", text="median standard deviation of a subset's coordinate: predicted, found"),
     "read_variance_grey2": DatasetDescription("camera", "1", "variance of the dark sensor in grey values squared"),
     "variance_per_grey": DatasetDescription("camera", "1", "variance per grey value"),
     "deflection/value": DatasetDescription(
-        "frequency_hz point axis", "m", "deflection beside the rigid motion, peak phasors"
+        "frequency_hz point axis", "m", "deflection in addition to the rigid motion, peak phasors"
     ),
     "deflection/u": DatasetDescription("frequency_hz point axis", "m", "standard uncertainty of either part"),
     "shapes/effects": DatasetDescription(
@@ -159,22 +157,22 @@ DATASETS = {
     ),
     "shapes/f": DatasetDescription(K, "1", "F of the amplitudes of all shapes against a rigid body"),
     "shapes/chance": DatasetDescription(K, "1", "chance of an F as large on a rigid body"),
-    "shapes/modes": DatasetDescription("", "1", "number of independent shapes that stand out"),
-    "reference_m": DatasetDescription("point axis", text="place of the points at rest"),
+    "shapes/modes": DatasetDescription("", "1", "number of significant independent shapes"),
+    "reference_m": DatasetDescription("point axis", text="position of the points at rest"),
     "course_px": DatasetDescription("time_s share", text="epipolar residual: mean, change along x, change along y"),
     "u_course_px": DatasetDescription("time_s share", text="standard uncertainty of the epipolar residual"),
     "pattern_px": DatasetDescription(
         "share", text="epipolar residual of the recording: mean, change along x, change along y"
     ),
     "pattern_covariance": DatasetDescription(
-        "share share_of", "px^2", "what calibration and matching explain of the pattern"
+        "share share_of", "px^2", "covariance of the pattern by calibration and matching"
     ),
-    "position_px": DatasetDescription("point coordinate", text="mean place of the points in the left image"),
+    "position_px": DatasetDescription("point coordinate", text="mean position of the points in the left image"),
     "residual_px": DatasetDescription("point", text="mean epipolar residual of the points"),
     "offset": DatasetDescription("channels", "value", "offset"),
     "offset_covariance": DatasetDescription("channels component", "squared", "covariance of the offset"),
     "drift_per_s": DatasetDescription("channels", "value/s", "drift"),
-    "residual_rms": DatasetDescription("channels", "value", "rms of what the sines leave"),
+    "residual_rms": DatasetDescription("channels", "value", "rms residual of the sine approximation"),
     "decay_per_s": DatasetDescription(K, "1/s", "decay of the line"),
     "u_decay_per_s": DatasetDescription(K, "1/s"),
     "slopes": DatasetDescription("set row column", "1", "share of the lines' parts times time that the fit follows"),
@@ -187,29 +185,29 @@ DATASETS = {
     "origin": DatasetDescription(K),
     "floor": DatasetDescription("floor_hz channel", EACH, "noise floor as amplitude per bin"),
     "floor_hz": DatasetDescription("floor_hz", text="frequency of the noise floor"),
-    "nuisance_hz": DatasetDescription("nuisance_hz", text="lines fitted beside those of the recording"),
+    "nuisance_hz": DatasetDescription("nuisance_hz", text="lines fitted in addition to those of the recording"),
     "trigger/number": DatasetDescription("number", "1", "number of the edge"),
     **{f"trigger/{name}": DatasetDescription("number") for name in ("edge_s", "lower_s", "upper_s", "correction_s")},
     "trigger/missing": DatasetDescription("missed", "1", "numbers without an edge"),
     "trigger/covariance": DatasetDescription("parameter other", "s^2", "covariance of start_s and period_s"),
     "trigger/known_period_s": DatasetDescription(
-        "parts", text="period as known otherwise than by its edges, and its u"
+        "parts", text="period known from other sources than its edges, and its u"
     ),
     "tie/follows": DatasetDescription(
-        "parameter other", "[s, 1]/s", "what errors of the first start_s and period_s make of it"
+        "parameter other", "[s, 1]/s", "effect of errors of the first start_s and period_s"
     ),
     "tie/beside": DatasetDescription("parameter other", "[s, 1]^2", "covariance of the rest"),
     "tie/covariance": DatasetDescription("parameter other", "[s, 1]^2", "covariance of offset_s and rate"),
-    "tie/noise": DatasetDescription("parameter other", "[s, 1]^2", "its part that the noise of the edges makes"),
+    "tie/noise": DatasetDescription("parameter other", "[s, 1]^2", "its part by the noise of the edges"),
     "axes": DatasetDescription("across axis", "1", "directions across that of the points"),
     "place_m": DatasetDescription("channels across", text="lever arms of the points"),
     "plane": DatasetDescription(
         "frequency_hz plane_of", "[m/s^2, rad/s^2, rad/s^2]", "mean and angular accelerations of the points"
     ),
-    "points/*/residual": DatasetDescription(KC, "m/s^2", "what the plane leaves"),
+    "points/*/residual": DatasetDescription(KC, "m/s^2", "residual of the plane"),
     "fused": DatasetDescription(K, "value", "output over the load of the fused motion"),
     "set_ups/*/value": DatasetDescription(K, EACH, "phasors of the reference channel"),
-    "supports/*/observed": DatasetDescription(KC, "1", "whether the references tell the component by themselves"),
+    "supports/*/observed": DatasetDescription(KC, "1", "whether the references alone determine the component"),
     "supports/*/measured_mps2": DatasetDescription(
         K, "m/s^2", "largest translation that the instruments on it measure"
     ),
@@ -220,7 +218,7 @@ DATASETS = {
     "u_drift": DatasetDescription(K, "1"),
     "results/*/elements": DatasetDescription("elements"),
     "results/*/unit": DatasetDescription("elements"),
-    "results/*/value": DatasetDescription(KQ, "value", "values that the draws are about"),
+    "results/*/value": DatasetDescription(KQ, "value", "values of the evaluation"),
     "results/*/mean": DatasetDescription(KQ, "value", "mean of the draws"),
     "results/*/covariance": DatasetDescription(f"{KQ} part part_of", "[unit]^2", "covariance of (Re, Im) of the draws"),
     "results/*/first_covariance": DatasetDescription(
@@ -253,7 +251,7 @@ DATASETS = {
     "slope": DatasetDescription("channels", "1/driven", "relative change per unit of load"),
     "change": DatasetDescription("channels", "1", "relative change from the smallest to the largest amplitude"),
     "linearity/*/covariance": DatasetDescription("channels part part_of", "1", "covariance of (Re, Im) of the change"),
-    "linear": DatasetDescription("channels", "1", "whether the 95 % region of the change holds zero"),
+    "linear": DatasetDescription("channels", "1", "whether the 95 % region of the change includes zero"),
     "matrices/*/value": DatasetDescription("channels components", "value", "complex 6x6 matrix"),
     "singular": DatasetDescription("independent", "1", "independent loads in their standard uncertainties"),
     "excitation/share": DatasetDescription("independent", "1", "singular values relative to the largest"),
@@ -262,7 +260,7 @@ DATASETS = {
     "agreement/readings": DatasetDescription("drive", "1", "number of readings"),
     "agreement/frequency_hz": DatasetDescription("drive", "Hz", "frequency"),
     "cross_talks/*/value": DatasetDescription(
-        "channels components", "1", "output under a rated load over that under its own"
+        "channels components", "1", "output under a rated load over that under its main rated load"
     ),
 }
 """Descriptions by the end of the path: the longest match counts, `*` matches any name."""
@@ -286,7 +284,9 @@ OTHERS = {
     "dof": DatasetDescription(unit="1", text="degrees of freedom"),
     "averages": DatasetDescription(unit="1", text="number of averages"),
     "coherence": DatasetDescription(unit="1", text="coherence with the reference"),
-    "line_correlation": DatasetDescription(unit="1", text="correlation of the noise of lines so many bins apart"),
+    "line_correlation": DatasetDescription(
+        unit="1", text="correlation of the noise of lines by their distance in bins"
+    ),
     "relative": DatasetDescription(unit="1", text="relative change for one u of the error"),
     "correlation": DatasetDescription(unit="1", text="correlation of the estimates"),
     "direction": DatasetDescription(unit="1", text="direction in the sensor frame"),
@@ -364,7 +364,7 @@ def _words(path: str) -> str:
     return re.sub("^u(?: |$)", "standard uncertainty of the ", text).removesuffix(" of the ")
 
 
-# Units: those of the values of a group, from what it says of itself.
+# Units of the values of a group, from its members.
 
 
 def _unit(group: Group, name: str, shape: tuple[int, ...], description: DatasetDescription) -> str:
@@ -387,7 +387,7 @@ def _unit(group: Group, name: str, shape: tuple[int, ...], description: DatasetD
 
     try:
         return rules[description.unit]() if description.unit in rules else description.unit
-    except KeyError:  # nothing here says of which unit
+    except KeyError:  # the group has no unit
         return ""
 
 

@@ -223,12 +223,12 @@ class Panel:
     blank: bool = False
 
     def line(self, x: ArrayLike, y: ArrayLike, label: str = "", **look: Any) -> None:
-        """Add a `LineMark`; of very many points only the extremes of each stretch."""
+        """Add a `Line`; of very many points only the extremes of each stretch."""
         x, y = extremes(_row(x), _row(y))
         self.marks.append(Line(label=label, x=x, y=y, **look))
 
     def points(self, x: ArrayLike, y: ArrayLike, label: str = "", **look: Any) -> None:
-        """Add a `PointsMark`; one bar length for all points may be a number."""
+        """Add a `Points`; one bar length for all points may be a number."""
         x, y = _row(x), _row(y)
         for name in ("half_x", "half_y", "values"):
             if look.get(name) is not None:
@@ -403,7 +403,7 @@ def jpeg_uri(grey: NDArray[np.uint8]) -> str:
     return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode("ascii")
 
 
-# What several figures draw alike.
+# Common parts of figures.
 
 
 def padded_limits(low: float, high: float, share: float = 0.15) -> tuple[float, float]:

@@ -219,7 +219,7 @@ def _colours(scale: Scale) -> tuple[Colormap, Normalize]:
     return colours.with_extremes(bad=LIGHT), (LogNorm if scale.log else Normalize)(scale.low, scale.high)
 
 
-# One function per kind of mark; it returns what stands for it in the legend.
+# One function per kind of mark; it returns the entry of the legend.
 
 
 def _draw_line(axes: Axes, mark: Line) -> Any:

@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from fusion.recording.rig import Rig
     from fusion.report.h5_tree import Group
 
-# What was run on what: hashes of the input files, versions, and whether a folder still answers to them.
+# Provenance: hashes of the input files, versions, and whether results are current.
 
 
 RESULT_FILE, RESULT_FORMAT = "result.h5", 2

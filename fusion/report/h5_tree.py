@@ -196,7 +196,7 @@ def _deflated(values: NDArray[Any]) -> tuple[int, list[bytes]]:
     if len(deflated(sample)) > WORTH_IT * sample.nbytes:
         return 0, []
     rows = max(1, min(len(values), CHUNK_BYTES * len(values) // values.nbytes))
-    whole = np.zeros((-len(values) % rows, *values.shape[1:]), values.dtype)  # what the last piece lacks
+    whole = np.zeros((-len(values) % rows, *values.shape[1:]), values.dtype)  # padding of the last chunk
     parts = [values[first : first + rows] for first in range(0, len(values), rows)]
     if len(whole):
         parts[-1] = np.concatenate([parts[-1], whole])

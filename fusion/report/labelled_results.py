@@ -84,7 +84,7 @@ class LabelledPhasors:
         """Return a pandas table with one row per result and the columns of `sensitivity.csv`."""
         pandas = _optional("pandas")
         rows = []
-        with np.errstate(over="ignore", invalid="ignore"):  # of damaged files, whose numbers come back as they are
+        with np.errstate(over="ignore", invalid="ignore"):  # numbers of damaged files are returned unchanged
             every = polar_elements(self.value, self.uncertainty)
         for k, line in enumerate(every):
             for e, value in enumerate(line):

@@ -103,12 +103,12 @@ def draw_deflection(shape: DeflectionShape, line: int, rigid: ComplexArray, name
         panel.x.label = f"{AXES[view.across[0]]} / mm"
     panels[0].y.label = f"{AXES[view.across[1]]} / mm"
     caption = (
-        f"What the {body} does beside its rigid motion at {shape.frequency_hz[line]:.4f} Hz, seen by stereo pair "
+        f"Motion of the {body} in addition to its rigid motion at {shape.frequency_hz[line]:.4f} Hz, by stereo pair "
         f"“{name}” (peak values). Left: amplitude along {AXES[view.normal]}, out of the plane of the points; "
         f"{above.sum()} of {len(above)} points are above the noise level, which noise alone exceeds at one point "
         f"in twenty. Middle: phase against the rigid translation along {AXES[leader]}, grey where the amplitude "
         "is below that level. Right: deflection in the plane at the instant of its largest extent, grey below "
-        "the noise level. Bending appears smaller by the rigid motion that fits it best."
+        "the noise level. Bending appears smaller by its best-fit rigid motion."
     )
     return drawn.with_title(f"Operating deflection shape seen by {name}", caption)
 
@@ -168,7 +168,7 @@ def _draw_in_plane(panel: Panel, view: _View) -> None:
     panel.title = f"in plane ({names}): longest {longest / factor:#.2g}, noise {level:#.2g} {letter}m"
 
 
-# Figures of one stereo pair: motion over time and folded, what the fit leaves, and the image it was seen in.
+# Figures of one stereo pair: motion over time and folded, residuals, and the first image.
 
 
 MEASURED: dict[str, Any] = {"label": "measured", "colour": BLUE, "size": 2.6}
@@ -222,8 +222,8 @@ def draw_motion(stereo: StereoResult) -> Figure:
     caption = (
         f"Motion of the {stereo.body} seen by stereo pair “{stereo.name}”, about its mean pose: "
         f"{len(stereo.time_s)} frames at {rate:.4f} Hz. Points: measured; curves: sine approximation. Left, the "
-        f"curve is drawn at the beat frequency of {beat:.4f} Hz, to which this camera rate folds "
-        f"{frequency:.4f} Hz; it passes through the fit at every frame. Right, the frames are ordered by phase."
+        f"curve is drawn at the beat frequency of {beat:.4f} Hz, the alias of "
+        f"{frequency:.4f} Hz at this camera rate; it equals the fit at every frame. Right, frames ordered by phase."
     )
     return drawn.with_title(f"Motion seen by {stereo.name}", caption)
 
@@ -243,7 +243,7 @@ def draw_residuals(stereo: StereoResult) -> Figure:
     drawn.panels[-2].x.label = "time / s"
     drawn.panels[-1].x.label = "frames / %"
     caption = (
-        "Measured motion minus sine approximation, frame by frame, and its distribution beside the normal "
+        "Measured motion minus sine approximation, frame by frame, and its distribution, with the normal "
         "distribution of the same standard deviation s."
     )
     return drawn.with_title(f"Residuals of {stereo.name}", caption)
@@ -266,8 +266,8 @@ def draw_residual_spectrum(stereo: StereoResult) -> Figure:
         names = tuple(f"{line:.4f} Hz" for line in stereo.fit.phasors.frequency_hz)
         panel.points(alias, np.zeros_like(alias), "fitted lines", marker="triangle", colour=BLACK, names=names)
     caption = (
-        "Amplitude spectrum of the residuals over the frequency at which the camera sees them. Triangles: where "
-        "the fitted lines fold to. White noise alone gives a level spectrum; a peak elsewhere is a disturbance "
+        "Amplitude spectrum of the residuals over the frequency at the camera. Triangles: aliases of the fitted "
+        "lines. White noise alone gives a level spectrum; any other peak is a disturbance "
         "or a line that was not fitted."
     )
     return drawn.with_title(f"Residual spectrum of {stereo.name}", caption)
@@ -382,7 +382,7 @@ def neighbour_distance(points: FloatArray, least: float) -> float:
     return float(np.median(distance.min(axis=1)))
 
 
-# Figure of one stereo pair: whether its cameras still are, and stay, what was calibrated.
+# Figure of one stereo pair: whether its cameras agree with their calibration.
 
 
 MPX = 1e3
@@ -396,14 +396,14 @@ def draw_epipolar(check: EpipolarCheck, time_s: FloatArray, name: str) -> Figure
     drawn.panels[0].x.link = f"time of {name}"
     _draw_residuals(drawn.panels[1], check)
     explained = (
-        "Grey band: what calibration and matching explain, k = 2. "
+        "Grey band: uncertainty of calibration and matching, k = 2. "
         if check.pattern_covariance is not None
         else "The calibration states no uncertainty to compare with. "
     )
     caption = (
-        "How far the points of the right picture are off the epipolar lines of their left ones. Left: mean over "
+        "Distance of the points of the right image from the epipolar lines of the left ones. Left: mean over "
         f"the points, frame by frame, bars: image noise, k = 2. {explained}A camera that moves makes a step or a "
-        "drift. Right: mean over the frames, over the left picture."
+        "drift. Right: mean over the frames, over the left image."
     )
     return drawn.with_title(f"Epipolar residuals of {name}", caption)
 

@@ -194,7 +194,7 @@ def merged_table(name: str, folders: Sequence[Path]) -> Iterator[str]:
             yield body if body.endswith("\n") or not body else f"{body}\n"
 
 
-# Which figures the report of one recording holds.
+# Figures of the report of one recording.
 
 
 def draw_all(evaluation: Evaluation) -> dict[str, list[Figure]]:
@@ -268,7 +268,7 @@ def _subject(evaluation: Evaluation) -> list[tuple[str, str]]:
     if parts:
         mass, u = sum(part.mass_kg for part in parts), np.linalg.norm([part.u_mass_kg for part in parts])
         moved = quantity_html(mass, 2.0 * float(u), "kg").striptags()
-        facts.append(("Moving mass", f"{moved}, k = 2, with what moves in the sensor"))
+        facts.append(("Moving mass", f"{moved}, k = 2, including the moving parts of the sensor"))
     if around.temperature is not None:
         facts.append(("Temperature of the air", f"{around.temperature:g} °C"))
     if around.sensor_temperature is not None:

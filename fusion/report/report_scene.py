@@ -59,14 +59,14 @@ KINDS = {
 """Kinds of shapes: their name in the legend and their colour."""
 BODIES = ("load", "base")
 SMALLEST_REACH_M = 0.03
-CENTRED_M = 5e-3  # a centre of mass nearer to the origin tells no direction
-FARTHEST = 10.0  # of what cameras look at, over the distance of the left one from the sensor
+CENTRED_M = 5e-3  # a centre of mass closer to the origin gives no direction
+FARTHEST = 10.0  # largest distance of the cameras' target, over that of the left camera from the sensor
 NEAR_PARALLEL = 1e-3  # of two optical axes: the sine of their angle
 MOST_POINTS = 120  # of one tracked surface that a page shows
-GAP = 2.0  # longest side of a triangle over their median: beyond, nothing was tracked between its points
+GAP = 2.0  # longest side of a triangle over their median; longer ones are gaps in the tracked surface
 MOST_NAMES = 3  # of recordings that have one rig
 MOST_LABELS = 12  # of channels of one kind
-SIGNIFICANT_RATIO = 1.5  # rms of a deflection over what its noise makes of it
+SIGNIFICANT_RATIO = 1.5  # rms of a deflection over that of noise (chosen)
 SHOWN_SHARE = 0.08  # of the size of the bodies: largest displacement at the first magnification
 
 
@@ -206,7 +206,7 @@ def rigid_displacement(rigid: ComplexArray, points_m: FloatArray) -> ComplexArra
     return np.asarray(rigid[:3] + np.cross(rigid[3:], points_m))
 
 
-# What the manifests place.
+# Positions from the manifests.
 
 
 def rig_scene(manifest: Manifest, surfaces: Mapping[str, FloatArray] | None = None) -> Scene:
@@ -218,15 +218,15 @@ def rig_scene(manifest: Manifest, surfaces: Mapping[str, FloatArray] | None = No
     rig, remarks, shapes = manifest.rig, list[str](), list[SceneShape]()
     channels, parts = list(_channels(manifest)), moving_parts(rig, manifest.part)
     if not (channels or parts or rig.stereo):
-        remarks.append("The manifests place no camera, no instrument and no load.")
+        remarks.append("The manifests state no position of a camera, an instrument or a load.")
     if parts:
-        remarks.append("Load and parts are drawn as the solids that have their mass and moments of inertia.")
+        remarks.append("Load and parts are drawn as solids of their mass and moments of inertia.")
     shapes += [_solid(part, "load") for part in parts] + [_solid(part, "base") for part in _base_parts(manifest)]
     middle = sum((part.mass_kg * part.centre_of_mass_m for part in parts), np.zeros(3))
     middle = middle / max(sum(part.mass_kg for part in parts), 1e-30)
     sizes = [float(np.linalg.norm(shape.points_m, axis=1).max()) for shape in shapes]
     sizes = [max(sizes)] if sizes else [float(np.linalg.norm(measuring_point(entry))) for entry in channels]
-    reach = max(SMALLEST_REACH_M, float(np.median(sizes or [0.0])))  # of one point far away arrows know nothing
+    reach = max(SMALLEST_REACH_M, float(np.median(sizes or [0.0])))  # the median ignores a single distant point
     base = [np.array([entry.point]) for entry in channels if entry.body == "base" and entry.point is not None]
     pairs_by_remark: dict[str, list[str]] = {}
     for name, pair in rig.stereo.items():
@@ -257,7 +257,7 @@ def _channels(manifest: Manifest) -> Iterator[ChannelEntry]:
         if any(daq.file.suffix.lower() == SCAN for daq in block.daq):
             try:
                 takes = [part for part, _ in split_scan(block)]
-            except InputError:  # whoever reads the scan says what is wrong
+            except InputError:  # the reader of the scan reports the error
                 takes = [block]
         for entry in (entry for take in takes for daq in take.daq for entry in daq.channel):
             placed = entry.quantity in TRANSDUCERS or (entry.quantity == "force" and entry.point is not None)
@@ -339,14 +339,14 @@ def _table(points: FloatArray, middle: FloatArray) -> SceneShape:
         end = low if low[axis] + high[axis] <= 0.0 else high
         end[axis] += np.copysign(thin, low[axis] + high[axis] - 1e-12)
     corners, faces, edges = make_box(high - low)
-    text = f"drawn as a box about the {'xyz'[axis]} axis that holds its points"
+    text = f"drawn as a box about the {'xyz'[axis]} axis around its points"
     return SceneShape(
         "base", "base", text, corners + (low + high) / 2.0, faces, edges, "base", closed=True, fill=0.3, dashed=True
     )
 
 
 def _surface(name: str, body: str, points: FloatArray) -> SceneShape:
-    text = f"{len(points)} points on the {body} that the pair tracks, about {position_text(points.mean(axis=0))}"
+    text = f"{len(points)} points on the {body} tracked by the pair, centre {position_text(points.mean(axis=0))}"
     faces = _triangles(points)
     return SceneShape(
         "surface", f"points of {name}", text, points, faces, body=body, dots="many", fill=0.5, surface=name
@@ -355,7 +355,7 @@ def _surface(name: str, body: str, points: FloatArray) -> SceneShape:
 
 def _triangles(points: FloatArray) -> tuple[tuple[int, ...], ...]:
     """Return the triangles between neighbours among points (N, 3) of a smooth surface."""
-    from scipy.spatial import Delaunay  # here, for only pages with a viewer draw a surface
+    from scipy.spatial import Delaunay  # imported late: only pages with a viewer need it
 
     _, size, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
     if size[1] <= NEAR_PARALLEL * size[0]:
@@ -375,22 +375,22 @@ def _pair(name: str, pair: Stereo, surface: FloatArray | None) -> tuple[list[Sce
     middle = None if surface is None else surface.mean(axis=0)
     if pair.calibration is None:
         shape = _dot("camera", f"frame of {name}", f"origin {position_text(origin)}", origin, label=name)
-        remark = "without a calibration only the origin of its frame is known, not where its cameras are"
+        remark = "without a calibration only the origin of its frame is known, not the positions of its cameras"
         return [shape], np.zeros((0, 3)) if surface is None else surface, remark
     try:
         rig = read_rig(pair, ())
     except InputError:
-        return [], np.zeros((0, 3)), "not drawn, for its calibration cannot be read"
+        return [], np.zeros((0, 3)), "not drawn, since its calibration cannot be read"
     placed = [(camera, pose @ from_left.inverse()) for camera, from_left in rig.camera_poses]
     remark = "the frusta end at the tracked points"
     if middle is None and isinstance(rig, FaceCamera):
         middle, remark = pose.apply(rig.point_m), "the frustum ends at the stated surface"
     elif middle is None:
         middle = _fixation(placed[0][1], placed[1][1])
-        remark = "the frusta end where the axes of both cameras come nearest to each other"
+        remark = "the frusta end at the point nearest to both optical axes"
     if middle is None:
         middle = pose.apply(np.array([0.0, 0.0, max(-(pose.rotation.T @ origin)[2], 0.5 * distance)]))
-        remark = "the axes of the cameras do not meet, and the frusta end abreast of the sensor origin"
+        remark = "the axes of the cameras do not meet; the frusta end at the depth of the sensor origin"
     names = [f"{name} {side}" for side in ("left", "right")] if len(placed) > 1 else [name]
     shapes = [
         _camera(pair_name, pair.body, *camera_pose, middle)
@@ -425,7 +425,7 @@ def _camera(name: str, body: str, camera: Camera, pose: RigidTransform, target: 
     strokes = [(0, k) for k in range(1, 5)] + [(1, 2, 3, 4, 1), (5, 6, 7, 8, 5), (5, 9, 6)]
     faces = ((1, 2, 3, 4), (5, 6, 7, 8), (5, 9, 6))
     width, height = (int(length) for length in camera.size_px)
-    text = f"centre {position_text(pose.translation_m)}, looks along {along(pose.rotation[:, 2])} at the {body}"
+    text = f"centre {position_text(pose.translation_m)}, view along {along(pose.rotation[:, 2])}, towards the {body}"
     text += f", {width} × {height} px"
     return SceneShape("camera", f"camera {name}", text, points, faces, tuple(strokes), label=name, fill=0.1)
 
@@ -438,7 +438,7 @@ def frustum(camera: Camera, pose: RigidTransform, depth_m: float) -> FloatArray:
     width, height = camera.size_px.astype(np.float64) - 0.5
     corners = np.array([[-0.5, -0.5], [width, -0.5], [width, height], [-0.5, height]])
     rays = camera.undistort(corners)
-    if not np.isfinite(rays).all():  # beyond what the distortion's polynomial can undo
+    if not np.isfinite(rays).all():  # outside the range of the distortion model
         rays = replace(camera, distortion=np.zeros(8)).undistort(corners)
     return pose.apply(depth_m * np.column_stack([rays, np.ones(4)]))
 
@@ -467,7 +467,7 @@ def _instruments(channels: Sequence[ChannelEntry], middle: FloatArray, reach: fl
         yield _arrow(kind, entry.name, text, ends, body=entry.body or "", label=label, dots="one")
         if kind == "vibrometer":
             start, head = _beam_start(entry, direction, middle if entry.body == "load" else np.zeros(3), beams, reach)
-            text = f"from {position_text(start)}" if head else "from an unstated place"
+            text = f"from {position_text(start)}" if head else "from an unstated position"
             name, both = f"beam of {entry.name}", np.stack([start, at])
             yield SceneShape(kind, name, f"{text} to {position_text(at)}", both, strokes=((0, 1),), dashed=not head)
             if head:
@@ -492,7 +492,7 @@ def _beam_start(
     return at + 2.0 * reach * side * direction, ""
 
 
-# What an evaluation adds: the tracked points, and the motion at every line.
+# Additions of an evaluation: tracked points, and motion at every line.
 
 
 def evaluation_scene(evaluation: Evaluation) -> Scene:
@@ -587,8 +587,10 @@ class _Tracked:
             return ""
         factor, letter = prefix(max(sizes))
         size, noise = (f"{value / factor:.3g} {letter}m" for value in sizes)
-        end = f"of it noise {noise}" if self.deflection(line) is not None else f"as of noise ({noise}), not drawn"
-        return f"points of {self.name} beside the rigid motion: rms {size}, {end}"
+        end = (
+            f"of which noise {noise}" if self.deflection(line) is not None else f"not above noise ({noise}), not drawn"
+        )
+        return f"points of {self.name} in addition to the rigid motion: rms {size}, {end}"
 
 
 def _tracked(item: StereoResult) -> Iterator[_Tracked]:
@@ -602,7 +604,7 @@ def _tracked(item: StereoResult) -> Iterator[_Tracked]:
         yield _Tracked(item.name, item.usable, shape, finite[chosen])
 
 
-# A page of its own, without any data.
+# A separate page without data.
 
 
 def rig_page(manifests: Sequence[Manifest]) -> str:

@@ -89,8 +89,8 @@ def draw_components(evaluation: Evaluation, body: str) -> Figure:
     frequency = float(results[0].phasors.frequency_hz[line])
     caption = (
         f"Acceleration phasors of the {body} at the sensor origin, {frequency:.4f} Hz, with 95 % regions. A "
-        f"component whose region holds the origin (cross) is not told apart from zero; its amplitude and phase "
-        f"alone would mislead."
+        f"component whose region includes the origin (cross) is not distinguishable from zero; its amplitude and "
+        f"phase alone would mislead."
     )
     return drawn.with_title(f"Components of the {body} in the complex plane", caption)
 
@@ -188,7 +188,7 @@ def draw_curve(evaluation: Evaluation, sensitivity: Sensitivity) -> Figure:
     component, channel = driven_component(evaluation), driven_channel(evaluation)
     quantity = "Sensitivity" if "element" in sensitivity.kind else "Ratio"
     label = f"output {sensitivity.channels[channel]} per load {LOAD_COMPONENTS[component]}"
-    label = f"{quantity}, {label}" + (", with what other loads put into it" if quantity == "Ratio" else "")
+    label = f"{quantity}, {label}" + (", including the effect of other loads" if quantity == "Ratio" else "")
     lines = np.flatnonzero(np.isfinite(sensitivity.value[:, channel, component])).tolist()
     points = [sensitivity_element(sensitivity, k, channel, component) for k in lines]
     shown = np.array([point.expanded_magnitude < SHOWN_BELOW * point.magnitude for point in points])
@@ -206,7 +206,7 @@ def draw_curve(evaluation: Evaluation, sensitivity: Sensitivity) -> Figure:
     for panel, level, half in zip(drawn.panels, value, expanded, strict=True):
         for mask, legend in (
             (shown & ~harmonic, "driven frequency"),
-            (shown & harmonic, "harmonic, no part of the curve"),
+            (shown & harmonic, "harmonic, not part of the curve"),
         ):
             if mask.any():
                 look = {"half_y": half[mask], "open": bool(harmonic[mask].any())}
@@ -223,7 +223,7 @@ def draw_curve(evaluation: Evaluation, sensitivity: Sensitivity) -> Figure:
 def draw_outputs(evaluation: Evaluation, sensitivity: Sensitivity) -> Figure:
     """Draw all outputs at the strongest line, relative to the driven or the rated output."""
     component, driven, line = driven_component(evaluation), driven_channel(evaluation), main_line(evaluation)
-    scale, what = _output_scale(evaluation, sensitivity, driven, component)
+    scale, unit = _output_scale(evaluation, sensitivity, driven, component)
     elements = [sensitivity_element(sensitivity, line, c, component) for c in range(len(sensitivity.channels))]
     bound = np.array([element.region.holds_zero for element in elements])
     size = 100.0 * np.array([element.magnitude for element in elements]) / scale
@@ -233,13 +233,12 @@ def draw_outputs(evaluation: Evaluation, sensitivity: Sensitivity) -> Figure:
     (panel,) = drawn.panels
     _draw_levels(panel, size, 100.0 * np.array(reach) / scale, driven, bound)
     panel.y.names = tuple(f"output {name}" for name in sensitivity.channels)
-    panel.x.label = f"{what} / %"
+    panel.x.label = f"{unit} / %"
     load = LOAD_COMPONENTS[component]
     caption = (
-        f"Responses of all outputs to the driven load {load} at {sensitivity.frequency_hz[line]:.4f} Hz, {what}; "
-        f"bars: U (95 %). An arrow is an upper bound where the output is not distinguishable from 0. A cross "
-        "output of one recording holds both the sensor's cross-talk and its answer to loads that were not meant to "
-        "act."
+        f"Responses of all outputs to the driven load {load} at {sensitivity.frequency_hz[line]:.4f} Hz, {unit}; "
+        f"bars: U (95 %). An arrow is an upper bound if the output is not distinguishable from 0. A cross "
+        "output of one recording includes both the sensor's cross-talk and its response to unintended loads."
     )
     return drawn.with_title(f"All outputs under {load}", caption)
 
@@ -273,7 +272,7 @@ def draw_budget(evaluation: Evaluation) -> Figure | None:
     quantity = (
         f"{result_name(sensitivity.kind[line], channel, load, main=True)}, {sensitivity.frequency_hz[line]:.4f} Hz"
     )
-    caption = f"Uncertainty budget of the magnitude of {quantity}; beside each bar its share of the variance."
+    caption = f"Uncertainty budget of the magnitude of {quantity}; next to each bar its share of the variance."
     return drawn.with_title("Uncertainty budget", caption, main=True)
 
 

@@ -16,7 +16,7 @@ from markupsafe import Markup
 from shaker.arrays import FloatArray
 
 ROUND, SIDES = 0.05, 24  # moments of inertia that differ less are those of a round body; sides that it is drawn with
-THINNEST = 0.02  # of the largest length: thickness of a body whose inertia leaves it none
+THINNEST = 0.02  # smallest thickness of a body, over its largest length
 WIDTH_PX, TALLEST_PX, LEFT_PX, BELOW_PX, ABOVE_PX, RIGHT_PX = 940.0, 420.0, 52.0, 36.0, 24.0, 12.0
 MARGIN, LETTER_PX, LINE_PX, CLOSEST_PX = 0.06, 6.2, 13.0, 48.0
 VIEWS = (("front, seen along +y", 0, 2, -1.0), ("side, seen along −x", 1, 2, 1.0), ("from above", 0, 1, 1.0))
@@ -86,7 +86,7 @@ def solid(mass_kg: float, centre_m: FloatArray, inertia_kgm2: FloatArray) -> tup
         axes = axes[:, [(axis + 1) % 3, (axis + 2) % 3, axis]]
         text = f"cylinder ⌀ {2e3 * radius:.1f} × {1e3 * height:.1f} mm"
     axes = axes * np.array([1.0, 1.0, np.linalg.det(axes)])
-    return centre_m + points @ axes.T, faces, edges, f"drawn as the {text} that has its inertia"
+    return centre_m + points @ axes.T, faces, edges, f"drawn as a {text} of this inertia"
 
 
 def make_box(sides: FloatArray) -> tuple[FloatArray, Faces, Faces]:
@@ -109,7 +109,7 @@ def _cylinder(radius: float, height: float) -> tuple[FloatArray, Faces, Faces]:
     return points, (low[::-1], high, *sides), ((*low, 0), (*high, SIDES))
 
 
-# The picture.
+# Drawing.
 
 
 @dataclass(frozen=True)

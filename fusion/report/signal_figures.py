@@ -52,7 +52,7 @@ def trigger_figures(evaluation: Evaluation) -> list[Figure]:
 def draw_channels(channels: Sequence[ChannelResult], evaluation: Evaluation) -> Figure:
     """Draw an excerpt of every channel with its fit and exposures, and its amplitude spectrum."""
     exposures = evaluation.stereo[0].time_s if evaluation.stereo and not evaluation.set_ups else np.empty(0)
-    # Blocks have clocks of their own: no common axis.
+    # Blocks have separate clocks: no common axis.
     drawn = empty_figure("channels", 0.3 + 1.7 * len(channels), len(channels), (1.15, 1.0), shared_x=False)
     for index, channel in enumerate(channels):
         _draw_excerpt(drawn.panels[2 * index], channel, exposures)
@@ -75,14 +75,14 @@ def draw_trigger(clocks: Sequence[ClockResult]) -> Figure:
         deviation = trigger.edge_s - trigger.time_s(trigger.number)
         factor, letter = prefix(np.append(deviation, trigger.resolution_s / 2.0), coarse=True)
         half = trigger.resolution_s / factor / 2.0
-        panel.span(-half, half, "left open by sampling", colour=ORANGE)
+        panel.span(-half, half, "undetermined by sampling", colour=ORANGE)
         panel.points(trigger.number, deviation / factor, colour=BLUE, size=2.6)
         panel.rule(0.0, width=0.6)
         panel.y.label, panel.title = f"deviation / {letter}s", clock.daq
         ends = np.append(deviation / factor, [-half, half])
         panel.y.limits = padded_limits(float(ends.min()), float(ends.max()))
     drawn.panels[-1].x.label = "number of the edge"
-    caption = "Camera trigger edges minus the fitted periodic model. Band: the interval that sampling leaves open."
+    caption = "Camera trigger edges minus the fitted periodic model. Band: the interval between two samples."
     return drawn.with_title("Trigger", caption)
 
 
@@ -128,7 +128,7 @@ def _draw_spectrum(panel: Panel, channel: ChannelResult, lines: FloatArray) -> N
     panel.y.label, panel.title, panel.x.link = typeset(channel.unit), f"{channel.name}: amplitude spectrum", "spectrum"
 
 
-# Figure of parallel vibrometer points: where they are, how far from their mean, and what a rigid plane explains.
+# Figure of parallel vibrometer points: positions, deviations from their mean, and the best rigid plane.
 
 
 NAMES_BELOW = 24
@@ -156,8 +156,8 @@ def draw_points(spread: PointSpread, line: int, group: int) -> Figure:
     amplitude.x.label, phase.x.label = "amplitude from the mean / %", "phase from the mean / mrad"
     caption = (
         f"Vibrometer points along {axis_name(spread.direction)} on the {spread.body} at "
-        f"{spread.frequency_hz[line]:.4f} Hz: where they are (red: amplitude above the mean, blue: below), and "
-        f"deviation from the mean; bars: U of the deviation; open: the best rigid plane, mean and rocking, there."
+        f"{spread.frequency_hz[line]:.4f} Hz: positions (red: amplitude above the mean, blue: below), and "
+        f"deviation from the mean; bars: U of the deviation; open: best rigid plane (mean and rocking)."
     )
     return drawn.with_title("Vibrometer points and rocking", caption)
 

@@ -191,7 +191,7 @@ class _Ticks(NamedTuple):
             if wide or steps == 1 or len(ticks.values) * (widest + NUMBER_PT) <= length + widest:
                 break
             steps -= 1
-        # One number does not tell a scale.
+        # One number does not define a scale.
         finer = (cls._numbers(round_ticks(low, high, more), wide) for more in range(steps, 2 * MOST_STEPS))
         return next((ticks_of for ticks_of in finer if len(ticks_of.values) > 1), ticks)
 

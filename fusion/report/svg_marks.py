@@ -114,7 +114,7 @@ class PanelRect:
         return (x >= a - reach) & (x <= b + reach) & (y >= c - reach) & (y <= d + reach)
 
 
-# Parts of a picture.
+# Parts of a drawing.
 
 FONT = "DejaVu Sans, Verdana, Arial, sans-serif"
 NARROW, WIDE = " .,:;'|!ijl()[]/−-ftrI⁻", "mwMW±%@∂∫"

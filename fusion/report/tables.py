@@ -45,7 +45,7 @@ from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS, typese
 from shaker.timebase.tie import ClockTie
 from shaker.timebase.trigger import TriggerFit
 
-# What a reader wants first: the driven component, the output that belongs to it, and the strongest line.
+# The driven component, its output, and the strongest line.
 
 
 def driven_component(evaluation: Evaluation) -> int:
@@ -306,7 +306,7 @@ def stereo_table(stereo: Sequence[StereoResult]) -> Table | None:
         "electrons per grey value": lambda pair: noise(pair, "variance_per_grey", -1.0),
         "image noise / grey values": lambda pair: number(pair.noise_grey),
         "condition of the sine fit": lambda pair: number(pair.fit.condition),
-        "lines told apart": lambda pair: f"{int(np.sum(pair.usable))} of {len(pair.usable)}",
+        "resolved lines": lambda pair: f"{int(np.sum(pair.usable))} of {len(pair.usable)}",
     }
     heads = [f"“{pair.name}”" for pair in stereo]
     return side_by_side("Stereo pairs", heads, facts, stereo) if stereo else None
@@ -329,7 +329,7 @@ def shape_tables(evaluation: Evaluation) -> list[Table]:
                 cells = pair.name, f"{found.phasors.frequency_hz[k]:.4f}", *amplitudes, f"{found.chance[k]:.1g}"
                 rows.setdefault(found.phasors.channels, []).append(cells)
     caption = (
-        "Deformation fitted to the grey values: amplitudes in nm with U = 2u, and how often a rigid body shows more"
+        "Deformation fitted to the grey values: amplitudes in nm with U = 2u, and probability of more for a rigid body"
     )
     return [
         Table(caption, ("pair", "frequency / Hz", *names, "chance"), "lr" + "r" * (len(names) + 1), tuple(cells))
@@ -390,10 +390,10 @@ def takes_table(evaluation: Evaluation) -> Table | None:
             ppm = 1e6 * (take.frequency_hz[k] / takes[0].frequency_hz[k] - 1.0)
             phase = np.angle(take.factor[k])
             rows.append((take.name, f"{take.frequency_hz[k]:.5f}", f"{ppm:+.2f}", drift, f"{phase:+.4f}"))
-    head = ("take", "line / Hz", "frequency − first / 10⁻⁶", "amplitude − first / %", "turned by / rad")
+    head = ("take", "line / Hz", "frequency − first / 10⁻⁶", "amplitude − first / %", "phase rotation / rad")
     caption = (
         f"Takes, referred to the first by the channel {takes[0].reference}: its line, amplitude with U (k = 2) from "
-        "noise, and the angle by which all phasors of the take were turned"
+        "noise, and the phase by which all phasors of the take were rotated"
     )
     return Table(caption, head, "lrrrr", tuple(rows))
 
@@ -420,18 +420,18 @@ def supports_table(evaluation: Evaluation) -> Table | None:
                 size = quantity_html(one.magnitude, one.expanded_magnitude, unit)
                 rows.append((*names, MOTION_COMPONENTS[c], size, share))
     head = (
-        "what moves",
-        "told by",
+        "support",
+        "determined by",
         "line / Hz",
         "component",
         "acceleration at the origin",
         "of the motion measured / %",
     )
-    caption = "Motion of what carries cameras and lasers, taken off their readings, with U (95 %)"
+    caption = "Motion of the supports of cameras and lasers, subtracted from their readings, with U (95 %)"
     return Table(caption, head, "llrlrr", tuple(rows)) if rows else None
 
 
-# Tables of signals: lines, channels, what drifted, clocks and triggers.
+# Tables of signals: lines, channels, drifts, clocks and triggers.
 
 
 OTHER_LINES = 30
@@ -452,7 +452,7 @@ def lines_table(evaluation: Evaluation) -> Table:
     for i in np.argsort(-others.snr, kind="stable")[:OTHER_LINES].tolist():
         f, u = float(others.frequency_hz[i]), float(others.u_frequency_hz[i])
         fitted = bool(np.any(np.abs(lines.nuisance_hz - f) <= 6.0 * u))
-        use = "fitted beside" if fitted else "not fitted"
+        use = "fitted in addition" if fitted else "not fitted"
         rows.append((f, (quantity_html(f, 2.0 * u), DASH, DASH, use, others.why[i])))
     rows.sort(key=lambda row: row[0])
     more = len(others.snr) - OTHER_LINES
@@ -490,11 +490,12 @@ def drift_table(evaluation: Evaluation) -> Table | None:
         page_column("amplitude / %", lambda drift: scaled_html(100.0 * drift.amplitude, 200.0 * drift.u_amplitude, 0)),
         page_column("phase / mrad", lambda drift: scaled_html(1e3 * drift.phase_rad, 2e3 * drift.u_phase_rad, 0)),
         page_column(
-            "chance of noise", lambda d: f"below {LEAST_CHANCE:g}" if d.chance < LEAST_CHANCE else f"{d.chance:.2g}"
+            "probability by noise",
+            lambda d: f"below {LEAST_CHANCE:g}" if d.chance < LEAST_CHANCE else f"{d.chance:.2g}",
         ),
     ]
     caption = (
-        "Change of amplitude and phase over the record, with U (k = 2) that has the rates of the clocks in it, from "
+        "Change of amplitude and phase over the record, with U (k = 2) including the rates of the clocks, from "
         "blocks of whole periods or beats"
     )
     return table(caption, columns, drifts)

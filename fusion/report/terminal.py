@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 MOST_NOTES = 3  # that are shown one by one after the warnings
 log = logging.getLogger(PROGRAM)
 
-# Where tables and sentences for the user go: a terminal of its own width, a pipe in which no line ends early.
+# Output of tables and sentences: a terminal with its width, or a pipe without line breaks.
 
 
 PIPE_WIDTH = 10_000
@@ -137,7 +137,7 @@ def log_notices(notices: Iterable[tuple[Notice | GatheredNotice, str]]) -> None:
             log.log(level, "%s", f"{_named(notice)}{remark}")
             codes[notice.code] = None
     if notes > MOST_NOTES and not verbose:
-        log.info("%d notes on the page, or here with -v", notes)
+        log.info("%d notes: see the page, or use -v", notes)
     if named := " ".join(filter(None, codes)):
         log.info("effect and remedy: shakercal explain %s", named)
 
@@ -153,7 +153,7 @@ def notice_fields(notice: Notice) -> dict[str, object]:
     return {**vars(notice), "values": json.loads(notice.as_row()["values"])}
 
 
-# A progress bar on a terminal, nothing in a pipe.
+# A progress bar on a terminal only.
 
 
 AS_JSON: ContextVar[bool] = ContextVar("as_json", default=False)

@@ -51,7 +51,7 @@ from fusion.sensitivity.ratio import StatedMatrix, parasitic_loads, static_unkno
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, typeset
 
-# Whether instruments agree: who deviates, what scatters, what these data do not test.
+# Agreement of instruments: deviations, scatter, untested unknowns.
 
 
 LONGEST = 15
@@ -121,11 +121,11 @@ def _explanations_table(results: list[Acceleration]) -> Table | None:
                     numbers = (size.value, size.expanded, units[c], turn.value, turn.expanded)
                 else:
                     numbers = (DASH,) * 5
-                use = "no mean" if result.disputed is not None and result.disputed[k, c] else "fused, U covers it"
+                use = "no mean" if result.disputed is not None and result.disputed[k, c] else "fused, covered by U"
                 where = (result.body, f"{frequencies[k]:.4f}", MOTION_COMPONENTS[c])
                 rows.append((*where, one.suspect, *numbers, use))
     head = ("body", "frequency / Hz", "component", "without", "magnitude", "U", "unit", "phase / rad", "U", "use")
-    caption = "The fused acceleration without each suspect (which of them is right the readings do not tell)"
+    caption = "The fused acceleration without each suspect (the readings do not determine which one is right)"
     return Table(caption, head, "lrllrrlrrl", tuple(rows)) if rows else None
 
 
@@ -140,7 +140,7 @@ def _scatter_table(results: list[Acceleration]) -> Table | None:
                 freedom = f"{dof:.0f}" if np.isfinite(dof) else DASH
                 rows.append((result.body, scatter.instrument, f"{frequency:.4f}", *sizes, freedom))
     head = ("body", "instrument", "frequency / Hz", "amplitude / %", "phase / mrad", "dof")
-    caption = "Scatter of an instrument's readings beyond what is stated, relative to the motion (standard deviations)"
+    caption = "Scatter of an instrument's readings beyond their stated u, relative to the motion (standard deviations)"
     return Table(caption, head, "llrrrr", tuple(rows)) if rows else None
 
 
@@ -155,14 +155,14 @@ def _estimates_table(results: list[Acceleration]) -> Table | None:
         page_column("unknown", lambda row: row[1].name, "l"),
         page_column("stated u", lambda row: f"{row[1].u:.2g}"),
         page_column("unit", lambda row: "" if row[1].unit == "1" else row[1].unit, "l"),
-        page_column("asked for", lambda row: signed_text(row[1].unconstrained_value, ".2g")),
+        page_column("value / u by the readings", lambda row: signed_text(row[1].unconstrained_value, ".2g")),
         page_column("estimate / u", lambda row: signed_text(row[1].estimate, "+.2f")),
         page_column("deviation", lambda row: signed_text(row[1].deviation, "+.2f")),
-        page_column("u left / u", lambda row: f"{row[1].remaining:.2f}"),
+        page_column("remaining u / u", lambda row: f"{row[1].remaining:.2f}"),
     ]
     caption = (
-        "What the readings say of the stated unknowns: the value they ask for, the estimate with what is stated, its "
-        "deviation (standard normal if all is as stated) and what remains of u"
+        "Stated unknowns by the readings: value without the stated uncertainty, estimate with it, deviation (standard "
+        "normal if all is as stated) and remaining u"
     )
     return table(caption, columns, rows)
 
@@ -174,17 +174,17 @@ def _untested_table(results: list[Acceleration]) -> Table | None:
         page_column("unknown", lambda row: row[1].name, "l"),
         page_column("stated u", lambda row: f"{row[1].u:.2g}"),
         page_column("unit", lambda row: "" if row[1].unit == "1" else row[1].unit, "l"),
-        page_column("touches most", lambda row: row[1].component, "l"),
+        page_column("largest effect on", lambda row: row[1].component, "l"),
         page_column(
             "by / % of it", lambda row: f"{100.0 * row[1].relative:.2g}" if np.isfinite(row[1].relative) else DASH
         ),
         page_column("share of its variance / %", lambda row: f"{100.0 * row[1].share:.0f}"),
     ]
-    caption = "Not tested by these data: taken as stated, an error beyond that would not be noticed"
+    caption = "Not tested by these data: used as stated, a larger error would not be noticed"
     return table(caption, columns, [(result.body, unknown) for result in results for unknown in untested(result)])
 
 
-# Budgets of the driven component, and what other loads explain of the outputs.
+# Budgets of the driven component, and the share of other loads in the outputs.
 
 
 SMALLEST_SHARE = 0.05
@@ -290,11 +290,11 @@ def other_loads_table(evaluation: Evaluation) -> Table | None:
         )
     frequency = f"{sensitivity.frequency_hz[line]:.4f}"
     head = ("output", "in phase / %", "across / %", "k", "dof")
-    caption = f"Share of each output that loads beside {LOAD_COMPONENTS[component]} explain at {frequency} Hz, with U"
+    caption = f"Share of each output by loads other than {LOAD_COMPONENTS[component]} at {frequency} Hz, with U"
     return Table(caption, head, "lrrrr", tuple(rows))
 
 
-# Parallel vibrometer points: each point, what they spread and rock, and each one's ratio.
+# Parallel vibrometer points: each point, their spread and rocking, and their ratios.
 
 
 def point_tables(evaluation: Evaluation) -> list[Table]:
@@ -354,7 +354,7 @@ def _spread_table(spread: PointSpread) -> Table | None:
     ]
     caption = (
         f"{_title(spread)}: mean with U, standard deviation over the points, best rigid plane with U, "
-        "and rms of what it leaves"
+        "and rms of its residual"
     )
     return table(caption, columns, range(len(planes)))
 
@@ -394,7 +394,7 @@ def _left(spread: PointSpread, share: float) -> str:
     return number(100.0 * share) if len(spread.channels) > FEWEST_POINTS else DASH
 
 
-# A Monte Carlo run: 95 % intervals of the draws beside those of first-order propagation.
+# A Monte Carlo run: 95 % intervals of the draws and of first-order propagation.
 
 
 def monte_carlo_tables(evaluation: Evaluation) -> list[Table]:
@@ -415,11 +415,11 @@ def _table(result: Propagated, draws: int) -> Table:
                 rows.append((f"{frequency:.4f}", named, *size, *turn, region, _verdict(result, draws, line, element)))
     head = ["frequency / Hz", "quantity / unit"]
     for what in ("magnitude", "phase / rad"):
-        head += [f"{what}, Monte Carlo", "first order", "apart / u"]
+        head += [f"{what}, Monte Carlo", "first order", "difference / u"]
     strong = [np.where(result.weak, 0.0, what.u_end / what.first_u) for what in (result.magnitude, result.phase)]
     good = float(np.nanmax(strong, initial=0.0))
     intervals = f"shortest 95 % intervals of {draws} draws"
-    caption = f"{capitalise(result.name)}: {intervals}, whose number determines their ends to {good:.2g} u"
+    caption = f"{capitalise(result.name)}: {intervals}; their number determines the ends to {good:.2g} u"
     return Table(caption, (*head, "in the region", ""), "ll" + "r" * 7 + "l", tuple(rows))
 
 
@@ -430,19 +430,21 @@ def _verdict(result: Propagated, draws: int, line: int, element: int) -> str:
         return f"first-order U too small: {', '.join(too_small)}"
     large = result.rejected_parts(draws, line, element)
     if large:
-        return f"first-order U larger than need be: {', '.join(large)}"
+        return f"first-order U too large: {', '.join(large)}"
     if result.weak[line, element]:
-        return "region confirmed; magnitude and phase say little"
+        return "region confirmed; magnitude and phase are not significant"
     digits = int(min(result.magnitude.digits[line, element], result.phase.digits[line, element]))
-    return f"agrees in {digits} digit{'s' * (digits != 1)} of u" if digits else "within what the number of draws tells"
+    return (
+        f"agrees in {digits} digit{'s' * (digits != 1)} of u" if digits else "agrees within the resolution of the draws"
+    )
 
 
 def _real_cells(spread: RealSpread, line: int, element: int) -> list[str]:
     """Return both intervals, and the larger distance of their ends over u."""
     ends = [float(end[line, element]) for end in (spread.low, spread.high, spread.first_low, spread.first_high)]
     u = float(spread.first_u[line, element])
-    apart = float(max(spread.d_low[line, element], spread.d_high[line, element]))
-    distance = f"{apart / u:.2f}" if u > 0.0 and np.isfinite(apart) else DASH
+    largest = float(max(spread.d_low[line, element], spread.d_high[line, element]))
+    distance = f"{largest / u:.2f}" if u > 0.0 and np.isfinite(largest) else DASH
     return [_interval(ends[0], ends[1], u), _interval(ends[2], ends[3], u), distance]
 
 

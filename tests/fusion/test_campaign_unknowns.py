@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from simulated_phasors import CASES, case_setup, simulate_phasors
 
+from fusion.campaign.campaign_notices import CONTRADICTING_RECORDINGS, JOINT_UNKNOWNS
 from fusion.campaign.excited_line import ExcitedLine, UnknownDescription
 from fusion.campaign.recording_results import RecordingResults
 from fusion.campaign.unknowns import SECOND_ORDER_U, Knowledge, apply_joint_estimate
@@ -144,7 +145,7 @@ def test_joint_estimate_is_one_least_squares_of_all_readings(mountings: str) -> 
     assert by_name["rig 2"].is_as_stated
     assert not by_name["rig 0"].is_as_stated
     assert by_name["rig 0"].recordings == 4
-    assert [notice.severity for notice in notices] == ["note"]
+    assert [notice.code for notice in notices] == [JOINT_UNKNOWNS.code]
 
 
 def test_recording_that_contradicts_the_others_is_named_and_all_keep_what_they_have() -> None:
@@ -153,8 +154,8 @@ def test_recording_that_contradicts_the_others_is_named_and_all_keep_what_they_h
     found, unknowns, (notice,) = apply_joint_estimate("c", own, lambda drive: drive)
     assert found == own
     assert not unknowns
-    assert notice.severity == "warning"
-    assert "r3" in notice.text
+    assert notice.code == CONTRADICTING_RECORDINGS.code
+    assert notice.values["recordings"] == "r3"
 
 
 def test_recordings_that_agree_are_rarely_said_to_contradict() -> None:

@@ -133,7 +133,7 @@ def test_a_tree_becomes_what_h5py_itself_would_have_written(monkeypatch):
         write_tree(ours.id, tree)
         _assert_same(ours, theirs)
         assert [ours[name].chunks for name in ("even", "noise", "turned")] == [(175, 5), None, (14, 30)]
-    with pytest.raises(ValueError, match="taken"):
+    with pytest.raises(ValueError, match=r"^/"):
         tree.create_group("z")
 
 

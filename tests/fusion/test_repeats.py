@@ -20,6 +20,7 @@ from support import region_distance
 from violations import JITTER_S, Rig, preset_of
 
 from fusion.base import Settings
+from fusion.campaign.campaign_notices import ONE_MOUNTING, TWO_REPEATS
 from fusion.campaign.curve import _slope, find_linearity
 from fusion.campaign.excited_line import (
     DiskStore,
@@ -35,11 +36,13 @@ from fusion.campaign.repeats import (
     PHASE_DIFFERENCES,
     RepeatMean,
     find_repeats,
+    frequencies_text,
     group_excitations,
     mean_ratio,
     repeat_notices,
     split_covariance,
 )
+from fusion.estimation.coverage import coverage_factor
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, polar_elements
 from fusion.phasors.timing import Grid
 from fusion.recording.load import load_manifest
@@ -127,8 +130,8 @@ def test_stated_errors_of_a_recording_are_not_counted_again_as_scatter():
         for n in range(6):
             turn = [("trigger: time", "recording", -1e-3j * LOAD)]
             late = 1.0 - 1e-3j * rng.standard_normal()
-            drives.append(make_excited_line(LOAD * late, np.array([1000.0]), uncertainty(NOISE, turn), uncertainty([1e-6]),
-                                      recording=f"{n}", mounting=f"{n // 2}"))  # fmt: skip
+            numbers = LOAD * late, np.array([1000.0]), uncertainty(NOISE, turn), uncertainty([1e-6])
+            drives.append(make_excited_line(*numbers, recording=f"{n}", mounting=f"{n // 2}"))
         (found,) = find_repeats(drives)
         left.append([found.within[0] ** 2, found.between[0] ** 2])
     # The positive part of an estimate about zero keeps some of its spread.
@@ -160,13 +163,15 @@ def test_what_has_no_component_no_mean_or_no_slope():
     assert np.isnan([single.within, single.between]).all()
     (same,) = find_repeats([recorded(1.0, "a"), recorded(1.001, "b")])
     assert (same.within_dof, same.between_dof) == (1, 0)
-    assert "100 Hz: 2 recordings are of one mounting" in repeat_notices([same])[0].text
+    notice = repeat_notices([same])[0]
+    assert notice.code == ONE_MOUNTING.code
+    assert notice.values == {"frequencies": "100 Hz", "recordings": 2}
     partial = recorded(1.0, "b")
     partial = replace(partial, outputs=np.array([partial.outputs[0], complex(np.nan, np.nan)]))
     (found,) = find_repeats([recorded(1.0, "a"), partial])
     assert found.channels == ("U0",)
     silent = replace(partial, outputs=np.full(2, complex(np.nan, np.nan)))
-    refused("expected an output that all recordings", find_repeats, [silent])
+    refused("^drives: ", find_repeats, [silent])
     drives = [recorded(1.0 + 1e-3 * n, f"{n}", load=n * LOAD) for n in (1, 2, 3)]
     dead = [replace(drive, outputs=drive.outputs * [1.0, 0.0]) for drive in drives]
     found = mean_ratio(dead, 2)
@@ -247,10 +252,15 @@ def test_magnitude_and_phase_of_means_are_covered(each, u, mounted):
 
 def test_few_mountings_and_single_recordings_are_told():
     (two,) = find_repeats([recorded(1.0, "a", "1"), recorded(1.001, "b", "2")])
-    (told,) = repeat_notices([two])
-    assert "100 Hz: two mountings tell what they differ by with one degree of freedom" in told.text
-    (told,) = repeat_notices([replace(two, frequency_hz=300.0), two])
-    assert told.text.startswith("2 frequencies, 100 to 300 Hz: two mountings tell what")
+    (notice,) = repeat_notices([two])
+    assert (notice.code, notice.values["frequencies"], notice.values["repeated"]) == (
+        TWO_REPEATS.code,
+        "100 Hz",
+        "mountings",
+    )
+    assert notice.values["k_two"] == pytest.approx(coverage_factor(1.0))
+    (notice,) = repeat_notices([replace(two, frequency_hz=300.0), two])
+    assert notice.values["frequencies"] == frequencies_text([100.0, 300.0])
     (three,) = find_repeats([recorded(1.0 + 1e-3 * n, f"{n}", f"{n}") for n in range(3)])
     assert not repeat_notices([three])
     # Unknowns of one recording or mounting are in what these differ by, and counted once.

@@ -272,7 +272,7 @@ def test_check_draws_the_rig_and_replaces_nothing_unasked(demo_recording, tmp_pa
     assert main(["check", str(demo_recording), "--rig", str(file)]) == 0
     assert f"rig drawn: {file}" in capsys.readouterr().out
     text = file.read_text(encoding="utf-8")
-    assert "Places and directions" in "".join(self_contained(text).text)
+    assert "sensor frame" in "".join(self_contained(text).text)  # a heading of the scene
     file.write_text("mine", encoding="utf-8")
     assert main(["check", str(demo_recording), "--rig", str(file)]) == 2
     assert file.read_text(encoding="utf-8") == "mine"
