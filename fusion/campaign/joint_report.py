@@ -399,13 +399,15 @@ def render_campaign(evaluation: CampaignEvaluation) -> str:
         [p for p in points if p.kind != "ratio" or all(other.kind != "element" for other in points)]
         for points in mains.values()
     ]
-    frame = origin_frame(campaign_origin(evaluation.recorded), evaluation.notices)
+    gathered = gather([(entry.folder, entry.joint_notices) for entry in evaluation.recorded])
+    listed = [notice for notice in gathered if not notice.possible_size and not notice.acknowledged]
+    tabulated = [notice.first for notice in gathered if notice.possible_size or notice.acknowledged]
+    frame = origin_frame(campaign_origin(evaluation.recorded), [*evaluation.notices, *tabulated])
     inputs: Table = frame["inputs"]
     if len(inputs.rows) > MOST_ROWS:
         what = f"{inputs.caption}: the first {MOST_ROWS} of {len(inputs.rows)}; {CAMPAIGN_FILE} has all"
         frame["inputs"] = replace(inputs, caption=what, rows=inputs.rows[:MOST_ROWS])
-    gathered = gather([(entry.folder, entry.joint_notices) for entry in evaluation.recorded])
-    of_recordings = [notice for notice in gathered if notice.severity == "warning"]
+    of_recordings = [notice for notice in listed if notice.severity == "warning"]
     frame["notices"] = sorted([*frame["notices"], *of_recordings], key=lambda notice: notice.severity != "warning")
     context = {
         "name": evaluation.name,
@@ -424,7 +426,7 @@ def render_campaign(evaluation: CampaignEvaluation) -> str:
         "unknowns": unknowns_table(evaluation),
         "recordings": recordings_table(evaluation),
         "count": count_text(len(evaluation.recorded) + len(evaluation.failed), "recording"),
-        "notes": gathered[len(of_recordings) :],
+        "notes": listed[len(of_recordings) :],
         **frame,
     }
     return render_page("campaign.html", context)

@@ -26,6 +26,7 @@ from fusion.instruments.transducer import (
     carrier,
     unit_direction,
 )
+from fusion.recording.acknowledged import Acknowledgement
 from fusion.recording.certified import CertifiedInputs, certified_inputs
 from fusion.recording.excitation import KINDS, ONE_SET_UP, ExcitationEntry, join_alternatives, kinds_of
 from fusion.recording.manifest import (
@@ -93,6 +94,7 @@ class Manifest:
     date: Date | None = None
     operator: str | None = None
     procedure: str | None = None
+    acknowledged: tuple[Acknowledgement, ...] = ()
     inputs: tuple[UncertainInput, ...] = ()
     signature_notices: tuple[Notice, ...] = ()
     file_identities: Mapping[Path, FileIdentity] = field(default_factory=dict)
@@ -278,6 +280,7 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
         date=record.date,
         operator=record.operator,
         procedure=record.procedure,
+        acknowledged=(*rig.acknowledged, *record.acknowledged),
         inputs=(*of_rig, *uncertain_inputs(text, path), *(item for found in of_certificates for item in found.curves)),
         signature_notices=tuple(
             dict.fromkeys(notice for found in of_certificates for notice in found.signature_notices)
