@@ -55,8 +55,8 @@ SERIES = 1.2
 class Linearity:
     """Change of the sensor's elements, or ratios, with amplitude in N recordings of one excitation.
 
-    `amplitude` (N,) of the driven load; `slope` (C,): relative change per N or N·m, complex; `change` (C,): from the
-    smallest to the largest amplitude, with `covariance` (C, 2, 2) of (Re, Im) and `dof`; `linear` (C,): whether its 95
+    `amplitude` (N,) of the driven load; `slope` (C,): relative change per N or N·m, complex. `change` (C,): from the
+    smallest to the largest amplitude, with `covariance` (C, 2, 2) of (Re, Im) and `dof`. `linear` (C,): whether its 95
     % region includes zero. `kind`: ratio or element.
     """
 
@@ -202,9 +202,9 @@ _DIGITS = 1e-13
 
 @dataclass(frozen=True)
 class Weights:
-    """Weights (Q, K) of K points in the values at Q frequencies; rows have the sum 1.
+    """Weights (Q, K) of K points in the values at Q frequencies.
 
-    `variance` (Q,): of the interpolation, in squares of the values' unit; `dof`: of its estimate.
+    Rows have the sum 1. `variance` (Q,): of the interpolation, in squares of the values' unit; `dof`: of its estimate.
     """
 
     weight: FloatArray

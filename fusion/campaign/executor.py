@@ -123,10 +123,10 @@ def call(function: Callable[..., Any], *arguments: Any) -> LoggedResult:
         log.setLevel(logging.DEBUG)
         try:
             values = [argument.unwrap() if isinstance(argument, LoggedResult) else argument for argument in arguments]
-            return LoggedResult(function(*values), None, tuple(collector.kept))
+            return LoggedResult(function(*values), None, tuple(collector.records))
         except Exception as error:
             error.add_note(traceback.format_exc())
-            return LoggedResult(None, error, tuple(collector.kept))
+            return LoggedResult(None, error, tuple(collector.records))
         finally:
             log.handlers, log.propagate = previous[:2]
             log.setLevel(previous[2])
@@ -137,11 +137,11 @@ class _RecordCollector(logging.Handler):
 
     def __init__(self) -> None:
         super().__init__()
-        self.kept: list[logging.LogRecord] = []
+        self.records: list[logging.LogRecord] = []
 
     def emit(self, record: logging.LogRecord) -> None:
         plain = logging.makeLogRecord({**vars(record), "msg": record.getMessage(), "args": None, "exc_info": None})
-        self.kept.append(plain)
+        self.records.append(plain)
 
 
 # Processes of this machine that compute tasks, one at a time each, and are replaced when they die.

@@ -66,11 +66,11 @@ P = TypeVar("P")
 class CampaignEvaluation:
     """Joint results of several recordings of one sensor.
 
-    `name` of the campaign; `recorded`: evaluated recordings in order; `failed`: reasons of the others by folder;
+    `name` of the campaign; `recorded`: evaluated recordings in order; `failed`: reasons of the others by folder.
     `curves`: ratios by driven component, elements of the sensor if its matrix is stated, and elements of matrices;
-    `relative`: each over its static sensitivity, None if not stated; `repeats`: every excitation that was recorded more
-    than once; `matrices` and `cross_talks` (none without rated loads): one per frequency that determines a matrix;
-    `refused`: notices for the other frequencies; `unknowns`: joint estimates of the unknowns of the rig, none if the
+    `relative`: each over its static sensitivity, None if not stated. `repeats`: every excitation that was recorded more
+    than once. `matrices` and `cross_talks` (none without rated loads): one per frequency that determines a matrix;
+    `refused`: notices for the other frequencies. `unknowns`: joint estimates of the unknowns of the rig, none if the
     loads do not depend on them.
     """
 

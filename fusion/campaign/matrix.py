@@ -9,10 +9,10 @@ import numpy as np
 
 from fusion.campaign.campaign_notices import DISAGREEING_RECORDINGS, MISSING_MATRIX_ROW, UNTESTED_MATRIX
 from fusion.campaign.excited_line import FREQUENCY_TOLERANCE, LOADS, ExcitedLine
+from fusion.campaign.line_stack import Stack, stack_drives
 from fusion.campaign.matrix_solve import (
     LoadExcitation,
     MatrixSolution,
-    Stack,
     changes,
     drives_excite,
     estimated_noise,
@@ -20,7 +20,6 @@ from fusion.campaign.matrix_solve import (
     judge,
     require_six,
     solve,
-    stack_drives,
 )
 from fusion.estimation.coverage import region
 from fusion.estimation.instrument_consistency import leave_out_rows
@@ -65,10 +64,10 @@ class Agreement:
 class MatrixFit:
     """Matrix `value` (C, 6) of outputs over loads at one frequency.
 
-    `uncertainty` (K = 1) of its 6C elements, channel by channel, with unknowns under campaign-wide names; `load_size`
-    (6,): largest loads of the lines; `excitation`: how well the lines separate the columns; `chi2` and `dof` with the
-    stated uncertainties; `discrepancy`: additional standard deviation relative to the outputs, 0 if the recordings
-    agree; `agreement` of every line.
+    `uncertainty` (K = 1) of its 6C elements, channel by channel, with unknowns under campaign-wide names. `load_size`
+    (6,): largest loads of the lines; `excitation`: how well the lines separate the columns. `chi2` and `dof` are those
+    with the stated uncertainties. `discrepancy`: additional standard deviation relative to the outputs, 0 if the
+    recordings agree. `agreement` of every line.
     """
 
     frequency_hz: float
@@ -105,7 +104,7 @@ class MatrixFit:
 
 
 def fit_matrix(drives: Sequence[ExcitedLine], channels: Sequence[str] | None = None) -> MatrixFit:
-    """Return the matrix S of outputs = S · load at one frequency, by maximum likelihood.
+    """Return the 6 x 6 matrix S of outputs = S · load by maximum likelihood.
 
     Loads and outputs have errors; a shared error is one unknown for all lines (`fusion.campaign.matrix_solve`). Either
     all six columns are determined or none. If the lines do not excite six independent loads, `MissingExcitationError`
@@ -255,10 +254,10 @@ def _uncertainty(stack: Stack, solution: MatrixSolution, tau: float) -> Uncertai
 
 @dataclass(frozen=True)
 class CrossTalk:
-    """Output i under the rated load j, relative to its output under its rated main load.
+    """Output under another rated load, relative to that under the rated main load.
 
-    `value` (C, 6) complex, 1 at the main elements; `main` (C,): component of each channel; `uncertainty` (K = 1) of the
-    6C values, channel by channel; `half_axis` (C, 6): larger half axis of the 95 % region in the complex plane;
+    `value` (C, 6) complex, 1 at the main elements; `main` (C,): component of each channel. `uncertainty` (K = 1) of the
+    6C values, channel by channel. `half_axis` (C, 6): larger half axis of the 95 % region in the complex plane.
     `holds_zero` (C, 6): whether that region includes zero, so that no cross-talk has been shown.
     """
 

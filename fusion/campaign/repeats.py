@@ -42,12 +42,12 @@ LEVERS = np.array([1.0, 1.0, 1.0, *np.full(3, 1.0 / BODY_SIZE_M)])
 
 @dataclass(frozen=True)
 class RepeatMean:
-    """Mean over N recordings of one excitation: elements of the sensor, or ratios of the outputs.
+    """Mean of the elements, or output ratios, over N recordings of one excitation.
 
     `component`: 0..5, of the load; `amplitude`: its mean. `value` (C,), `uncertainty` (K = 1) with campaign-wide names;
     `recordings`, `mountings` (N,), `weight` (N,) in the mean. `within`, `between` (C,): relative standard deviation of
-    a recording and of a mounting beyond the stated uncertainties, with `within_dof` (N - M) and `between_dof` (M - 1);
-    NaN without degrees of freedom. `kind`: what was averaged.
+    a recording and of a mounting beyond the stated uncertainties, with `within_dof` (N - M) and `between_dof` (M - 1).
+    They are NaN without degrees of freedom. `kind`: averaged quantity.
     """
 
     frequency_hz: float
@@ -86,9 +86,9 @@ def known_matrix_of(drives: Sequence[ExcitedLine], component: int, stated: State
 
 
 def drive_ratio(drive: ExcitedLine, component: int, channels: Sequence[str]) -> tuple[ComplexArray, Uncertainty]:
-    """Return output over one load component of one line (C,), with its uncertainty (K = 1).
+    """Return output over one load component of one line (C,), with its uncertainty.
 
-    dS = (dU - S·dL)/L; unknowns that outputs and load share act on both.
+    dS = (dU - S·dL)/L; unknowns that outputs and load share act on both. Names of unknowns are campaign-wide.
     """
     of_load, of_outputs = drive.campaign_uncertainties()
     indices = [drive.channels.index(channel) for channel in channels]

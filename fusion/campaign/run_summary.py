@@ -81,10 +81,11 @@ def main_curve(rows: Sequence[Row]) -> list[Row]:
 
 
 def sensitivity_table(rows: Sequence[Row], width: int | None = None) -> Table:
-    """Return rows as a table with U = k·u for 95 %, two significant digits of U.
+    """Return rows as a table with U = k·u for 95 %.
 
-    A value that is not distinguishable from 0 has the half-axes of its region instead of magnitude and phase. If the
-    table is wider than `width` characters, columns that only explain the values are omitted.
+    U has two significant digits. A value that is not distinguishable from 0 has the half-axes of its region instead of
+    magnitude and phase. If the table is wider than `width` characters, columns that only explain the values are
+    omitted.
     """
     from rich.table import Table
 

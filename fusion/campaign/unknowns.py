@@ -127,15 +127,15 @@ class _Source:
 
     recording: str
     mounting: str
-    known: Callable[[], Knowledge]
+    knowledge: Callable[[], Knowledge]
 
 
 @dataclass(frozen=True)
 class _Member:
-    """One recording of a mounting; `places`: indices of its shared unknowns, wide ones first."""
+    """One recording of a mounting; `indices`: positions of its shared unknowns, wide ones first."""
 
     source: _Source
-    places: IntArray
+    indices: IntArray
 
 
 @dataclass(frozen=True)
@@ -193,7 +193,7 @@ class JointEstimate:
         about: dict[str, UnknownDescription] = {}
         count: dict[str, int] = {}
         for source in sources:
-            knowledge = source.known()
+            knowledge = source.knowledge()
             remaining = np.sqrt(np.diag(knowledge.covariance))
             for index in np.flatnonzero(knowledge.shared).tolist():
                 if single or knowledge.descriptions[index][4] == "rig":
@@ -228,7 +228,7 @@ class JointEstimate:
             positions, descriptions, members = dict(wide), list[UnknownDescription](), list[_Member]()
             information, score = np.zeros((len(positions), len(positions))), np.zeros(len(positions))
             for source in group:
-                knowledge = source.known()  # of one recording at a time, or memory grows as the campaign
+                knowledge = source.knowledge()  # of one recording at a time, or memory grows as the campaign
                 shared = [knowledge.descriptions[index] for index in np.flatnonzero(knowledge.shared).tolist()]
                 for one in shared:
                     if one[0] not in positions:
@@ -237,8 +237,8 @@ class JointEstimate:
                 more = len(positions) - len(score)
                 information, score = np.pad(information, (0, more)), np.pad(score, (0, more))
                 members.append(_Member(source, np.array([positions[one[0]] for one in shared], np.int64)))
-                information[np.ix_(members[-1].places, members[-1].places)] += knowledge.information
-                score[members[-1].places] += knowledge.score
+                information[np.ix_(members[-1].indices, members[-1].indices)] += knowledge.information
+                score[members[-1].indices] += knowledge.score
             yield _Mounted(tuple(members), tuple(descriptions), information, score, len(wide))
 
     def _all(self, mounted: _Mounted) -> tuple[FloatArray, FloatArray]:
@@ -254,8 +254,8 @@ class JointEstimate:
         for mounted in self._mounted():
             estimate, covariance = self._all(mounted)
             for member in mounted.members:
-                places = member.places
-                p = _contradiction(member.source.known(), estimate[places], covariance[np.ix_(places, places)])
+                indices = member.indices
+                p = _contradiction(member.source.knowledge(), estimate[indices], covariance[np.ix_(indices, indices)])
                 found.append((p, member.source.recording))
         limit = 1.0 - TEST_LEVEL ** (1.0 / max(len(found), 1))
         return tuple(name for p, name in sorted(found) if p < limit)
@@ -266,7 +266,7 @@ class JointEstimate:
         for mounted in self._mounted():
             estimate, _ = self._all(mounted)
             for member in mounted.members:
-                yield member.source.recording, JointCorrection(self, mounted, member, estimate[member.places], root)
+                yield member.source.recording, JointCorrection(self, mounted, member, estimate[member.indices], root)
 
 
 def _contradiction(knowledge: Knowledge, estimate: FloatArray, covariance: FloatArray) -> float:
@@ -307,7 +307,7 @@ class JointCorrection:
 
     def of(self, drive: ExcitedLine) -> ExcitedLine:
         """Return a line with the load and its uncertainty by the joint estimate."""
-        knowledge, wide = self.member.source.known(), self.mounted.wide
+        knowledge, wide = self.member.source.knowledge(), self.mounted.wide
         uncertainty = drive.load_uncertainty
         old = {influence.name: influence for influence in uncertainty.influences}
         none = np.zeros((1, uncertainty.random[0].covariance.shape[1]))
@@ -320,7 +320,7 @@ class JointCorrection:
         )
         gain = knowledge.attenuation @ knowledge.inverse @ shared
         full = np.zeros((len(self.mounted.score), none.shape[1]))
-        full[self.member.places] = gain
+        full[self.member.indices] = gain
         through = full[:wide] - self.mounted.slope.T @ full[wide:]
         remaining = self.joint.covariance @ through
         narrow = _root(self.mounted.conditional) @ full[wide:]

@@ -215,7 +215,7 @@ def _colours(scale: Scale) -> tuple[Colormap, Normalize]:
     if isinstance(scale.colours, str):
         colours = mpl.colormaps["RdBu_r" if scale.colours == "RdBu" else scale.colours]
     else:
-        colours = LinearSegmentedColormap.from_list("own", scale.colours)
+        colours = LinearSegmentedColormap.from_list("custom", scale.colours)
     return colours.with_extremes(bad=LIGHT), (LogNorm if scale.log else Normalize)(scale.low, scale.high)
 
 

@@ -91,8 +91,7 @@ class Provenance:
 class InputFiles:
     """SHA-256 of every input file by name, and its identity when it was hashed.
 
-    `unsettled`: files that were changed shortly before, so that a further change may not show; they are hashed again. A
-    file without a hash counts as changed if anything about it is different.
+    `unsettled`: files that were changed shortly before; they are hashed again. A file without a hash must be identical.
     """
 
     hashes: dict[str, str] = field(default_factory=dict)
@@ -147,11 +146,10 @@ def hashing(files: Iterable[Path], root: Path, read: Mapping[Path, FileIdentity]
     """
     files = set(files)
     check_names(files)
-    identities, before, base = read or {}, list[tuple[Path, Path, FileIdentity | None]](), root.resolve()
+    earlier, before, base = read or {}, list[tuple[Path, Path, FileIdentity | None]](), root.resolve()
     for path in files:
         resolved = path.resolve()
-        before.append((path, resolved, identities.get(resolved) or FileIdentity.of(path)))
-
+        before.append((path, resolved, earlier.get(resolved) or FileIdentity.of(path)))
     ended = Event()
 
     def hashed(entry: tuple[Path, Path, FileIdentity | None]) -> tuple[str, FileIdentity | None]:
@@ -163,20 +161,20 @@ def hashing(files: Iterable[Path], root: Path, read: Mapping[Path, FileIdentity]
         return sha256(path), FileIdentity.of(path)
 
     def collected(threads: int) -> InputFiles:
-        hashes, seen, again = {}, {}, set()
+        hashes, identities, unsettled = {}, {}, set()
         with ThreadPoolExecutor(threads) as readers:  # a hash is computed without Python's lock
             for (path, resolved, first), (digest, now) in zip(before, readers.map(hashed, before), strict=True):
                 key = resolved.relative_to(base) if resolved.is_relative_to(base) else resolved
                 if first is None or now is None or now[:2] != first[:2]:
                     raise _changed(path, now)
-                hashes[key.as_posix()], seen[path] = digest, (now, digest)
+                hashes[key.as_posix()], identities[path] = digest, (now, digest)
                 if now != first or not now.is_settled:
-                    again.add(path)
-        return InputFiles(dict(sorted(hashes.items())), seen, frozenset(again))
+                    unsettled.add(path)
+        return InputFiles(dict(sorted(hashes.items())), identities, frozenset(unsettled))
 
-    aside = ThreadPoolExecutor(1)
-    found = Hashing(aside.submit(collected, usable_cores()), ended)
-    aside.shutdown(wait=False)
+    pool = ThreadPoolExecutor(1)
+    found = Hashing(pool.submit(collected, usable_cores()), ended)
+    pool.shutdown(wait=False)
     if not all(first is not None and first.is_settled for _, _, first in before):
         found.all()
     return found
@@ -221,8 +219,7 @@ def origin_key(hashes: Mapping[str, str], settings: Mapping[str, Setting], versi
 def check_folder(folder: Path, hashes: Mapping[str, str], *, force: bool, marker: str = RESULT_FILE) -> None:
     """Refuse a place for results that is not a folder or has other contents.
 
-    Results of the same data are replaced, also if a manifest was edited since. `marker`: the result file with the
-    provenance.
+    Results of the same data are replaced, also with an edited manifest. `marker`: the file with the provenance.
     """
     if folder.exists() and not folder.is_dir():
         raise InputError(PLACE_TAKEN, folder)
@@ -233,12 +230,12 @@ def check_folder(folder: Path, hashes: Mapping[str, str], *, force: bool, marker
     if force or not folder.exists() or all(is_internal_name(entry.name) for entry in folder.iterdir()):
         return
     found = read_provenance(folder, marker)
-    if found is None or not _of_same_data(found.input_hashes, hashes):
+    if found is None or not _is_same_data(found.input_hashes, hashes):
         damaged = f"a damaged {marker}" if (folder / marker).is_file() else "other files"
         raise InputError(OTHER_CONTENT, folder, found=damaged if found is None else "results of other input files")
 
 
-def _of_same_data(before: Mapping[str, str], now: Mapping[str, str]) -> bool:
+def _is_same_data(before: Mapping[str, str], now: Mapping[str, str]) -> bool:
     """Return whether results are of the same recordings, also if their manifests were edited since.
 
     Files that recordings share, such as certificates and tables of the rig, may differ. Files of a recording must be
@@ -250,8 +247,8 @@ def _of_same_data(before: Mapping[str, str], now: Mapping[str, str]) -> bool:
         return True
     then, named = ({Path(name) for name in names if Path(name).name == RECORDING_NAME} for names in (before, now))
     common = [name for name in before if name in now and Path(name).suffix != ".toml"]
-    own = [name for name in common if not named or any(path.parent in Path(name).parents for path in named)]
-    return then == named and bool(own) and all(before[name] == now[name] for name in own)
+    recorded = [name for name in common if not named or any(path.parent in Path(name).parents for path in named)]
+    return then == named and bool(recorded) and all(before[name] == now[name] for name in recorded)
 
 
 def read_provenance(folder: Path, marker: str = RESULT_FILE, *, provenance_only: bool = False) -> Provenance | None:
@@ -393,7 +390,7 @@ def notice_frame(notices: Iterable[Notice]) -> dict[str, Any]:
 
 
 def origin_frame(origin: ResultOrigin, notices: Iterable[Notice]) -> dict[str, Any]:
-    """Return what every page shows: notices, settings, versions, input files and the program."""
+    """Return the common context of all pages: notices, settings, versions, input files, program."""
     settings = tuple((name, str(value)) for name, value in origin.settings.items())
     inputs = tuple((name, Markup("<code>{}</code>").format(digest)) for name, digest in origin.input_hashes.items())
     return {
@@ -445,8 +442,8 @@ class CommandReport(Generic[E]):
 
     `name`: of the command and of the folder. `stem`: page and HDF5 file are STEM.html and STEM.h5; the template of the
     page is NAME.html. `texts`: the other files by name, texts or images; `files`: all names that they may have. `fill`
-    writes the evaluation into the HDF5 file. `context`: what the template shows in addition to name, notices and
-    provenance. `lines`: those of the terminal. `headlines`: the main results, at the top of page and JSON.
+    writes the evaluation into the HDF5 file. `context`: further context of the template. `lines`: those of the
+    terminal. `headlines`: the main results, at the top of page and JSON.
     """
 
     name: str
@@ -546,7 +543,7 @@ class CommandReport(Generic[E]):
         """
         from fusion.report.h5 import h5_content, write_value
 
-        own = re.compile("|".join(re.escape(name) for name in (*self.files, self.page_file, self.h5_file)))
+        replaceable = re.compile("|".join(re.escape(name) for name in (*self.files, self.page_file, self.h5_file)))
 
         def make(temporary: Path) -> list[str]:
             texts = {**self.texts(evaluation), self.page_file: self.page(evaluation)}
@@ -562,16 +559,13 @@ class CommandReport(Generic[E]):
             return write_files(temporary, {**texts, self.h5_file: h5_content(fill)})
 
         inputs = InputFiles(evaluation.input_hashes) if inputs is None else inputs
-        return write_folder(folder, inputs, make, force=force, marker=self.h5_file, replaceable=own)
+        return write_folder(folder, inputs, make, force=force, marker=self.h5_file, replaceable=replaceable)
 
     def page(self, evaluation: E) -> str:
-        """Return the HTML text of the page.
-
-        Style and figures are included, no other file is loaded.
-        """
+        """Return the HTML text of the page, including style and figures."""
         frame = {**origin_frame(evaluation, evaluation.notices), "duration_s": evaluation.duration_s}
-        told = {"name": evaluation.name, "headlines": list(self.headlines(evaluation))}
-        return render_page(f"{self.name}.html", {**told, **self.context(evaluation), **frame})
+        heading = {"name": evaluation.name, "headlines": list(self.headlines(evaluation))}
+        return render_page(f"{self.name}.html", {**heading, **self.context(evaluation), **frame})
 
 
 # Folders.

@@ -136,7 +136,10 @@ def write_value(group: Group, name: str, value: Any) -> None:
 
 
 def _write_sequence(group: Group, name: str, items: Sequence[Any]) -> None:
-    """Write a list: data classes as groups or as a table, texts numbered, others as one data set."""
+    """Write a list of items.
+
+    Data classes become groups or a table, lists of texts are numbered, others are one data set.
+    """
     if items and all(isinstance(item, Notice) for item in items):
         inner = group.create_group(name, track_order=True)
         rows = [item.as_row() for item in items]
@@ -161,7 +164,7 @@ def _write_sequence(group: Group, name: str, items: Sequence[Any]) -> None:
 
 
 def _is_row(item: Any) -> bool:
-    """Return whether an item is a data class of texts and numbers only (a table row)."""
+    """Return whether an item is a data class of texts and numbers only."""
     return is_dataclass(item) and all(
         isinstance(getattr(item, field.name), str | int | float | complex) for field in fields(item)
     )
@@ -171,9 +174,10 @@ def _label(item: Any, number: int) -> str:
     """Return the name of a list entry, or its number if it has no name."""
     if hasattr(item, "body") and hasattr(item, "source"):
         return f"{item.body}-{item.source}"
-    own = [getattr(item, key) for key in ("daq", "name") if isinstance(getattr(item, key, None), str)]
-    own = own or [getattr(item, key) for key in ("label", "instrument") if isinstance(getattr(item, key, None), str)]
-    return "-".join(own) if own else f"{number:03d}"
+    names = [getattr(item, key) for key in ("daq", "name") if isinstance(getattr(item, key, None), str)]
+    others = (getattr(item, key, None) for key in ("label", "instrument"))
+    names = names or [name for name in others if isinstance(name, str)]
+    return "-".join(names) if names else f"{number:03d}"
 
 
 def write_uncertainty(group: Group, uncertainty: Uncertainty) -> None:
@@ -185,12 +189,12 @@ def write_uncertainty(group: Group, uncertainty: Uncertainty) -> None:
     """
     random = group.create_group("random", track_order=True)
     for part in uncertainty.random:
-        own = random.create_group(random.free_name(part.label))
-        own.attrs["label"] = part.label
-        own.attrs["type"] = part.type
-        own["covariance"] = part.covariance
+        contribution = random.create_group(random.free_name(part.label))
+        contribution.attrs["label"] = part.label
+        contribution.attrs["type"] = part.type
+        contribution["covariance"] = part.covariance
         if part.dof is not None:
-            own["dof"] = part.dof
+            contribution["dof"] = part.dof
     for field in INFLUENCE_TEXTS:
         group[field] = np.array([getattr(influence, field) for influence in uncertainty.influences], dtype=TEXT)
     for field in INFLUENCE_NUMBERS:
@@ -207,7 +211,7 @@ def read_uncertainty(group: h5py.Group) -> Uncertainty:
     random = []
     for part in group["random"].values():
         dof = read_numbers(part["dof"]) if "dof" in part else None
-        kind = _known("type", part.attrs["type"], Kind)
+        kind = _choice("type", part.attrs["type"], Kind)
         random.append(Contribution(str(part.attrs["label"]), kind, read_numbers(part["covariance"]), dof))
     # Thousands of recordings have the same names.
     *columns, shapes = [list(map(sys.intern, group[field].asstr()[()].tolist())) for field in INFLUENCE_TEXTS]
@@ -218,9 +222,9 @@ def read_uncertainty(group: h5py.Group) -> Uncertainty:
     influences = []
     rows = zip(*columns, *numbers, read_numbers(group["effect"]), shapes, strict=True)
     for name, label, unit, scope, kind, u, dof, effect, shape in rows:
-        known = _known("scope", scope, Scope), _known("type", kind, Kind)
-        own = *known, float(dof), _known("distribution", shape, Distribution)
-        influences.append(Influence(name, label, float(u), unit, effect, *own))
+        kinds = _choice("scope", scope, Scope), _choice("type", kind, Kind)
+        fields_of = *kinds, float(dof), _choice("distribution", shape, Distribution)
+        influences.append(Influence(name, label, float(u), unit, effect, *fields_of))
     return Uncertainty(tuple(random), tuple(influences))
 
 
@@ -232,7 +236,7 @@ def read_numbers(stored: h5py.Dataset, kinds: str = "fiu") -> Any:
 
 
 def read_notices(file: h5py.File) -> tuple[Notice, ...]:
-    """Return the notices of open results; none where they hold none."""
+    """Return the notices of open results, empty if there are none."""
     group = file.get("notices", {})
     names = [one.name for one in fields(Notice) if one.name in group] if len(group) else []
     columns = [group[name].asstr()[()].tolist() for name in names]
@@ -257,7 +261,7 @@ def read_evidence(file: h5py.File) -> tuple[InputEvidence, ...]:
     return tuple(InputEvidence(*row) for row in zip(*columns, strict=True))
 
 
-def _known(what: str, text: object, choices: Any) -> Any:
+def _choice(what: str, text: object, choices: Any) -> Any:
     """Return a text that is one of the choices."""
     if text not in get_args(choices):
         raise ValueError(f"{what}: expected one of {get_args(choices)}, found {text!r}")

@@ -105,7 +105,7 @@ class Group:
         return made
 
     def free_name(self, text: str) -> str:
-        """Return an unused name for a user's text, without characters that HDF5 reads as a path."""
+        """Return an unused name for a user's text, without path characters."""
         name = text.replace("/", "_")
         name = name if name.strip(".") else "_" * max(1, len(name))
         candidates = (name if number == 1 else f"{name} ({number})" for number in count(1))
@@ -146,24 +146,24 @@ def _reference(data: Data) -> Any:
     return h5r.create(data.id, b".", h5r.OBJECT)
 
 
-def _write_group(place: Any, group: Group) -> None:
+def _write_group(parent: Any, group: Group) -> None:
     """Write the contents of a group into an open HDF5 group."""
     for name, item in group.inside.items():
         if isinstance(item, Group):
             link, kind = _link_kind(name.isascii()), _group_kind(item.track_order)
-            _write_group(h5g.create(place, name.encode(), link, kind), item)
+            _write_group(h5g.create(parent, name.encode(), link, kind), item)
             continue
-        item.id = _write_data(place, name, item)
+        item.id = _write_data(parent, name, item)
         for key, value in item.attrs.items():
             _write_attribute(item.id, key, value)
         if item.scale:
             for key, text in (("CLASS", "DIMENSION_SCALE"), ("NAME", item.scale)):
                 _write_attribute(item.id, key, np.bytes_(text.encode()))
     for key, value in group.attrs.items():
-        _write_attribute(place, key, value)
+        _write_attribute(parent, key, value)
 
 
-def _write_data(place: Any, name: str, data: Data) -> Any:
+def _write_data(parent: Any, name: str, data: Data) -> Any:
     """Write a new data set into an open HDF5 group and return its identifier."""
     values, stored = np.asarray(data.values, order="C"), _plain()
     rows, parts = _deflated(values) if data.numbers and values.size > DEFLATE_ABOVE else (0, [])
@@ -173,7 +173,7 @@ def _write_data(place: Any, name: str, data: Data) -> Any:
         stored.set_shuffle()
         stored.set_deflate(1)
     kind, space, link = _types(values.dtype)[0], _space(values.shape), _link_kind(name.isascii())
-    made = h5d.create(place, name.encode(), kind, space, stored, link)
+    made = h5d.create(parent, name.encode(), kind, space, stored, link)
     for number, part in enumerate(parts):
         made.write_direct_chunk((number * rows, *(0,) * (values.ndim - 1)), part)
     if data.stored and not parts:

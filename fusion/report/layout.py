@@ -105,7 +105,10 @@ def scale_below(panel: Panel) -> Scale | None:
 
 
 def limits(panels: Sequence[Panel], axis_name: Along) -> tuple[float, float]:
-    """Return the limits of an axis that some panels share: stated ones, or those of marks."""
+    """Return the limits of an axis that some panels share.
+
+    These are stated ones, or those of its names or marks.
+    """
     axes: list[PanelAxis] = [getattr(panel, axis_name) for panel in panels]
     log = any(axis.log for axis in axes)
     names = max(len(axis.names) for axis in axes)
@@ -160,9 +163,9 @@ def _reach(mark: Mark, axis_name: Along) -> Iterator[Any]:
 
 
 def round_ticks(low: float, high: float, most: int) -> FloatArray:
-    """Return round multiples (1, 2, 2.5 or 5 times a power of ten) between two ends.
+    """Return round ticks between two ends: multiples of 1, 2, 2.5 or 5.
 
-    `most`: largest number of steps from end to end.
+    `most`: largest number of steps from end to end. The multiples are times a power of ten.
     """
     low, high = min(low, high), max(low, high)
     least = (high - low) / max(most, 1)

@@ -181,17 +181,17 @@ MOST_PERCENT = 45.0
 
 def pair_motion_figures(stereo: StereoResult) -> list[Figure]:
     """Return all figures of one stereo pair."""
-    pictures = [draw_motion(stereo), draw_residuals(stereo)]
+    figures = [draw_motion(stereo), draw_residuals(stereo)]
     if len(stereo.time_s) >= 8:
-        pictures.append(draw_residual_spectrum(stereo))
+        figures.append(draw_residual_spectrum(stereo))
     if stereo.epipolar is not None:
-        pictures.append(draw_epipolar(stereo.epipolar, stereo.time_s, stereo.name))
+        figures.append(draw_epipolar(stereo.epipolar, stereo.time_s, stereo.name))
     rigid = stereo.fit.phasors.value
     if stereo.deflection is None or len(rigid) == 0:
-        return pictures
+        return figures
     line = int(np.argmax(np.linalg.norm(rigid[:, :3], axis=1)))  # that of the largest motion
     bent = draw_deflection(stereo.deflection, line, rigid[line], stereo.name, stereo.body)
-    return pictures if bent is None else [*pictures, bent]
+    return figures if bent is None else [*figures, bent]
 
 
 def draw_motion(stereo: StereoResult) -> Figure:

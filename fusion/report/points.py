@@ -80,11 +80,11 @@ def _table(stereo: StereoResult, surface: Iterable[Deformation], finite: BoolArr
 
 
 def _frames(stereo: StereoResult, surface: Iterable[Deformation], finite: BoolArray) -> Iterator[_Frame]:
-    """Yield the frames with a motion, points without a place in the first frame left out.
+    """Yield the frames with a motion; points without a reference position are excluded.
 
-    x' − x = R·(x − o) + o + t + R·e − x with the deviation e about each point's mean over time; the covariance is that
-    of e turned, R·V·Rᵀ, with J·P·Jᵀ of the pose, J = [I, −[R·(x − o)]×]. What all points share, as the calibration's
-    errors, is no part of it.
+    x' − x = R·(x − o) + o + t + R·e − x with the deviation e about each point's mean over time. The covariance is that
+    of the rotated e, R·V·Rᵀ, plus J·P·Jᵀ of the pose, J = [I, −[R·(x − o)]×]. Common errors of all points, such as
+    those of the calibration, are not included.
     """
     motion = stereo.motion
     each = ((part, row) for part in surface for row in range(len(part.residual_m)))

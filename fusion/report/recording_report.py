@@ -114,8 +114,8 @@ def _pose_column(index: int, prefix: str = "") -> TableColumn[Pose]:
 
 MOTION: list[TableColumn[Pose]] = [
     TableColumn("time_s", lambda frame: frame.time_s),
-    *(_pose_column(place) for place in range(len(POSE))),
-    *(_pose_column(place, "u_") for place in range(len(POSE))),
+    *(_pose_column(index) for index in range(len(POSE))),
+    *(_pose_column(index, "u_") for index in range(len(POSE))),
     TableColumn("residual_m", lambda frame: frame.residual_m),
     TableColumn("points", lambda frame: frame.points),
 ]

@@ -1,4 +1,4 @@
-"""Errors of results, reports and files: folders and files that are written, and results that are read again."""
+"""Errors of results, reports and files: writing, and reading of earlier results."""
 
 from __future__ import annotations
 

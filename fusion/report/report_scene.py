@@ -1,7 +1,7 @@
-"""The rig in space: cameras, beams, instruments and bodies as rig.toml and recording.toml place them, and their motion.
+"""The rig in space: cameras, beams, instruments and bodies from the manifests, and their motion.
 
-Everything stands in the sensor frame at rest. A page draws it twice: turned by hand and moving in slow motion
-(templates/scene.js), and as three plain views for paper and for pages without scripts (`fusion.report.scene_views`).
+All shapes are in the sensor frame at rest. A page shows them twice: interactively, in slow motion (templates/scene.js),
+and as three static views for paper and for pages without scripts (`fusion.report.scene_views`).
 """
 
 from __future__ import annotations
@@ -26,9 +26,7 @@ from fusion.instruments.transducer import (
     mirror_of,
     unit_direction,
 )
-from fusion.phasors.deformation import DeflectionShape
 from fusion.phasors.stereo_motion import read_rig, sensor_from_camera
-from fusion.phasors.stereo_phasors import StereoResult
 from fusion.recording.daq_records import split_scan
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import SCAN, ChannelEntry
@@ -37,11 +35,12 @@ from fusion.report.figure import BLACK, GREY, ORANGE, PURPLE, SKY, SOURCE_COLOUR
 from fusion.report.folder import render_page
 from fusion.report.scene_views import SceneShape, make_box, solid, static_views
 from fusion.report.table import quantity_html
+from fusion.report.tracked_surface import tracked_surface
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.moving_body import MovingPart, make_moving_part, moving_parts
 from photogram.camera import Camera, FaceCamera
 from photogram.geometry import RigidTransform
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import MOTION_COMPONENTS
 from shaker.sine.phasor import derivative_factor
 
@@ -62,11 +61,9 @@ SMALLEST_REACH_M = 0.03
 CENTRED_M = 5e-3  # a centre of mass closer to the origin gives no direction
 FARTHEST = 10.0  # largest distance of the cameras' target, over that of the left camera from the sensor
 NEAR_PARALLEL = 1e-3  # of two optical axes: the sine of their angle
-MOST_POINTS = 120  # of one tracked surface that a page shows
 GAP = 2.0  # longest side of a triangle over their median; longer ones are gaps in the tracked surface
 MOST_NAMES = 3  # of recordings that have one rig
 MOST_LABELS = 12  # of channels of one kind
-SIGNIFICANT_RATIO = 1.5  # rms of a deflection over that of noise (chosen)
 SHOWN_SHARE = 0.08  # of the size of the bodies: largest displacement at the first magnification
 
 
@@ -501,7 +498,7 @@ def evaluation_scene(evaluation: Evaluation) -> Scene:
         surface
         for item in evaluation.stereo
         if item.name in evaluation.manifest.rig.stereo
-        for surface in _tracked(item)
+        for surface in tracked_surface(item)
     ]
     scene = rig_scene(evaluation.manifest, {surface.name: surface.points_m for surface in seen})
     moved = {body: result for body in BODIES if (result := _result(evaluation.accelerations, body)) is not None}
@@ -550,58 +547,6 @@ def _amplitude_text(body: str, elements: Sequence[Polar | None], frequency_hz: f
     phase = np.degrees(np.angle(-complex(value.re, value.im)))
     text = f"{body} {axis}: {size.striptags()} at {phase:.1f}° (k = {value.k_magnitude:.2f})"
     return text.replace("-", "\N{MINUS SIGN}")
-
-
-@dataclass(frozen=True)
-class _Tracked:
-    """Surface tracked by a pair: resolved lines and shown points."""
-
-    name: str
-    usable: BoolArray
-    shape: DeflectionShape
-    shown: IntArray
-
-    @property
-    def points_m(self) -> FloatArray:
-        return np.asarray(self.shape.reference_m[self.shown])
-
-    def _sizes(self, line: int) -> tuple[float, float] | None:
-        """Return the rms of the deflection at a line, and that of noise alone."""
-        if not self.usable[line]:
-            return None
-        k = int(np.count_nonzero(self.usable[:line]))
-        value, u = self.shape.value[k], self.shape.u[k]
-        return float(np.sqrt(3.0 * np.nanmean(np.abs(value) ** 2))), float(np.sqrt(6.0 * np.nanmean(u**2)))
-
-    def deflection(self, line: int) -> ComplexArray | None:
-        """Return the deflection (N, 3) of the shown points, None if not significant."""
-        sizes = self._sizes(line)
-        if sizes is None or not sizes[0] > SIGNIFICANT_RATIO * sizes[1]:
-            return None
-        return np.asarray(self.shape.value[int(np.count_nonzero(self.usable[:line]))][self.shown])
-
-    def text(self, line: int) -> str:
-        """Return the size of the deflection as text."""
-        sizes = self._sizes(line)
-        if sizes is None:
-            return ""
-        factor, letter = prefix(max(sizes))
-        size, noise = (f"{value / factor:.3g} {letter}m" for value in sizes)
-        end = (
-            f"of which noise {noise}" if self.deflection(line) is not None else f"not above noise ({noise}), not drawn"
-        )
-        return f"points of {self.name} in addition to the rigid motion: rms {size}, {end}"
-
-
-def _tracked(item: StereoResult) -> Iterator[_Tracked]:
-    """Yield the surface of a pair with a limited number of finite points."""
-    shape = item.deflection
-    if shape is None:
-        return
-    finite = np.flatnonzero(np.isfinite(shape.value).all(axis=(0, 2)) & np.isfinite(shape.reference_m).all(axis=1))
-    if len(finite) >= 3:
-        chosen = np.unique(np.linspace(0, len(finite) - 1, min(MOST_POINTS, len(finite))).round().astype(int))
-        yield _Tracked(item.name, item.usable, shape, finite[chosen])
 
 
 # A separate page without data.

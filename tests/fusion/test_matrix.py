@@ -21,16 +21,14 @@ from support import region_distance
 from fusion.campaign import elimination, matrix_solve
 from fusion.campaign.campaign_notices import DISAGREEING_RECORDINGS, MISSING_MATRIX_ROW, UNTESTED_MATRIX
 from fusion.campaign.excited_line import ExcitedLine
+from fusion.campaign.line_stack import LINE_SPACING, Stack, stack_drives
 from fusion.campaign.matrix import MatrixFit, cross_talk, fit_matrix, main_components
 from fusion.campaign.matrix_solve import (
     HOW,
-    LINE_SPACING,
     MatrixSolution,
     MissingExcitationError,
-    Stack,
     changes,
     solve,
-    stack_drives,
 )
 from fusion.estimation.uncertainty import Uncertainty
 from shaker.labels import LOAD_COMPONENTS
