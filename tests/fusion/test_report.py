@@ -63,7 +63,7 @@ def test_page_is_self_contained_and_shows_results_warnings_and_origin(page):
     text = "".join(found.text)
     assert "(1.9720 ± 0.0019) × 10−7 (V/V)/N" in text
     assert "(−0.03370 ± 0.00099) rad" in text
-    assert "318.75 Hz is left out: <u> above its limit & more" in text
+    assert all(notice.text in text for notice in evaluation.notices)  # one of them with < and &
     assert text.index("Warning") < text.index("Note")
     assert "cd" * 32 in text
     assert "subset_radius_px" in text
@@ -77,7 +77,8 @@ def test_a_recording_without_anything_to_determine_still_has_a_page(evaluation):
     nothing = {"accelerations": (), "load": None, "sensitivity": None, "notices": ()}
     page = render_report(replace(evaluation, stereo=(), channels=(), clocks=(), **nothing))
     assert html.escape(RIG_NAME) in page
-    assert "neither an acceleration nor a sensitivity" in "".join(outline(page).text)
+    assert "result" in outline(page).ids
+    assert not {"sensitivity", "acceleration", "load"} & set(outline(page).ids)
 
 
 def test_undetermined_values_do_not_break_the_page(tmp_path):
@@ -344,6 +345,6 @@ def test_the_epipolar_check_says_what_the_calibration_explains(evaluation, with_
     stereo = evaluation.stereo[0]
     check = stereo.epipolar if with_covariance else replace(stereo.epipolar, pattern_covariance=None)
     picture = draw_epipolar(check, stereo.time_s, "top")
-    assert ("what calibration and matching explain" in picture.caption) == with_covariance
+    assert picture.caption.count("k = 2") == 1 + with_covariance  # image noise, and the band of the calibration
     nothing = replace(check, course_px=np.full_like(check.course_px, np.nan), residual_px=check.residual_px * np.nan)
     assert render_figure(draw_epipolar(nothing, stereo.time_s, "top"))

@@ -270,7 +270,7 @@ def places(path: ElementTree.Element) -> np.ndarray:
 def test_check_draws_the_rig_and_replaces_nothing_unasked(demo_recording, tmp_path, capsys):
     file = tmp_path / "rig.html"
     assert main(["check", str(demo_recording), "--rig", str(file)]) == 0
-    assert f"rig drawn: {file}" in capsys.readouterr().out
+    assert str(file) in capsys.readouterr().out
     text = file.read_text(encoding="utf-8")
     assert "sensor frame" in "".join(self_contained(text).text)  # a heading of the scene
     file.write_text("mine", encoding="utf-8")
@@ -280,7 +280,7 @@ def test_check_draws_the_rig_and_replaces_nothing_unasked(demo_recording, tmp_pa
     with pytest.raises(SystemExit) as ended:
         main(["check", str(demo_recording), "--rig", str(tmp_path / "rig.svg")])
     assert ended.value.code == 2
-    assert "ends in .html" in capsys.readouterr().err
+    assert ".html" in capsys.readouterr().err
 
 
 # In a browser.
