@@ -94,7 +94,7 @@ def test_one_folder_each_and_merged_tables_at_the_top(campaign, evaluated, tmp_p
 
 
 @pytest.mark.parametrize("named", ["folder", "file", "here"])
-def test_a_single_recording_writes_into_its_own_folder(named, campaign, evaluated, monkeypatch):
+def test_a_single_recording_writes_into_its_folder(named, campaign, evaluated, monkeypatch):
     folder = campaign / NAMES[0]
     monkeypatch.chdir(folder)
     path = {"folder": folder, "file": folder / "recording.toml", "here": Path(".")}[named]
@@ -141,7 +141,7 @@ def test_a_recording_that_fails_does_not_stop_the_other(
 
 
 @pytest.mark.usefixtures("evaluated")
-def test_where_all_fail_there_is_no_results_folder_and_a_single_one_tells_it_once(campaign, monkeypatch, refused):
+def test_if_all_fail_there_is_no_results_folder_and_one_message(campaign, monkeypatch, refused):
     monkeypatch.setattr("fusion.campaign.run.Workers", lambda _: InlineExecutor())
     _fail(monkeypatch, ComputeError(WORKER_ENDED, attempts=3))
     before = folder_contents(campaign)
@@ -152,13 +152,13 @@ def test_where_all_fail_there_is_no_results_folder_and_a_single_one_tells_it_onc
     assert sentence.startswith(f"shakercal: {WORKER_ENDED.code} ")
 
 
-def test_wrong_input_weighs_more_than_what_could_not_be_computed():
+def test_wrong_input_has_priority_over_a_failed_computation():
     wrong, failed = InputError(REFUSED_BY_READER, "a", reason="b"), ComputeError(WORKER_ENDED, attempts=3)
     for errors, status in (([None], 0), ([None, failed], 1), ([failed, wrong], 2)):
         assert exit_status([Outcome(Path("a"), Path("b"), error=error) for error in errors]) == status
 
 
-def test_a_second_run_computes_only_what_is_damaged_or_has_other_settings(campaign, evaluated, capsys):
+def test_a_second_run_computes_only_damaged_results_and_other_settings(campaign, evaluated, capsys):
     assert main(["run", str(campaign)]) == EXIT_DONE
     first, times = folder_contents(campaign / "results"), _times(campaign / "results")
     assert main(["run", str(campaign)]) == EXIT_DONE
@@ -291,7 +291,7 @@ def test_outcomes_are_in_the_order_of_the_recordings_whoever_was_first(campaign,
     assert _recordings(campaign / "results" / "load.csv") == TITLES
 
 
-def test_a_notice_of_many_recordings_is_told_once_the_worst_first(tmp_path):
+def test_a_notice_of_many_recordings_is_listed_once_warnings_first(tmp_path):
     outcomes = []
     varying = DeclaredNotice("SC-999", "warning", "{percent:g} % at {frequency_hz:g} Hz ({channel})")
     constant = DeclaredNotice("SC-998", "note", "equal in all recordings")
@@ -325,7 +325,7 @@ def test_the_answer_for_programs(campaign, evaluated, capsys):
     assert len(evaluated) == 2
 
 
-def test_printed_values_have_u_with_its_own_factor_and_no_phase_where_zero_may_be(tmp_path):
+def test_printed_values_have_u_by_their_factor_and_no_phase_near_zero(tmp_path):
     evaluation = make_evaluation(tmp_path)
     (tmp_path / SENSITIVITY_FILE).write_text(result_tables(evaluation)[SENSITIVITY_FILE], encoding="utf-8")
     found = rows(tmp_path / SENSITIVITY_FILE)
@@ -349,7 +349,7 @@ def test_printed_values_have_u_with_its_own_factor_and_no_phase_where_zero_may_b
     assert "\N{EN DASH}" in row
 
 
-def test_a_campaign_prints_its_curve_and_what_failed(tmp_path, capsys):
+def test_a_campaign_prints_its_curve_and_its_failures(tmp_path, capsys):
     table = result_tables(make_evaluation(tmp_path))[SENSITIVITY_FILE]
     (tmp_path / SENSITIVITY_FILE).write_text(table, encoding="utf-8")
     one = rows(tmp_path / SENSITIVITY_FILE)[2] | {"recordings": "4", "mountings": "2"}

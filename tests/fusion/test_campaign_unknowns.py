@@ -148,7 +148,7 @@ def test_joint_estimate_is_one_least_squares_of_all_readings(mountings: str) -> 
     assert [notice.code for notice in notices] == [JOINT_UNKNOWNS.code]
 
 
-def test_recording_that_contradicts_the_others_is_named_and_all_keep_what_they_have() -> None:
+def test_a_contradicting_recording_is_named_and_no_joint_estimate_is_used() -> None:
     """An unknown of the rig that moved by twenty times its u, which a single recording does not notice."""
     own = tuple(alone(one) for one in drawn(np.random.default_rng(3), moved=20.0))
     found, unknowns, (notice,) = apply_joint_estimate("c", own, lambda drive: drive)
@@ -158,7 +158,7 @@ def test_recording_that_contradicts_the_others_is_named_and_all_keep_what_they_h
     assert notice.values["recordings"] == "r3"
 
 
-def test_recordings_that_agree_are_rarely_said_to_contradict() -> None:
+def test_agreeing_recordings_are_rarely_reported_as_contradicting() -> None:
     """At 1 % of the campaigns: of 300 no more than 9 (99.9 % point of the binomial distribution)."""
     told = 0
     for seed in range(300):
@@ -169,7 +169,7 @@ def test_recordings_that_agree_are_rarely_said_to_contradict() -> None:
     assert told <= 9
 
 
-def test_a_recording_tells_its_unknowns_by_signs_and_units_of_the_fusion() -> None:
+def test_a_recording_estimates_its_unknowns_in_signs_and_units_of_the_fusion() -> None:
     """Posterior, its mean and influences on the acceleration from the readings as they stand in the linear system."""
     inputs, _ = simulate_phasors(case_setup(CASES[0]), Draws(5, True))
     own = [observation for observation in inputs.observations if observation.body == "load"]

@@ -93,7 +93,7 @@ def test_of_several_lever_arms_the_purest_is_on_the_curve():
     assert curve.recordings == (("axis",),)
 
 
-def test_an_output_that_a_frequency_lacks_is_no_number_there():
+def test_a_missing_output_of_a_frequency_is_nan():
     drives, _ = sweep(lines=6)
     forces = slice(3)
     fewer = [
@@ -150,7 +150,7 @@ def test_relative_to_static():
     assert relative_curve(curve, np.zeros((6, 6)), np.zeros((6, 6))) is None
 
 
-def test_interpolation_keeps_what_all_points_share():
+def test_interpolation_keeps_common_errors_of_all_points():
     drives, truth = sweep()
     (curve,) = ratio_curves(drives, CAPACITY.tolist())
     found = interpolate(curve, np.linspace(60.0, 950.0, 9))
@@ -207,7 +207,7 @@ def test_interpolated_values_are_covered():
     assert np.median(ratio) < 10.0
 
 
-def test_a_legend_of_many_mountings_says_how_many_more():
+def test_a_legend_of_many_mountings_counts_the_others():
     panel, mountings = Panel(), [f"{number:03d}" for number in range(300)]
     _draw_mountings(panel, [(80.0, mounting) for mounting in mountings], np.zeros(300), 1000.0)
     drawn = [mark for mark in panel.marks if isinstance(mark, Points)]

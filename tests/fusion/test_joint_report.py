@@ -155,7 +155,7 @@ def test_one_curve_over_frequency_relative_to_static_where_that_is_stated(swept)
     assert {row["relative"] for row in rows if row["channel"] != "Fz"} == {"nan"}
 
 
-def test_elements_of_the_matrix_stand_among_the_sensitivities(matrix):
+def test_elements_of_the_matrix_are_rows_of_the_sensitivities(matrix):
     rows = table_of(matrix, "sensitivity.csv")
     assert {(row["kind"], row["recording"]) for row in rows} == {("matrix", "eight recordings")}
     assert len(rows) == 36 * len(MATRIX_HZ)
@@ -178,7 +178,7 @@ def test_cross_talk_at_rated_loads(matrix):
             assert row["holds_zero"] == "no"
 
 
-def test_uncertainties_are_kept_with_their_names(matrix):
+def test_uncertainties_are_stored_with_their_names(matrix):
     with h5py.File(io.BytesIO(campaign_h5(matrix, ["a.csv"]))) as file:
         assert file.attrs["campaign"] == "eight recordings"
         assert file["provenance/files"].asstr()[()].tolist() == ["a.csv"]
@@ -209,7 +209,7 @@ def test_every_number_of_a_campaign_has_unit_words_and_named_axes(swept, matrix)
         assert file["cross_talks/000/value"].attrs["units"] == "1"
 
 
-def test_what_is_known_of_poses_and_scales_stands_in_file_and_page(matrix):
+def test_joint_estimates_of_poses_and_scales_are_in_file_and_page(matrix):
     turned = JointUnknown("stereo top: pose rotation x", "stereo top: pose", 5e-3, "rad", 0.5, 0.2, 8)
     found = replace(matrix, unknowns=(JointUnknown("clock rate", "clock", 1e-6, "1", 0.0, 1.0, 0), turned))
     with h5py.File(io.BytesIO(campaign_h5(found, []))) as file:
@@ -296,7 +296,7 @@ def weaker(entry: RecordingResults, share: float) -> RecordingResults:
     return replace(entry, name=f"{entry.name}, weak", folder=f"{entry.folder}-weak", excited_lines=drives)
 
 
-def test_a_series_of_amplitudes_tells_linearity():
+def test_a_series_of_amplitudes_determines_linearity():
     strong = sweep()[:4]
     found = evaluate_campaign("series", (*strong, *(weaker(entry, 0.5) for entry in strong)), {})
     assert [len(repeated.recordings) for repeated in found.repeats] == [4, 4]
@@ -311,7 +311,7 @@ def test_a_series_of_amplitudes_tells_linearity():
         assert file["repeats/001/mountings"].asstr()[()].tolist().count("2") == 2
 
 
-def test_recordings_of_one_name_and_inputs_of_all_are_told_apart():
+def test_recordings_and_inputs_of_equal_names_are_distinguished():
     first, second = (replace(entry, name="the same") for entry in sweep()[:2])
     found = evaluate_campaign("twice", (first, second), {})
     assert [entry.name for entry in found.recorded] == [f"the same [{entry.folder}]" for entry in (first, second)]

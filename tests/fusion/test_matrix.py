@@ -310,7 +310,7 @@ def test_dependent_excitations_are_refused_by_name():
     assert refused.value.missing == tuple((name,) for name in ("Fx", "Fy", "Mx", "My", "Mz"))
 
 
-def test_five_recordings_are_refused_and_six_say_that_nothing_tests_them():
+def test_five_recordings_are_refused_and_six_are_reported_as_untested():
     drives, truth = eight_drives(4)
     with pytest.raises(MissingExcitationError):
         fit_matrix(drives[:5])
@@ -356,7 +356,7 @@ def test_outputs_that_are_not_always_recorded():
     assert one.sensitivity("V/V").observed.tolist() == [[True] * 6]
 
 
-def test_lines_side_by_side_cost_what_is_not_known_between_them():
+def test_lines_of_similar_frequency_add_the_uncertainty_between_them():
     rng = np.random.default_rng(8)
     truth = true_matrix(rng)
     setups = [replace(s, frequency_hz=100.0 + 0.1 * n) for n, s in enumerate(eight_setups(rng))]
@@ -370,7 +370,7 @@ def test_lines_side_by_side_cost_what_is_not_known_between_them():
     assert LINE_SPACING not in {part.label for part in fit_matrix(eight_drives(8)[0]).uncertainty.grouped()}
 
 
-def test_cross_talk_is_free_of_what_a_row_shares():
+def test_cross_talk_is_free_of_common_errors_of_a_row():
     drives, truth = eight_drives(9)
     fit = fit_matrix(drives)
     found = cross_talk(fit, CAPACITY.tolist())

@@ -112,7 +112,7 @@ def test_every_figure_of_every_command_is_drawn(browser, preset, commanded):
     opened.close()
 
 
-def test_hovering_tells_the_number_of_the_table(browser, results):
+def test_hovering_shows_the_number_of_the_table(browser, results):
     """The curve's first point against the row of sensitivity.csv it stands for."""
     opened = Page(browser, results / "report.html")
     opened.draw("sensitivity")
@@ -152,7 +152,7 @@ def test_every_kind_of_mark_and_no_name_is_markup(browser, drawn):
     opened.close()
 
 
-def test_zooming_by_keyboard_moves_what_is_linked(browser, results):
+def test_zooming_by_keyboard_moves_linked_axes(browser, results):
     opened = Page(browser, results / "report.html")
     opened.draw("motion-top")
     opened.draw("residuals-top")
@@ -176,7 +176,7 @@ def test_a_logarithmic_axis_zooms_about_its_geometric_middle(browser, results):
     opened.close()
 
 
-def test_a_figure_is_kept_as_svg_and_its_data_as_csv(browser, drawn):
+def test_a_figure_is_saved_as_svg_and_its_data_as_csv(browser, drawn):
     opened = Page(browser, drawn, accept_downloads=True)
     figure = opened.draw("every")
     with opened.page.expect_download() as kept:

@@ -78,7 +78,7 @@ def test_labels_of_axes_are_those_of_the_values(result, demo_evaluation):
         assert np.array_equal(file["accelerations/load-fused/frequency_hz"], frequency)
 
 
-def test_a_campaign_reads_what_the_recording_knows_of_its_unknowns(result, demo_evaluation):
+def test_a_campaign_reads_the_recording_estimate_of_its_unknowns(result, demo_evaluation):
     fused = demo_evaluation.accelerations[0]
     known = read_recorded(result.parent).knowledge()
     assert np.array_equal(known.covariance, fused.posterior)

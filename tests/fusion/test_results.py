@@ -89,7 +89,7 @@ def test_phasors_are_read_back_to_the_last_bit(folder, evaluation):
     assert float(first["dof"]) == pytest.approx(204.0)
 
 
-def test_only_what_a_source_determines_has_rows(folder):
+def test_only_components_that_a_source_determines_have_rows(folder):
     laser = [row for row in rows(folder / "acceleration.csv") if row["source"] == "vibrometer"]
     assert [row["component"] for row in laser] == ["z"] * 3
     driven = next(row for row in rows(folder / "acceleration.csv") if row["component"] == "z")
@@ -103,7 +103,7 @@ def test_only_what_a_source_determines_has_rows(folder):
     assert all(-np.pi < float(row["phase_rad"]) <= np.pi for row in found)
 
 
-def test_elements_have_rows_after_the_ratios_and_stand_in_the_headline(write, tmp_path):
+def test_elements_have_rows_after_the_ratios_and_are_in_the_headline(write, tmp_path):
     plain = make_evaluation(tmp_path, Choice(frames=24, images=False))
     value = plain.sensitivity.value.copy()
     value[1:] = np.nan
@@ -132,7 +132,7 @@ def test_failed_frame_keeps_its_row(folder):
     assert found[1]["points"] == "437"
 
 
-def test_result_file_holds_everything(folder, evaluation):
+def test_result_file_contains_everything(folder, evaluation):
     with h5py.File(folder / "result.h5") as file:
         fused = file["accelerations/load-fused"]
         assert np.array_equal(fused["phasors/value"][()], evaluation.accelerations[0].phasors.value)
@@ -155,7 +155,7 @@ def test_result_file_holds_everything(folder, evaluation):
         assert file["provenance/versions"].attrs["numpy"] == "2.0"
 
 
-def test_results_answer_for_the_same_input_only(folder, evaluation, monkeypatch):
+def test_results_are_current_for_the_same_input_only(folder, evaluation, monkeypatch):
     hashes, settings = evaluation.input_hashes, evaluation.settings
     assert is_current(folder, hashes, settings)
     assert not is_current(folder, {**hashes, "rig.toml": "00" * 32}, settings)
@@ -166,7 +166,7 @@ def test_results_answer_for_the_same_input_only(folder, evaluation, monkeypatch)
 
 
 @pytest.mark.usefixtures("no_pages")
-def test_results_are_replaced_by_those_of_the_same_input_or_by_force_and_nothing_else(evaluation, tmp_path):
+def test_results_are_replaced_only_by_those_of_the_same_input_or_by_force(evaluation, tmp_path):
     out = tmp_path / "results"
     first = {path.name: path.read_bytes() for path in write_results(evaluation, out) if path.suffix == ".csv"}
     write_results(evaluation, out)
@@ -277,7 +277,7 @@ def _names_outside(file: h5py.File, other: Path) -> None:
 
 @pytest.mark.usefixtures("no_pages")
 @pytest.mark.parametrize("change", [_group_elsewhere, _names_elsewhere, _names_outside])
-def test_files_that_make_way_are_named_by_the_results_themselves(tmp_path, change):
+def test_replaced_files_are_named_by_the_results(tmp_path, change):
     """What stands elsewhere in the file that is replaced counts no more; the list of files must be its own."""
     evaluation = make_evaluation(tmp_path, Choice(images=False))
     folder = tmp_path / "own"
@@ -369,7 +369,7 @@ def test_hashes_are_of_whole_files_named_from_the_root_and_sorted(tmp_path):
     assert list(hashes) == sorted(["rig.toml", "b/x.tif", paths[2].resolve().as_posix()])
 
 
-def test_versions_name_the_program_and_only_what_was_imported():
+def test_versions_name_the_program_and_only_imported_libraries():
     assert {"shakercal", "python", "platform", "numpy", "h5py"} <= set(versions())
     assert "pyarrow" not in versions()
 

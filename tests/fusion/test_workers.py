@@ -54,7 +54,7 @@ def _is_running(process: int) -> bool:
     return True
 
 
-def test_answers_go_to_those_who_asked(two):
+def test_results_belong_to_their_tasks(two):
     answers = [two.submit(-number, tasks.product, number, 2.0) for number in range(8)]
     assert [answer.result(PATIENCE_S).unwrap() for answer in answers] == [2.0 * number for number in range(8)]
     # An answer can be what the next task needs.
@@ -108,7 +108,7 @@ def test_the_task_of_a_worker_that_was_killed_is_done_by_another_and_one_that_ki
     assert two.submit(0, tasks.product, 2.0, 3.0).result(PATIENCE_S).unwrap() == 6.0
 
 
-def test_the_end_leaves_no_process_and_nothing_half_written(tmp_path):
+def test_the_end_leaves_no_process_and_no_unfinished_file(tmp_path):
     begun = tmp_path / "begun"
     with Workers(1) as workers:
         waiting = workers.submit(0, tasks.wait_for_ever, begun)
@@ -211,7 +211,7 @@ def test_arrays_of_an_answer_travel_in_it():
     assert np.array_equal(array, np.arange(1e5))
 
 
-def test_an_image_that_another_process_refuses_is_told_as_here(demo_recording, tmp_path, monkeypatch):
+def test_an_image_refused_by_another_process_gives_the_same_error(demo_recording, tmp_path, monkeypatch):
     shutil.copytree(demo_recording, tmp_path / "demo")
     broken = sorted((tmp_path / "demo" / NAME / "top-right").iterdir())[5]
     image = cv2.imread(str(broken), cv2.IMREAD_UNCHANGED)
@@ -301,7 +301,7 @@ def test_two_processes_give_the_tables_of_one(sweep, serial):
 
 
 @pytest.mark.slow
-def test_a_cluster_gives_the_same_tables_and_a_killed_worker_loses_nothing(sweep, serial, tmp_path_factory):
+def test_a_cluster_gives_the_same_tables_also_with_a_killed_worker(sweep, serial, tmp_path_factory):
     cluster = Cluster(tmp_path_factory.mktemp("killed"))
     killed: list[int] = []
 
@@ -336,7 +336,7 @@ def test_a_run_that_was_killed_goes_on_to_the_same_tables(sweep, serial, tmp_pat
     assert all((out / name / "result.h5").stat().st_mtime_ns == when for name, when in done.items())
 
 
-def test_an_interruption_ends_all_workers_and_leaves_nothing_half_written(tmp_path):
+def test_an_interruption_ends_all_workers_and_leaves_no_unfinished_file(tmp_path):
     script, out = tmp_path / "run.py", tmp_path / "out"
     script.write_text(RUN)
     _empty_recordings(tmp_path / "campaign", 3)
@@ -363,7 +363,7 @@ def test_tasks_of_a_cluster_come_back_like_those_of_processes(cluster, tmp_path)
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense", "foo://a:1", ""])
-def test_an_address_where_nothing_answers_is_refused(address, tmp_path, monkeypatch, refused):
+def test_an_address_without_a_scheduler_is_refused(address, tmp_path, monkeypatch, refused):
     monkeypatch.setattr("fusion.campaign.executor.ANSWER_S", 0.5)
     (tmp_path / "recording.toml").write_text("")
     sentence = refused("run", tmp_path, "--scheduler", address)
@@ -371,7 +371,7 @@ def test_an_address_where_nothing_answers_is_refused(address, tmp_path, monkeypa
     assert sentence.endswith(address)
 
 
-def test_without_the_extra_the_command_says_what_to_install(tmp_path, monkeypatch, refused):
+def test_without_the_extra_the_command_is_refused(tmp_path, monkeypatch, refused):
     monkeypatch.setitem(sys.modules, "distributed", None)
     (tmp_path / "recording.toml").write_text("")
     sentence = refused("run", tmp_path, "--scheduler", "tcp://127.0.0.1:9")
@@ -387,7 +387,7 @@ def test_workers_of_another_version_are_refused(cluster, monkeypatch):
     assert raised.value.values["found"] == f"shakercal {found}"
 
 
-def test_a_scheduler_that_stays_away_is_told(tmp_path, monkeypatch):
+def test_a_lost_scheduler_is_reported(tmp_path, monkeypatch):
     monkeypatch.setattr("fusion.campaign.executor.SCHEDULER_TIMEOUT_S", 1.0)
     cluster = Cluster(tmp_path)
     with connect_cluster(cluster.address) as crew:
@@ -456,7 +456,7 @@ if __name__ == "__main__":
 
 @pytest.mark.slow
 @pytest.mark.parametrize("options", [[], ["--workers", "2"]])
-def test_frames_that_were_followed_before_a_kill_are_not_followed_again(options, demo_recording, tmp_path):
+def test_frames_followed_before_a_kill_are_not_repeated(options, demo_recording, tmp_path):
     script = tmp_path / "blocks.py"
     script.write_text(BLOCKS)
     whole = [sys.executable, script, "run", "-q", demo_recording / NAME, "-o", tmp_path / "whole"]
