@@ -104,11 +104,11 @@ class MatrixFit:
 
 
 def fit_matrix(drives: Sequence[ExcitedLine], channels: Sequence[str] | None = None) -> MatrixFit:
-    """Return the 6 x 6 matrix S of outputs = S · load by maximum likelihood.
+    """Return the 6 x 6 matrix of outputs over loads by maximum likelihood.
 
-    Loads and outputs have errors; a shared error is one unknown for all lines (`fusion.campaign.matrix_solve`). Either
-    all six columns are determined or none. If the lines do not excite six independent loads, `MissingExcitationError`
-    names the missing ones.
+    Outputs are S · load. Both have errors; a shared error is one unknown for all lines
+    (`fusion.campaign.matrix_solve`). Either all six columns are determined or none. If the lines do not excite six
+    independent loads, `MissingExcitationError` names the missing ones.
 
     Recordings may disagree beyond the stated uncertainties (chi-square at 1 %, with estimated noise as in
     `estimated_noise`). Then every output gets the further standard deviation τ·max_j|S_ij|·|load| that makes chi-square

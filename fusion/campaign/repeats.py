@@ -495,11 +495,11 @@ def _bounds(
 
 
 def _phase_loss(values: ComplexArray, weight: FloatArray) -> Contribution:
-    """Return the possible loss of magnitude in a mean of values (N, C) with different phases.
+    """Return the possible loss of magnitude in a mean of values with different phases.
 
-    The mean of values with phase differences φ_n is short by Σw·φ²/2; noise does not shorten it. The scatter across the
-    mean may be due to phases as far as it exceeds that along it: a bound, u = 1/√3 of it. A mean below its scatter
-    gives no bound.
+    The mean of values (N, C) with phase differences φ_n is short by Σw·φ²/2; noise does not shorten it. The scatter
+    across the mean may be due to phases as far as it exceeds that along it: a bound, u = 1/√3 of it. A mean below its
+    scatter gives no bound.
     """
     mean = weight @ values
     off = np.divide(values, mean, out=np.full_like(values, 2.0), where=mean != 0.0) - 1.0

@@ -397,7 +397,10 @@ def _pair(name: str, pair: Stereo, surface: FloatArray | None) -> tuple[list[Sce
 
 
 def _fixation(left: RigidTransform, right: RigidTransform) -> FloatArray | None:
-    """Return the point nearest to both optical axes, or None if it is behind a camera."""
+    """Return the point nearest to both optical axes.
+
+    Returns None unless it is in front of both cameras.
+    """
     centre = np.stack([left.translation_m, right.translation_m])
     axis = np.stack([left.rotation[:, 2], right.rotation[:, 2]])
     if np.linalg.norm(np.cross(*axis)) < NEAR_PARALLEL:

@@ -181,7 +181,10 @@ def _frame(panel: _Panel) -> Iterator[Markup]:
 
 
 def _step(least: float) -> float:
-    """Return a round tick distance of at least `least`: 1, 2 or 5 times a power of ten."""
+    """Return a round tick distance of at least `least`.
+
+    It is 1, 2 or 5 times a power of ten.
+    """
     power = 10.0 ** np.floor(np.log10(least))
     return float(power * next(factor for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= least))
 

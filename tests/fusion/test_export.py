@@ -34,10 +34,10 @@ def test_sensitivities_are_frequency_responses_of_outputs_over_loads(results, tm
     assert re.search(r"\b12 \w+, 0 \w+, 7 ", capsys.readouterr().out)
     found = read_results(results)
     sets = [data for data in pyuff.UFF(str(file)).read_sets() if data["type"] == 58]
-    told = {data["id1"]: data for data in sets}
+    by_name = {data["id1"]: data for data in sets}
     for of in (found.sensitivity, found.element):
         for e, (channel, component) in enumerate(zip(of.channel, of.component, strict=True)):
-            data, known = told[f"{of.name}: output {channel} over load {component}"], np.isfinite(of.value[:, e])
+            data, known = by_name[f"{of.name}: output {channel} over load {component}"], np.isfinite(of.value[:, e])
             np.testing.assert_array_equal(data["data"], of.value[known, e])
             np.testing.assert_array_equal(data["x"], of.frequency_hz[known])
             assert (data["func_type"], data["ref_dir"], data["ref_node"]) == (4, 3, 1)

@@ -281,14 +281,14 @@ def estimated(rng: np.random.Generator, drive: ExcitedLine, dof: int) -> Excited
 
 def test_noise_that_was_estimated_is_no_disagreement():
     """As if it were known, recordings would be told to disagree in one of seven campaigns, not in one of a hundred."""
-    rng, plain, told = np.random.default_rng(12), 0, 0
+    rng, plain, reported = np.random.default_rng(12), 0, 0
     for seed in range(60):
         drives, _ = eight_drives(seed, systematic=False)
         fit = fit_matrix([estimated(rng, drive, 8) for drive in drives])
         plain += chi2.sf(fit.chi2, fit.dof) < 0.01
-        told += fit.discrepancy > 0.0
+        reported += fit.discrepancy > 0.0
     assert plain > 4
-    assert told <= binom.isf(1e-3, 60, 0.01)
+    assert reported <= binom.isf(1e-3, 60, 0.01)
 
 
 def pure(rng: np.random.Generator, name: str, axis: str, height: float = 0.05) -> Any:

@@ -115,8 +115,8 @@ def test_a_solid_has_the_inertia_that_it_is_drawn_for(shape):
     inertia = mass * np.mean(
         [np.sum(filled**2, axis=1)[:, None, None] * np.eye(3) - filled[:, :, None] * filled[:, None, :]], axis=(0, 1)
     )
-    points, faces, edges, told = solid(mass, centre, inertia)
-    assert shape in told
+    points, faces, edges, name = solid(mass, centre, inertia)
+    assert shape in name
     own = np.abs((points - centre) @ turn)
     np.testing.assert_allclose(own.max(axis=0) * 2.0, sizes, rtol=0.05)
     for face in faces:  # counter-clockwise from outside
@@ -178,9 +178,9 @@ def test_displacement_twice_differentiated_is_the_acceleration(demo_evaluation):
         a = np.real(fused.phasors.value[k] * np.exp(2j * np.pi * frequency * time[1]))
         np.testing.assert_allclose((x[0] - 2.0 * x[1] + x[2]) / h**2, a, rtol=1e-5, atol=1e-6 * np.abs(a).max())
     motion = evaluation_scene(demo_evaluation).data()["motions"][0]
-    told = np.array(motion["r"]["load"]).reshape(6, 2) @ [1.0, 1.0j]
+    phasors = np.array(motion["r"]["load"]).reshape(6, 2) @ [1.0, 1.0j]
     expected = -fused.phasors.value[0] / (2.0 * np.pi * fused.phasors.frequency_hz[0]) ** 2
-    np.testing.assert_allclose(told * 1e-6, expected, rtol=5e-5)
+    np.testing.assert_allclose(phasors * 1e-6, expected, rtol=5e-5)
 
 
 def test_points_move_as_a_small_finite_rotation_moves_them():
@@ -205,7 +205,7 @@ def test_the_text_of_a_line_is_its_amplitude_with_uncertainty(demo_evaluation):
 def test_only_a_significant_deflection_is_drawn(demo_evaluation):
     scene = evaluation_scene(demo_evaluation)
     assert not any(motion.deflection for motion in scene.motions)  # the simulated load is rigid
-    assert any("points of top beside the rigid motion" in told for told in scene.motions[0].amplitudes)
+    assert any(" top " in amplitude for amplitude in scene.motions[0].amplitudes)
     top, *others = demo_evaluation.stereo
     shape = top.deflection
     bend = 2e-5j * (shape.reference_m[:, 0] / 0.04) ** 2
@@ -272,7 +272,8 @@ def test_check_draws_the_rig_and_replaces_files_only_by_force(demo_recording, tm
     assert main(["check", str(demo_recording), "--rig", str(file)]) == 0
     assert str(file) in capsys.readouterr().out
     text = file.read_text(encoding="utf-8")
-    assert "sensor frame" in "".join(self_contained(text).text)  # a heading of the scene
+    assert '<figure class="scene">' in text
+    self_contained(text)
     file.write_text("mine", encoding="utf-8")
     assert main(["check", str(demo_recording), "--rig", str(file)]) == 2
     assert file.read_text(encoding="utf-8") == "mine"
@@ -367,10 +368,9 @@ def test_pointing_at_a_shape_shows_its_name_and_position(opened):
     for y, x in np.concatenate([red[:: max(len(red) // 60, 1)], middle[None], beside]).tolist():
         opened.page.mouse.move(box["x"] + x, box["y"] + y)
         found.add(opened.page.locator("[data-part=tip]").inner_text())
-    told = "\n".join(found)
-    assert "velocity_1" in told
-    assert "at (33.0, 0.0, 69.0) mm, positive along (0.000, 0.000, 1.000)" in told
-    assert "2.4063 kg, centre of mass (0.0, 0.0, 38.5) mm" in told
+    shown = "\n".join(found)
+    for part in ("velocity_1", "(33.0, 0.0, 69.0) mm", "(0.000, 0.000, 1.000)", "2.4063 kg", "(0.0, 0.0, 38.5) mm"):
+        assert part in shown
 
 
 def test_the_drawn_motion_is_the_real_part_of_the_phasor(browser, tmp_path):

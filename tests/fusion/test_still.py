@@ -57,11 +57,11 @@ def texts_of(root):
     """Every text of a picture with left and right end, base line and size in pt; those read upwards without places."""
     found = []
     for text in root.iter(f"{SVG}text"):
-        size, told = float(text.attrib["font-size"]), "".join(text.itertext())
+        size, content = float(text.attrib["font-size"]), "".join(text.itertext())
         x, y = float(text.attrib["x"]), float(text.attrib["y"])
-        wide = TextPath((0, 0), told, size=size, prop=FONT).get_extents().width if told.strip() else 0.0
+        wide = TextPath((0, 0), content, size=size, prop=FONT).get_extents().width if content.strip() else 0.0
         left = x - {"start": 0.0, "middle": 0.5, "end": 1.0}[text.attrib["text-anchor"]] * wide
-        found.append((told, None if "transform" in text.attrib else (left, left + wide, y), size))
+        found.append((content, None if "transform" in text.attrib else (left, left + wide, y), size))
     return found
 
 

@@ -84,7 +84,7 @@ def test_failures_and_remarks_come_back(kind, error, sentence, two, capsys):
         patch.setattr(log, "handlers", [logging.StreamHandler(sys.stderr)])
         patch.setattr(log, "propagate", False)
         answer.log("Fz-0100")
-    assert capsys.readouterr().err == f"Fz-0100: a remark about {kind}\n"
+    assert capsys.readouterr().err == f"Fz-0100: {answer.log_records[0].getMessage()}\n"
     with pytest.raises(error) as raised:
         answer.unwrap()
     assert str(raised.value).startswith(sentence)
@@ -171,12 +171,12 @@ def serial_demo(demo_evaluation: Evaluation) -> dict[str, bytes]:
 
 def test_shared_frames_give_the_tables_of_the_serial_run(demo_recording, serial_demo, tmp_path, monkeypatch):
     """Stereo pairs and blocks of frames go to the crew, here this process."""
-    crew, told = InlineExecutor(), []
+    crew, stages = InlineExecutor(), []
     monkeypatch.setattr(leading, "Workers", lambda _: crew)
-    tables = _demo_tables(demo_recording, tmp_path, workers=2, progress=lambda *what: told.append(what))
+    tables = _demo_tables(demo_recording, tmp_path, workers=2, progress=lambda *what: stages.append(what))
     names = [asked.__name__ for asked in crew.asked if asked.__name__ != "_ready"]  # those begin the workers
     assert names[:4] == ["_prepared", "_prepared", "follow", "follow"]
-    assert ("track base", 48, 48) in told
+    assert ("track base", 48, 48) in stages
     assert tables == serial_demo
 
 
