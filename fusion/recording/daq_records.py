@@ -14,6 +14,17 @@ from fusion.errors import ComputeError, InputError, as_input_error
 from fusion.instruments.transducer import TRANSDUCERS, aim_contradiction
 from fusion.recording.excitation import KINDS
 from fusion.recording.manifest import SCAN, ChannelEntry, Daq, Frames
+from fusion.recording.recording_notices import (
+    CONSTANT_CHANNEL,
+    CONTRADICTING_DIRECTION,
+    NON_FINITE_SAMPLES,
+    NONUNIFORM_SAMPLES,
+    ONE_SCAN_EXPECTED,
+    REPEATED_NAME,
+    TOO_FEW_SAMPLES,
+    UNKNOWN_DATA_SET,
+    UNREADABLE_DAQ_FILE,
+)
 from fusion.recording.units import in_stated_units
 from shaker.arrays import FloatArray, Stacked
 from shaker.io import read_channels
@@ -34,7 +45,7 @@ def check_uniform(file: Path, name: str, raw: RawChannel) -> None:
     """Raise `InputError` for a channel of a file whose samples are not uniform, naming its first gap."""
     gap = raw.gap
     if gap is not None:
-        raise InputError(file, name, found=gap, expected="uniform sampling")
+        raise InputError(NONUNIFORM_SAMPLES, file, name, found=gap, expected="uniform sampling")
 
 
 @dataclass(frozen=True)
@@ -152,7 +163,7 @@ def scanned_points(manifest: Manifest, daq: Daq) -> tuple[ScannedPoint, ...] | N
         return None
     from shaker.io.text import read_scan_asc
 
-    with as_input_error(manifest.path, f"daq.{daq.name}.file"):
+    with as_input_error(manifest.path, f"daq.{daq.name}.file", UNREADABLE_DAQ_FILE):
         scan = read_scan_asc(daq.file)
     if len(scan.point_m) == 1:
         return None
@@ -161,17 +172,25 @@ def scanned_points(manifest: Manifest, daq: Daq) -> tuple[ScannedPoint, ...] | N
     for entry, (block, point) in zip(daq.channel, sets, strict=True):
         if point and (block, "") in sets:
             found = f"{block} beside it, which is recorded at every point"
-            raise InputError(manifest.path, f"daq.{daq.name}.channel.{entry.name}", found, "each data set once")
+            raise InputError(
+                REPEATED_NAME,
+                manifest.path,
+                f"daq.{daq.name}.channel.{entry.name}",
+                found=found,
+                expected="each data set once",
+            )
         if point not in ("", *present) or block not in scan.channels_at(0):
             expected = f"block/point of {len(scan.samples)} blocks and {len(present)} points, or a block alone"
-            raise InputError(daq.file, entry.name, found="no such data set", expected=expected)
+            raise InputError(UNKNOWN_DATA_SET, daq.file, entry.name, found="no such data set", expected=expected)
     named = {point for _, point in sets}
     points = tuple(_point(daq, scan, place) for place, point in enumerate(present) if named & {"", point})
     for entry, number in ((entry, point.number) for point in points for entry in point.entry.channel):
         wrong = aim_contradiction(entry)
         if wrong is not None:
             key = f"daq.{daq.name}.channel.{entry.name}.direction"
-            raise InputError(manifest.path, key, f"at point {number} {wrong[1]}", wrong[0])
+            raise InputError(
+                CONTRADICTING_DIRECTION, manifest.path, key, found=f"at point {number} {wrong[1]}", expected=wrong[0]
+            )
     return points
 
 
@@ -183,7 +202,7 @@ def split_scan(manifest: Manifest) -> Iterator[tuple[Manifest, ScannedPoint | No
     scans = {daq.name: points for daq in manifest.daq if (points := scanned_points(manifest, daq)) is not None}
     if len(scans) > 1:
         found, expected = f"{len(scans)}: {', '.join(scans)}", "one scan of several points at a time"
-        raise InputError(manifest.path, "daq", found=found, expected=expected)
+        raise InputError(ONE_SCAN_EXPECTED, manifest.path, "daq", found=found, expected=expected)
     if not scans:
         yield manifest, None
     for name, points in scans.items():
@@ -304,7 +323,7 @@ def _read_daq(
     if point is not None and point.entry is daq:
         record: DaqRecord = replace(point, slowest_hz=slowest_hz)
     else:
-        with as_input_error(manifest.path, f"daq.{daq.name}.file"):
+        with as_input_error(manifest.path, f"daq.{daq.name}.file", UNREADABLE_DAQ_FILE):
             raw = recorded_channels(manifest, daq) if raw is None else raw
         start_s = min(channel.start_s for channel in raw.values())
         record = DaqRecord(daq, raw, start_s, slowest_hz=slowest_hz)
@@ -320,12 +339,14 @@ def _check_samples(daq: Daq, entry: ChannelEntry, channel: RawChannel, *, gaps: 
     """Refuse an empty channel, samples that are not numbers unless there may be `gaps`, and a dead channel."""
     name, samples = entry.stored_name, channel.samples
     if len(samples) < 2:
-        raise InputError(daq.file, name, found=str(len(samples)), expected="at least 2 samples")
+        raise InputError(TOO_FEW_SAMPLES, daq.file, name, found=str(len(samples)), expected="at least 2 samples")
     bad = np.flatnonzero(~np.isfinite(samples))
     if len(bad) and gaps and len(samples) - len(bad) > 1:
         samples = np.delete(samples, bad)
     elif len(bad):
         found = f"{len(bad)} of {len(channel.samples)} not finite, the first at sample {bad[0]}"
-        raise InputError(daq.file, name, found=found, expected="finite samples")
+        raise InputError(NON_FINITE_SAMPLES, daq.file, name, found=found, expected="finite samples")
     if entry.quantity != "trigger" and np.ptp(samples) == 0.0:
-        raise InputError(daq.file, name, found=f"{samples[0]:g} throughout", expected="samples that change")
+        raise InputError(
+            CONSTANT_CHANNEL, daq.file, name, found=f"{samples[0]:g} throughout", expected="samples that change"
+        )

@@ -8,6 +8,11 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
+from fusion.recording.recording_notices import (
+    KEY_NOT_APPLICABLE,
+    MISSING_KEY,
+    VALUE_OUT_OF_RANGE,
+)
 from fusion.recording.values import (
     ZERO3,
     Celsius,
@@ -37,7 +42,11 @@ def _gravity(value: object) -> tuple[float, ...]:
     low, high = GRAVITY_ON_EARTH
     length = hypot(*elements)
     if not low <= length <= high:
-        raise refusal(f"an acceleration of {low} to {high} m/s^2 (or no such key)", f"{length:g} m/s^2")
+        raise refusal(
+            f"an acceleration of {low} to {high} m/s^2 (or no such key)",
+            f"{length:g} m/s^2",
+            declared=VALUE_OUT_OF_RANGE,
+        )
     return elements
 
 
@@ -66,12 +75,22 @@ class Environment(ManifestBlock):
     @model_validator(mode="after")
     def _gravity_is_told_whole(self) -> Self:
         if self.latitude is not None and self.height is None and self.gravity is None:
-            raise refusal("the height above the sea in m that belongs to latitude", "nothing", key="height")
+            raise refusal(
+                "the height above the sea in m that belongs to latitude", "nothing", key="height", declared=MISSING_KEY
+            )
         if self.gravity is not None and self.down is not None:
-            raise refusal("no such key beside gravity, which points down", describe(self.down), key="down")
+            raise refusal(
+                "no such key beside gravity, which points down",
+                describe(self.down),
+                key="down",
+                declared=KEY_NOT_APPLICABLE,
+            )
         if self.down is not None and self.latitude is None:
             raise refusal(
-                "the latitude in degrees, of which and of height gravity along down follows", "nothing", key="latitude"
+                "the latitude in degrees, of which and of height gravity along down follows",
+                "nothing",
+                key="latitude",
+                declared=MISSING_KEY,
             )
         return self
 

@@ -12,6 +12,12 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from fusion.recording.recording_notices import (
+    MISSING_KEY,
+    REPEATED_NAME,
+    VALUE_OUT_OF_RANGE,
+    WRONG_VALUE_TYPE,
+)
 from fusion.recording.values import (
     HERTZ,
     Angle,
@@ -44,7 +50,7 @@ def _driven(value: object) -> tuple[float, ...]:
     """A direction of 3 numbers, made a unit vector, or 6 load components, left as they are."""
     if not isinstance(value, list | tuple) or len(value) not in (3, 6):
         found = f"{len(value)} elements" if isinstance(value, list | tuple) else describe(value)
-        raise refusal("3 numbers, or 6 where a moment is driven", found)
+        raise refusal("3 numbers, or 6 where a moment is driven", found, declared=WRONG_VALUE_TYPE)
     components = unit_vector(value) if len(value) == 3 else vector(6)(value)
     if not any(components):
         raise refusal("a direction", "the zero vector")
@@ -54,14 +60,14 @@ def _driven(value: object) -> tuple[float, ...]:
 def _frequencies(value: object) -> tuple[float, ...]:
     """Nominal frequencies in Hz: at least one, positive, different."""
     if not isinstance(value, list | tuple) or not value:
-        raise refusal("a list of frequencies in Hz", describe(value))
+        raise refusal("a list of frequencies in Hz", describe(value), declared=WRONG_VALUE_TYPE)
     if len(value) > MOST_FREQUENCIES:
-        raise refusal(f"at most {MOST_FREQUENCIES} frequencies", f"{len(value)}")
+        raise refusal(f"at most {MOST_FREQUENCIES} frequencies", f"{len(value)}", declared=VALUE_OUT_OF_RANGE)
     lines = vector(len(value))(value)
     if min(lines) <= 0:
-        raise refusal("frequencies above 0", f"{min(lines):g}")
+        raise refusal("frequencies above 0", f"{min(lines):g}", declared=VALUE_OUT_OF_RANGE)
     if len(set(lines)) < len(lines):
-        raise refusal("different frequencies", "one of them twice")
+        raise refusal("different frequencies", "one of them twice", declared=REPEATED_NAME)
     return lines
 
 
@@ -120,10 +126,15 @@ class ExcitationEntry(ManifestBlock):
         refuse_missing(self, kind.required, why)
         refuse_foreign(self, {"kind", *kind.required, *kind.allowed}, why)
         if self.kind == "multisine" and self.frequencies is None and (self.band is None or self.period is None):
-            raise refusal('frequencies, or band and period, for kind = "multisine"', "neither", key="frequencies")
+            raise refusal(
+                'frequencies, or band and period, for kind = "multisine"',
+                "neither",
+                key="frequencies",
+                declared=MISSING_KEY,
+            )
         for key, what in (("scale", "a number"), ("step_amplitude", "a step")):
             if getattr(self, key) == 0.0:
-                raise refusal(f"{what} other than 0", "0", key=key)
+                raise refusal(f"{what} other than 0", "0", key=key, declared=VALUE_OUT_OF_RANGE)
         return self
 
     @property

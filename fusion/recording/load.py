@@ -5,39 +5,37 @@ Every mistake becomes one `InputError` that names file and key.
 
 from __future__ import annotations
 
-import json
 import logging
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from datetime import date as Date
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from fusion.base import FileIdentity, check_names, natural_key
 from fusion.errors import InputError
-from fusion.instruments.transducer import (
-    CLOSE_TO_AXIS_RAD,
-    HEAD,
-    STATIONARY,
-    aim_contradiction,
-    carrier,
-    unit_direction,
-)
 from fusion.recording.certified import CertifiedInputs, certified_inputs
+from fusion.recording.cross_checks import find_contradictions
 from fusion.recording.excitation import KINDS, ONE_SET_UP, ExcitationEntry, join_alternatives, kinds_of
 from fusion.recording.manifest import (
-    SCAN,
-    ChannelEntry,
     Daq,
-    Frames,
     Images,
     PointFiles,
     RecordingFile,
-    SetUpFiles,
     Take,
+)
+from fusion.recording.recording_notices import (
+    CERTIFICATE_EXPIRED,
+    INVALID_VALUE,
+    MISSING_FILE,
+    NO_RECORDING,
+    ONE_RECORDING_EXPECTED,
+    ONE_SET_UP_EXPECTED,
+    PATH_NOT_ALLOWED,
+    RECORDINGS_OF_DIFFERENT_RIGS,
+    UNREADABLE_FILE,
+    WRONG_EXCITATION_KIND,
 )
 from fusion.recording.repair import AnyBlock, Repair, is_doubtful
 from fusion.recording.rig import InstrumentHead, Rig, RigPart, Shaker, Stereo
@@ -45,19 +43,17 @@ from fusion.recording.toml import (
     UncertainInput,
     expand_statements,
     find_unfilled,
-    quote_key,
     read_toml,
     uncertain_inputs,
 )
-from fusion.recording.values import Context, PathScope, describe, repeated_name
+from fusion.recording.values import Context, PathScope, describe
 from shaker.io import unsupported_suffix
 from shakercal._common.notices import Notice
 
 log = logging.getLogger("shakercal")
 RECORDING_NAME = "recording.toml"
-FAR_AWAY_M = 1e6
-MOST_TURNED_DEG = 80.0
-"""Of the surface before a camera alone."""
+PLACEHOLDER_MIRROR_M = 1e6
+"""Coordinates of a mirror that is no channel's point, for heads of a rig with errors."""
 
 
 @dataclass(frozen=True)
@@ -118,12 +114,11 @@ class Manifest:
     def expiry_notices(self) -> tuple[Notice, ...]:
         """Return a warning for every certificate that was no longer valid on the day of the recording, else today."""
         day = self.date or Date.today()
-        told = []
-        for item in self.inputs:
-            if item.stated is not None and (item.stated.valid_until or day) < day:
-                text = f"the certificate of {item.key} ({item.source}) was not valid on {day}"
-                told.append(Notice("warning", text, item.file.name))
-        return tuple(told)
+        return tuple(
+            Notice(CERTIFICATE_EXPIRED, item.file.name, key=item.key, source=item.source, day=str(day))
+            for item in self.inputs
+            if item.stated is not None and (item.stated.valid_until or day) < day
+        )
 
     def check_command(self, command: str) -> None:
         """Raise `InputError` where `shakercal COMMAND` evaluates no such recording."""
@@ -132,9 +127,11 @@ class Manifest:
             which = "kind" if len(kinds) == 1 else "kinds"
             other = f"(shakercal {KINDS[kind].commands[0]} takes this one)"
             expected = f"{join_alternatives(kinds)}, the {which} that shakercal {command} evaluates {other}"
-            raise InputError(self.path, "excitation.kind", found=kind, expected=expected)
+            raise InputError(WRONG_EXCITATION_KIND, self.path, "excitation.kind", found=kind, expected=expected)
         if self.take and command in ONE_SET_UP:
-            raise InputError(self.path, "take", found=f"{len(self.take)} takes", expected=ONE_SET_UP[command])
+            raise InputError(
+                ONE_SET_UP_EXPECTED, self.path, "take", found=f"{len(self.take)} takes", expected=ONE_SET_UP[command]
+            )
 
 
 def check_one_rig(manifests: Sequence[Manifest]) -> None:
@@ -143,7 +140,9 @@ def check_one_rig(manifests: Sequence[Manifest]) -> None:
     for manifest in manifests:
         if manifest.rig_path.resolve() != first.rig_path.resolve():
             expected = f"{first.rig_path}, the rig of {first.folder.name}"
-            raise InputError(manifest.path, "rig", found=str(manifest.rig_path), expected=expected)
+            raise InputError(
+                RECORDINGS_OF_DIFFERENT_RIGS, manifest.path, "rig", found=str(manifest.rig_path), expected=expected
+            )
 
 
 def find_recordings(path: str | Path) -> list[Path]:
@@ -157,11 +156,14 @@ def find_recordings(path: str | Path) -> list[Path]:
     if path.is_file():
         if unsupported_suffix(path) is None:
             expected = f"a recording's folder or {RECORDING_NAME}; shakercal init {path.parent} drafts one"
-            raise InputError(path, "", "a recorder's file", expected)
+            raise InputError(NO_RECORDING, path, found="a recorder's file", expected=expected)
         return [path]
     if not path.is_dir():
         raise InputError(
-            path, "", "nothing at this path", "a recording folder, its recording.toml, or a campaign folder"
+            NO_RECORDING,
+            path,
+            found="nothing at this path",
+            expected="a recording folder, its recording.toml, or a campaign folder",
         )
     if (path / RECORDING_NAME).is_file():
         return [path / RECORDING_NAME]
@@ -169,10 +171,12 @@ def find_recordings(path: str | Path) -> list[Path]:
         below = sorted((entry for entry in path.iterdir() if entry.is_dir()), key=lambda entry: natural_key(entry.name))
         found = [entry / RECORDING_NAME for entry in below if (entry / RECORDING_NAME).is_file()]
     except OSError as error:
-        raise InputError(path, "", error.strerror or str(error), "a folder that can be read") from error
+        raise InputError(
+            UNREADABLE_FILE, path, found=error.strerror or str(error), expected="a folder that can be read"
+        ) from error
     if not found:
         expected = f"{RECORDING_NAME} in this folder or directly below it; shakercal init {path} drafts one"
-        raise InputError(path, "", "none", expected)
+        raise InputError(NO_RECORDING, path, found="none", expected=expected)
     return found
 
 
@@ -180,7 +184,9 @@ def find_single_recording(path: str | Path) -> Path:
     """Return the one recording.toml at a path, as `find_recordings` finds it."""
     found = find_recordings(path)
     if len(found) > 1:
-        raise InputError(Path(path), "", found=f"a campaign of {len(found)}", expected="one recording")
+        raise InputError(
+            ONE_RECORDING_EXPECTED, Path(path), found=f"a campaign of {len(found)}", expected="one recording"
+        )
     return found[0]
 
 
@@ -239,7 +245,7 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
         root, folder = rig_path.parent.resolve(), path.parent.resolve()
         if not allow_outside and not folder.is_relative_to(root):
             expected = "a rig.toml in a folder above the recording (--allow-outside permits others)"
-            raise InputError(path, "rig", f'"{text["rig"]}"', expected)
+            raise InputError(PATH_NOT_ALLOWED, path, "rig", found=f'"{text["rig"]}"', expected=expected)
         at_first[rig_path.resolve()] = FileIdentity.of(rig_path)
         rig_text = read_toml(rig_path)
     except InputError as error:
@@ -329,7 +335,7 @@ def _checked_files(
         # A rig with placeholders may lack what the recording names.
         with _added_to(wrong), suppress(*[KeyError] if wrong else []):
             told = {(error.file, error.key) for error in wrong}
-            for one in _contradictions(rig, rig_path, record, path):
+            for one in find_contradictions(rig, rig_path, record, path):
                 wrong += [one] if (one.file, one.key) not in told and not is_doubtful(one, doubtful) else []
     wrong = [*unknown, *(error for error in wrong if (error.file, error.key) not in {(e.file, e.key) for e in unknown})]
     if rig is None or record is None or wrong:
@@ -371,7 +377,7 @@ def _validated(
 ) -> AnyBlock | None:
     """Return a valid block, placeholders in the place of mistakes; add these, and the names of blocks that have one."""
     found = Repair(model, values, path, context)
-    wrong += found.wrong
+    wrong += found.errors
     doubtful[path] = found.names
     return found.block
 
@@ -389,20 +395,22 @@ def _named_in(rig_text: dict[str, Any]) -> tuple[dict[str, Stereo], dict[str, In
     """Return stereo pairs and heads of a rig that has mistakes, so that the recording can be looked at all the same."""
     names = {key: rig_text[key] if isinstance(rig_text.get(key), dict) else {} for key in ("stereo", "head")}
     pairs = {name: Stereo.model_construct(exposure=0.0) for name in names["stereo"]}
-    return pairs, {name: InstrumentHead.model_construct(mirror=(FAR_AWAY_M,) * 3) for name in names["head"]}
+    return pairs, {name: InstrumentHead.model_construct(mirror=(PLACEHOLDER_MIRROR_M,) * 3) for name in names["head"]}
 
 
 def _rig_path(path: Path, text: dict[str, Any]) -> Path:
     name = text.get("rig")
     if not isinstance(name, str) or not name or "\\" in name:
-        raise InputError(path, "rig", describe(name), 'the path of rig.toml such as "../rig.toml"')
+        raise InputError(
+            INVALID_VALUE, path, "rig", found=describe(name), expected='the path of rig.toml such as "../rig.toml"'
+        )
     parts = [part for part in Path(name).parts if part != "."]
     folder = path.parent
     while parts and parts[0] == ".." and folder.name not in ("", "..") and not folder.is_symlink():
         folder, parts = folder.parent, parts[1:]
     rig_path = folder.joinpath(*parts)
     if not rig_path.is_file():
-        raise InputError(path, "rig", f"no file {rig_path}", "an existing file")
+        raise InputError(MISSING_FILE, path, "rig", found=f"no file {rig_path}", expected="an existing file")
     return rig_path
 
 
@@ -417,193 +425,3 @@ def _input_files(path: Path, rig_path: Path, rig: Rig, record: RecordingFile) ->
             frames = [file.with_suffix(suffix) for suffix in (".mraw", ".MRAW")]
             files |= dict.fromkeys([frame for frame in frames if frame.is_file()][:1])
     return tuple(files)
-
-
-# What no single table can check: what a recording names must exist in it and in its rig.
-
-
-def _contradictions(rig: Rig, rig_path: Path, record: RecordingFile, path: Path) -> Iterator[InputError]:
-    """Yield every reference between rig and recording that leads nowhere."""
-    if not record.daq and not record.take and not KINDS[record.excitation.kind].readings_in_table:
-        yield InputError(path, "daq", "none", "at least one [[daq]] or [[take]] block")
-    blocks: list[tuple[str, SetUpFiles]] = [("", record)] if record.daq or record.images or record.points else []
-    blocks += [(f"take[{number}].", take) for number, take in enumerate(record.take, 1)]
-    channels = [
-        [
-            (f"{prefix}daq.{quote_key(daq.name)}.channel.{quote_key(entry.name)}", daq, entry)
-            for daq in block.daq
-            for entry in daq.channel
-        ]
-        for prefix, block in blocks
-    ]
-    yield from _of_stereo(rig, rig_path, blocks)
-    yield from _of_pictures(rig, blocks, path)
-    for (prefix, block), located in zip(blocks, channels, strict=True):
-        yield from _of_triggers(
-            block, {entry.name for _, _, entry in located if entry.quantity == "trigger"}, prefix, path
-        )
-        yield from _of_outputs(located, path, rig, rig_path)
-    for key, daq, entry in (item for located in channels for item in located):
-        wrong = None if daq.data_set(entry)[1] == "" and daq.file.suffix.lower() == SCAN else aim_contradiction(entry)
-        if wrong is not None:
-            yield InputError(path, f"{key}.direction", wrong[1], wrong[0])
-    yield from _of_standoffs((item for located in channels for item in located), path)
-    yield from _of_carriers([item for located in channels for item in located], path)
-    first: dict[str, ChannelEntry] = {}  # channels of one instrument share a relative error, hence measure one quantity
-    for key, _, entry in (item for located in channels for item in located if item[2].common is not None):
-        model = first.setdefault(str(entry.common), entry)
-        if entry.quantity != model.quantity:
-            expected = f'"{model.quantity}" as in channel {model.name}, which has common = "{entry.common}" too'
-            yield InputError(path, f"{key}.quantity", f'"{entry.quantity}"', expected)
-    yield from _of_references([prefix for prefix, _ in blocks], channels, several=bool(record.take), path=path)
-    names = {entry.name for located in channels for _, _, entry in located}
-    for key, named in record.excitation.channels:
-        for channel in named:
-            if channel not in names:
-                found = f'"{channel}"; channels are {", ".join(sorted(names))}'
-                yield InputError(path, f"excitation.{key}", found, "the name of a recorded channel")
-    twice = repeated_name([part.name for part in rig.part + record.part])
-    if twice is not None:
-        expected = "parts of different names in rig and recording"
-        yield InputError(path, f"part.{quote_key(twice)}.name", f'"{twice}" twice', expected)
-
-
-def _of_standoffs(located: Iterable[tuple[str, Daq, ChannelEntry]], path: Path) -> Iterator[InputError]:
-    """Beams that leave one mirror look along nearly one direction: of a head whose stand-off alone is known, too."""
-    first: dict[str, ChannelEntry] = {}
-    for key, _, entry in located:
-        if entry.head is not None and entry.head.stated.standoff is not None:
-            model = first.setdefault(entry.head.name, entry)
-            if unit_direction(model) @ unit_direction(entry) < np.cos(CLOSE_TO_AXIS_RAD):
-                expected = f"nearly the direction of channel {model.name}, whose beam leaves head {entry.head.name} too"
-                yield InputError(path, f"{key}.direction", f"{list(entry.direction or ())}", expected)
-
-
-def _of_carriers(located: Sequence[tuple[str, Daq, ChannelEntry]], path: Path) -> Iterator[InputError]:
-    """What tells how a head moves belongs to one whose beams look at what is measured."""
-    carried = {carrier(entry) for _, _, entry in located if entry.body not in (STATIONARY, HEAD)}
-    for key, _, entry in located:
-        if entry.body in (STATIONARY, HEAD) and entry.head is not None and carrier(entry) not in carried:
-            expected = "a head with a laser beam at the load or the base"
-            yield InputError(path, f"{key}.head", f'"{entry.head.name}"', expected)
-
-
-def _of_stereo(rig: Rig, rig_path: Path, blocks: Iterable[tuple[str, SetUpFiles]]) -> Iterator[InputError]:
-    """Images need a calibration; a scale needs an uncertainty, stated or from the calibration."""
-    pictured = [images.stereo for _, block in blocks for images in block.images]
-    tabled = [points.stereo for _, block in blocks for points in block.points]
-    recorded = dict.fromkeys(pictured + tabled)
-    carried = {rig.stereo[name].support or name for name in recorded if rig.stereo[name].body != STATIONARY}
-    for name in recorded:
-        pair = rig.stereo[name]
-        if pair.body == STATIONARY and pair.support not in carried:
-            listed = ", ".join(sorted(carried)) or "none"
-            expected = "what cameras at the load or the base stand on as well: their support, or the name of their pair"
-            found = f"{describe(pair.support)}; others stand on {listed}"
-            yield InputError(rig_path, f"stereo.{quote_key(name)}.support", found, expected)
-        if name in pictured and pair.calibration is None:
-            expected = f"the calibration that the images of {name} need"
-            yield InputError(rig_path, f"stereo.{quote_key(name)}.calibration", "no calibration", expected)
-        if pair.surface is not None:
-            key, looks = f"stereo.{quote_key(name)}.surface", np.array(pair.rotation)[:, 2]
-            away = float(looks @ np.subtract(pair.surface.point, pair.translation))
-            turned = float(np.degrees(np.arccos(min(1.0, abs(float(looks @ np.array(pair.surface.normal)))))))
-            if name in tabled:
-                yield InputError(rig_path, key, "one", "no such key where points in space are given")
-            elif away <= 0.0 or turned > MOST_TURNED_DEG:
-                found = f"one {away:.3g} m before it, turned by {turned:.3g}°"
-                expected = f"a plane before the camera, turned from facing it by at most {MOST_TURNED_DEG:g}°"
-                yield InputError(rig_path, key, found, expected)
-        if pair.surface is None and pair.scale_uncertainty is None and (name in tabled or not _has_covariance(pair)):
-            expected = "the relative standard uncertainty of all lengths, required without a calibration's covariance"
-            yield InputError(rig_path, f"stereo.{quote_key(name)}.scale_uncertainty", "nothing", expected)
-
-
-def _has_covariance(pair: Stereo) -> bool:
-    """Whether the calibration of a stereo pair states a covariance; its other content is the calibration reader's."""
-    if pair.calibration is None:
-        return False
-    try:
-        content: Any = json.loads(pair.calibration.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(pair.calibration, "", error.strerror or str(error), "a file that can be read") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(pair.calibration, "", str(error), "JSON") from error
-    return isinstance(content, dict) and content.get("covariance") is not None
-
-
-def _of_pictures(rig: Rig, blocks: Iterable[tuple[str, SetUpFiles]], path: Path) -> Iterator[InputError]:
-    """A pair has two cameras, unless it states the surface that one alone sees; where one picture shows a body and what
-    stands still, each has its part of it."""
-    for prefix, block in blocks:
-        for images in block.images:
-            alone, key = (
-                rig.stereo[images.stereo].surface is not None,
-                f"{prefix}images.{quote_key(images.stereo)}.right",
-            )
-            if alone and images.right:
-                yield InputError(path, key, "images", "none of a camera alone, whose surface rig.toml states")
-            if not alone and not images.right:
-                expected = "the right camera's images (of a camera alone rig.toml states the surface that it sees)"
-                yield InputError(path, key, "nothing", expected)
-        shown = {images.left for images in block.images if rig.stereo[images.stereo].body == STATIONARY}
-        for images in block.images:
-            if images.left in shown and images.region is None and not images.mask:
-                part = "what stands still" if rig.stereo[images.stereo].body == STATIONARY else "the body"
-                expected = f"the part of the pictures that shows {part}, since they show both"
-                yield InputError(path, f"{prefix}images.{quote_key(images.stereo)}.region", "nothing", expected)
-
-
-def _of_triggers(block: SetUpFiles, triggers: set[str], prefix: str, path: Path) -> Iterator[InputError]:
-    """Frames belong to the edges of a trigger channel recorded with them, and to one set of frames per pair."""
-    kinds: tuple[tuple[str, tuple[Frames, ...]], ...] = (("images", block.images), ("points", block.points))
-    for kind, frames in ((kind, frames) for kind, entries in kinds for frames in entries):
-        if frames.trigger not in triggers:
-            found = f'"{frames.trigger}"; trigger channels are {", ".join(sorted(triggers)) or "none"}'
-            expected = 'the name of a channel with quantity = "trigger"'
-            yield InputError(path, f"{prefix}{kind}.{quote_key(frames.stereo)}.trigger", found, expected)
-    twice = repeated_name([frames.stereo for _, entries in kinds for frames in entries])
-    if twice is not None:
-        key, expected = f"{prefix}images.{quote_key(twice)}.stereo", "one images or points block per stereo pair"
-        yield InputError(path, key, f'two blocks for "{twice}"', expected)
-
-
-def _of_outputs(
-    located: list[tuple[str, Daq, ChannelEntry]], path: Path, rig: Rig, rig_path: Path
-) -> Iterator[InputError]:
-    """Outputs belong to the sensor under test, each of its channels once at a time."""
-    seen: list[tuple[str, str]] = []
-    for key, daq, entry in located:
-        if entry.channel is None:
-            continue
-        if rig.sensor is None:
-            yield InputError(rig_path, "sensor", "nothing", f"the [sensor] whose output {entry.name} is recorded")
-            return
-        if entry.channel not in rig.sensor.channels:
-            expected = "one of the sensor's channels " + ", ".join(rig.sensor.channels)
-            yield InputError(path, f"{key}.channel", f'"{entry.channel}"', expected)
-        output = entry.channel, daq.data_set(entry)[1]
-        if output in seen:
-            yield InputError(path, f"{key}.channel", f'"{entry.channel}" twice', "each output of the sensor once")
-        seen.append(output)
-
-
-def _of_references(
-    prefixes: list[str], channels: list[list[tuple[str, Daq, ChannelEntry]]], *, several: bool, path: Path
-) -> Iterator[InputError]:
-    """Takes need one reference channel, the same in each of them."""
-    marked = [
-        [(key, daq.name, daq.data_set(entry)[0]) for key, daq, entry in located if entry.reference]
-        for located in channels
-    ]
-    for keys in marked:
-        if len({(daq, name) for _, daq, name in keys}) > 1:
-            expected = "one channel with reference = true"
-            yield InputError(path, f"{keys[1][0]}.reference", f"{len(keys)} of them", expected)
-            return
-    for prefix, keys in zip(prefixes, marked, strict=True) if several else ():
-        same = marked[0] and {(daq, name) for _, daq, name in keys} == {marked[0][0][1:]}
-        if not same:
-            found = "none" if not keys else f"{keys[0][1]}.{keys[0][2]}"
-            expected = "one channel with reference = true, the same in every take"
-            yield InputError(path, f"{prefix}daq", found, expected)

@@ -12,6 +12,16 @@ from fusion.instruments.transducer import HEAD, STATIONARY, TRANSDUCERS
 from fusion.recording.dsi import parse_unit
 from fusion.recording.environment import Environment
 from fusion.recording.excitation import ExcitationEntry
+from fusion.recording.recording_notices import (
+    CONTRADICTING_VALUES,
+    FRAMES_DO_NOT_MATCH,
+    INVALID_VALUE,
+    KEY_NOT_APPLICABLE,
+    REPEATED_NAME,
+    UNKNOWN_NAME,
+    VALUE_OUT_OF_RANGE,
+    WRONG_VALUE_TYPE,
+)
 from fusion.recording.rig import NamedHead, RigPart, Shaker
 from fusion.recording.values import (
     HERTZ,
@@ -68,14 +78,14 @@ def _unit(text: str) -> str:
 
 def _columns(value: object) -> tuple[str, ...]:
     if not isinstance(value, list | tuple) or not all(isinstance(name, str) for name in value):
-        raise refusal("a list of column names", describe(value))
+        raise refusal("a list of column names", describe(value), declared=WRONG_VALUE_TYPE)
     unknown = next((name for name in value if name not in COLUMNS and not name.startswith("id")), None)
     if unknown is not None:
         raise refusal("columns of " + ", ".join(COLUMNS) + " and id…", f'"{unknown}"')
     single = [name for name in value if name not in ("_", "status")]
     twice = repeated_name(single)
     if twice is not None:
-        raise refusal("each column once", f'"{twice}" twice')
+        raise refusal("each column once", f'"{twice}" twice', declared=REPEATED_NAME)
     missing = [name for name in COORDINATES if name not in single]
     if missing or 0 < len(set(REFERENCE_COORDINATES) & set(single)) < 3:
         raise refusal("the columns x, y, z and either all or none of x0, y0, z0", ", ".join(value))
@@ -85,7 +95,7 @@ def _columns(value: object) -> tuple[str, ...]:
 def _daq_suffix(value: Path) -> Path:
     wrong = unsupported_suffix(value)
     if wrong is not None:
-        raise refusal(*wrong)
+        raise refusal(*wrong, declared=INVALID_VALUE)
     return value
 
 
@@ -96,7 +106,7 @@ def _head(value: object, info: ValidationInfo) -> object:
     known = info.context.head if isinstance(info.context, Context) else {}
     if not isinstance(value, str) or value not in known:
         found = f"{describe(value)}; rig.toml has {', '.join(known) or 'none'}"
-        raise refusal("the name of a head of rig.toml", found)
+        raise refusal("the name of a head of rig.toml", found, declared=UNKNOWN_NAME)
     return NamedHead(value, known[value])
 
 
@@ -185,14 +195,26 @@ class ChannelEntry(ManifestBlock):
                 refuse_missing(self, ("head",), f'body = "{self.body}"')
                 if (self.body == HEAD) != (transducer.kind == "accelerometer"):
                     expected = "an accelerometer on the head, or a laser beam at the room"
-                    raise refusal(expected, f'{why} with body = "{self.body}"', key="body")
+                    raise refusal(
+                        expected, f'{why} with body = "{self.body}"', key="body", declared=CONTRADICTING_VALUES
+                    )
             elif self.head is not None and transducer.kind != "vibrometer" and (aimed or self.head.stated.standoff):
-                raise refusal(f"a head without mirror and standoff for {why}", f'"{self.head.name}"', key="head")
+                raise refusal(
+                    f"a head without mirror and standoff for {why}",
+                    f'"{self.head.name}"',
+                    key="head",
+                    declared=UNKNOWN_NAME,
+                )
             refuse_missing(self, ("body",) if transducer.rotational else ("body", "point"), why)
             if not aimed:
                 refuse_missing(self, ("direction",), why)
             if self.head is not None and self.point is not None and self.point == self.head.stated.mirror:
-                raise refusal(f"another point than the mirror of head {self.head.name}", "the same", key="point")
+                raise refusal(
+                    f"another point than the mirror of head {self.head.name}",
+                    "the same",
+                    key="point",
+                    declared=CONTRADICTING_VALUES,
+                )
         if self.quantity == "output":
             refuse_missing(self, ("channel",), why)
         known = {*self.ANY, *self.TRIGGER}
@@ -206,14 +228,24 @@ class ChannelEntry(ManifestBlock):
         suffix = self.response.suffix.lower() if self.response is not None else ""
         if self.response_result is not None and suffix != ".xml":
             raise refusal(
-                "no such key without a certificate as response", f'"{self.response_result}"', key="response_result"
+                "no such key without a certificate as response",
+                f'"{self.response_result}"',
+                key="response_result",
+                declared=KEY_NOT_APPLICABLE,
             )
         if self.response_columns is not None and suffix not in SUFFIXES:
-            raise refusal("no such key without a table as response", "one", key="response_columns")
+            raise refusal(
+                "no such key without a table as response", "one", key="response_columns", declared=KEY_NOT_APPLICABLE
+            )
         if self.delay_of is not None and not self.delay > 0.0 and (self.delay_of == "filter" or not self.delay):
-            raise refusal("a delay above 0 that this says something of", f"{self.delay:g}", key="delay_of")
+            raise refusal(
+                "a delay above 0 that this says something of",
+                f"{self.delay:g}",
+                key="delay_of",
+                declared=CONTRADICTING_VALUES,
+            )
         if self.scale == 0.0:
-            raise refusal("a number other than 0", "0", key="scale")
+            raise refusal("a number other than 0", "0", key="scale", declared=VALUE_OUT_OF_RANGE)
         return self
 
     @property
@@ -251,7 +283,12 @@ class Daq(ManifestBlock):
         refuse_repeated([entry.name for entry in self.channel], "channels", "channel")
         refuse_repeated([entry.stored_name for entry in self.channel], "channels of the file", "channel")
         if self.file.suffix.lower() == SCAN and any(entry.in_file is not None for entry in self.channel):
-            raise refusal("no key in_file of a scan, whose channels are named block/point", "one", key="channel")
+            raise refusal(
+                "no key in_file of a scan, whose channels are named block/point",
+                "one",
+                key="channel",
+                declared=KEY_NOT_APPLICABLE,
+            )
         return self
 
 
@@ -284,10 +321,10 @@ class Frames(ManifestBlock):
             return value
         if name not in known:
             found = f'"{name}"; rig.toml has {", ".join(known) or "none"}'
-            raise refusal("the name of a stereo pair of rig.toml", found, key="stereo")
+            raise refusal("the name of a stereo pair of rig.toml", found, key="stereo", declared=UNKNOWN_NAME)
         if any(known[name].row_time) and not cls.HAS_ROW_TIMES:
             expected = "images, which tell when the rows of a rolling shutter (row_time) showed what they show"
-            raise refusal(expected, f'points of "{name}"', key="stereo")
+            raise refusal(expected, f'points of "{name}"', key="stereo", declared=CONTRADICTING_VALUES)
         return {key: getattr(known[name], key) for key in cls.INHERITED} | value
 
 
@@ -316,11 +353,18 @@ class Images(Frames):
     def _as_many_left_as_right(self) -> Self:
         left, right = len(self.left), len(self.right)
         if self.right and left != right:
-            raise refusal("as many images left as right", f"{left} left and {right} right", key="right")
+            raise refusal(
+                "as many images left as right",
+                f"{left} left and {right} right",
+                key="right",
+                declared=FRAMES_DO_NOT_MATCH,
+            )
         if 1 < left < MINIMUM_FRAMES:
-            raise refusal(f"at least {MINIMUM_FRAMES} frames", f"{left}", key="left")
+            raise refusal(f"at least {MINIMUM_FRAMES} frames", f"{left}", key="left", declared=FRAMES_DO_NOT_MATCH)
         if set(self.left) & set(self.right):
-            raise refusal("other images than the left ones", "the same files", key="right")
+            raise refusal(
+                "other images than the left ones", "the same files", key="right", declared=FRAMES_DO_NOT_MATCH
+            )
         return self
 
 
@@ -339,12 +383,24 @@ class PointFiles(Frames):
     def _columns_hold_what_is_used(self) -> Self:
         columns = self.columns or ()
         if self.valid_status is not None and "status" not in columns:
-            raise refusal('a column "status" for valid_status', ", ".join(columns) or "none named", key="columns")
+            raise refusal(
+                'a column "status" for valid_status',
+                ", ".join(columns) or "none named",
+                key="columns",
+                declared=CONTRADICTING_VALUES,
+            )
         single = "frame" in columns
         if 1 < len(self.files) < MINIMUM_FRAMES and not single:
-            raise refusal(f"at least {MINIMUM_FRAMES} frames", f"{len(self.files)}", key="files")
+            raise refusal(
+                f"at least {MINIMUM_FRAMES} frames", f"{len(self.files)}", key="files", declared=FRAMES_DO_NOT_MATCH
+            )
         if single and len(self.files) > 1:
-            raise refusal('one file, since its column "frame" tells the frames', f"{len(self.files)}", key="files")
+            raise refusal(
+                'one file, since its column "frame" tells the frames',
+                f"{len(self.files)}",
+                key="files",
+                declared=FRAMES_DO_NOT_MATCH,
+            )
         return self
 
 

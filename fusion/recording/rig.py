@@ -13,6 +13,15 @@ from pydantic import BeforeValidator, Field, model_validator
 from fusion.estimation.measurement_model import UnobservedMotion
 from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.environment import Environment
+from fusion.recording.recording_notices import (
+    CONTRADICTING_VALUES,
+    IMPOSSIBLE_MASS_PROPERTIES,
+    KEY_NOT_APPLICABLE,
+    MISSING_KEY,
+    UNKNOWN_NAME,
+    VALUE_OUT_OF_RANGE,
+    WRONG_VALUE_TYPE,
+)
 from fusion.recording.values import (
     DENSITY,
     FAR,
@@ -88,7 +97,7 @@ def _outputs(value: object) -> tuple[str, ...]:
 def _sensitivity_rows(value: object) -> tuple[tuple[float, ...], ...]:
     """Rows of six numbers; their number is checked against the channels."""
     if not isinstance(value, list | tuple):
-        raise refusal("one row of 6 numbers per channel", describe(value))
+        raise refusal("one row of 6 numbers per channel", describe(value), declared=WRONG_VALUE_TYPE)
     return tuple(vector(6)(row) for row in value)
 
 
@@ -104,11 +113,15 @@ def _refuse_impossible(mass: float, inertia: Matrix3, mass_key: str, inertia_key
     gyration = float(np.sqrt(largest / mass))
     if gyration > FARTHEST_M:
         told = f"up to {largest:g} kg m^2 of {mass:g} kg, as if {gyration:.3g} m away"
-        raise refusal("moments of inertia in kg m^2 of this mass", told, key=inertia_key)
+        raise refusal(
+            "moments of inertia in kg m^2 of this mass", told, key=inertia_key, declared=IMPOSSIBLE_MASS_PROPERTIES
+        )
     least = 0.4 * mass * (3.0 * mass / (4.0 * np.pi * DENSEST_KGM3)) ** (2.0 / 3.0)
     if largest < 0.5 * least:
         told = f"{mass:g} kg with moments of inertia up to {largest:g} kg m^2, which is denser than any metal"
-        raise refusal("a mass in kg with moments of inertia in kg m^2", told, key=mass_key)
+        raise refusal(
+            "a mass in kg with moments of inertia in kg m^2", told, key=mass_key, declared=IMPOSSIBLE_MASS_PROPERTIES
+        )
 
 
 class Sensor(ManifestBlock):
@@ -139,10 +152,17 @@ class Sensor(ManifestBlock):
     def _one_row_per_channel(self) -> Self:
         rows = self.static_sensitivity
         if rows is not None and len(rows) != len(self.channels):
-            raise refusal(f"{len(self.channels)} rows, one per channel", f"{len(rows)} rows", key="static_sensitivity")
+            raise refusal(
+                f"{len(self.channels)} rows, one per channel",
+                f"{len(rows)} rows",
+                key="static_sensitivity",
+                declared=CONTRADICTING_VALUES,
+            )
         _refuse_impossible(self.internal_mass, self.internal_inertia, "internal_mass", "internal_inertia")
         if self.cross_talk is not None and self.capacity is None:
-            raise refusal("the six rated loads that cross_talk is relative to", "nothing", key="capacity")
+            raise refusal(
+                "the six rated loads that cross_talk is relative to", "nothing", key="capacity", declared=MISSING_KEY
+            )
         return self
 
     def moving(self, component: int) -> tuple[float, float]:
@@ -170,7 +190,12 @@ class MountedBody(ManifestBlock):
     @model_validator(mode="after")
     def _conventional_mass_has_density(self) -> Self:
         if self.mass_kind == "conventional" and self.density is None:
-            raise refusal('the density in kg/m^3 that mass_kind = "conventional" needs', "nothing", key="density")
+            raise refusal(
+                'the density in kg/m^3 that mass_kind = "conventional" needs',
+                "nothing",
+                key="density",
+                declared=MISSING_KEY,
+            )
         _refuse_impossible(self.mass, getattr(self, "inertia", ZERO33), "mass", "inertia")
         return self
 
@@ -186,7 +211,11 @@ class MountedBody(ManifestBlock):
 def _displacements(value: object) -> dict[str, tuple[float, ...]]:
     """What a mode does at places by name: 3 numbers of displacement, or 6 with the rotation."""
     if not isinstance(value, dict) or not value:
-        raise refusal("a table of 3 or 6 numbers by the names of channels and stereo pairs", describe(value))
+        raise refusal(
+            "a table of 3 or 6 numbers by the names of channels and stereo pairs",
+            describe(value),
+            declared=WRONG_VALUE_TYPE,
+        )
     return {
         name: vector(6 if isinstance(row, list | tuple) and len(row) == 6 else 3)(row) for name, row in value.items()
     }
@@ -197,7 +226,9 @@ def _refuse_as_large(block: ManifestBlock, keys: Sequence[str]) -> None:
     for key in keys:
         value, u = getattr(block, key), getattr(block, f"{key}_uncertainty")
         if value is not None and u > 0.0 and u >= value:
-            raise refusal(f"less than the {key} of {value:g}", f"{u:g}", key=f"{key}_uncertainty")
+            raise refusal(
+                f"less than the {key} of {value:g}", f"{u:g}", key=f"{key}_uncertainty", declared=VALUE_OUT_OF_RANGE
+            )
 
 
 class ElasticMode(ManifestBlock):
@@ -282,9 +313,13 @@ class Elastic(ManifestBlock):
             return self
         stated = (getattr(self, key) for key in type(self).model_fields if key.endswith("_uncertainty"))
         if not any(stated) and not any(mode.frequency_uncertainty for mode in self.mode):
-            raise refusal("an uncertainty, such as frequencies_uncertainty = 0.1", "none", key="measured_by")
+            raise refusal(
+                "an uncertainty, such as frequencies_uncertainty = 0.1", "none", key="measured_by", declared=MISSING_KEY
+            )
         if self.shape == "modes" and not any(mode.surface for mode in self.mode):
-            raise refusal("the surface of at least one mode, which pictures show", "none", key="measured_by")
+            raise refusal(
+                "the surface of at least one mode, which pictures show", "none", key="measured_by", declared=MISSING_KEY
+            )
         return self
 
     @model_validator(mode="after")
@@ -303,12 +338,17 @@ class Elastic(ManifestBlock):
         refuse_foreign(self, known, f'shape = "{self.shape}"')
         if self.shape == "modes":
             if not self.mode:
-                raise refusal("at least one [[load.elastic.mode]]", "nothing", key="mode")
+                raise refusal("at least one [[load.elastic.mode]]", "nothing", key="mode", declared=MISSING_KEY)
             places = set(self.mode[0].displacement)
             for number, mode in enumerate(self.mode, 1):
                 if set(mode.displacement) != places:
                     told = f"{', '.join(sorted(mode.displacement))} in mode {number}"
-                    raise refusal(f"the places {', '.join(sorted(places))} of mode 1", told, key="mode")
+                    raise refusal(
+                        f"the places {', '.join(sorted(places))} of mode 1",
+                        told,
+                        key="mode",
+                        declared=CONTRADICTING_VALUES,
+                    )
             return self
         refuse_missing(self, own[:5], f'shape = "{self.shape}"')
         _refuse_as_large(self, POSITIVE)
@@ -316,7 +356,10 @@ class Elastic(ManifestBlock):
         inner, outer, u = getattr(self, key) or 0.0, self.diameter or 0.0, getattr(self, f"{key}_uncertainty")
         if max(inner + u, inner + self.diameter_uncertainty) >= outer:
             raise refusal(
-                f"less than the diameter of {outer:g} m, by more than either uncertainty", f"{inner:g}", key=key
+                f"less than the diameter of {outer:g} m, by more than either uncertainty",
+                f"{inner:g}",
+                key=key,
+                declared=CONTRADICTING_VALUES,
             )
         return self
 
@@ -348,11 +391,14 @@ class RigLoad(MountedBody):
         refuse_repeated([part.name for part in self.elastic], "elastic parts", "elastic")
         if self.cable_stiffness is None and any(self.cable_stiffness_uncertainty):
             raise refusal(
-                "the stiffness that this uncertainty belongs to (0 if need be)", "nothing", key="cable_stiffness"
+                "the stiffness that this uncertainty belongs to (0 if need be)",
+                "nothing",
+                key="cable_stiffness",
+                declared=MISSING_KEY,
             )
         if self.elastic and self.first_frequency is not None:
             expected = "either the modes of [[load.elastic]] or a first frequency that bounds them"
-            raise refusal(expected, "both", key="first_frequency")
+            raise refusal(expected, "both", key="first_frequency", declared=CONTRADICTING_VALUES)
         return self
 
 
@@ -398,9 +444,19 @@ class Stereo(ManifestBlock):
     @model_validator(mode="after")
     def _one_way_to_depth(self) -> Self:
         if self.surface is not None and self.pose_by_calibration is not None:
-            raise refusal("no such key of a camera alone, which states a surface", "one", key="pose_by_calibration")
+            raise refusal(
+                "no such key of a camera alone, which states a surface",
+                "one",
+                key="pose_by_calibration",
+                declared=KEY_NOT_APPLICABLE,
+            )
         if self.surface is not None and any(self.row_time):
-            raise refusal("0 of a camera alone, which states a surface", f"{self.row_time[0]:g} s", key="row_time")
+            raise refusal(
+                "0 of a camera alone, which states a surface",
+                f"{self.row_time[0]:g} s",
+                key="row_time",
+                declared=CONTRADICTING_VALUES,
+            )
         return self
 
 
@@ -420,9 +476,14 @@ class InstrumentHead(ManifestBlock):
     @model_validator(mode="after")
     def _one_place_of_the_mirror(self) -> Self:
         if self.mirror is not None and self.standoff is not None:
-            raise refusal("no such key where the mirror is stated", f"{self.standoff:g}", key="standoff")
+            raise refusal(
+                "no such key where the mirror is stated",
+                f"{self.standoff:g}",
+                key="standoff",
+                declared=KEY_NOT_APPLICABLE,
+            )
         if self.mirror is None and any(self.mirror_uncertainty):
-            raise refusal("the mirror whose uncertainty is stated", "nothing", key="mirror")
+            raise refusal("the mirror whose uncertainty is stated", "nothing", key="mirror", declared=MISSING_KEY)
         return self
 
 
@@ -513,7 +574,7 @@ class Rig(ManifestBlock):
             for name in part.measured_by:
                 if name not in seen:
                     expected = f"a stereo pair of two cameras that sees the load ({', '.join(seen) or 'none does'})"
-                    raise refusal(expected, name, key=f"load.elastic.{part.name}.measured_by")
+                    raise refusal(expected, name, key=f"load.elastic.{part.name}.measured_by", declared=UNKNOWN_NAME)
         return self
 
     def unit_of(self, channel: ChannelEntry) -> str:

@@ -23,6 +23,21 @@ from pydantic import BaseModel, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
 from fusion.errors import InputError
+from fusion.recording.recording_notices import (
+    FILE_TOO_LARGE,
+    INVALID_SYNTAX,
+    INVALID_UNCERTAINTY_STATEMENT,
+    INVALID_VALUE,
+    KEY_NOT_APPLICABLE,
+    MISSING_FILE,
+    MISSING_KEY,
+    UNFILLED_VALUE,
+    UNKNOWN_KEY,
+    UNREADABLE_FILE,
+    VALUE_OUT_OF_RANGE,
+    WRONG_ENCODING,
+    WRONG_VALUE_TYPE,
+)
 from fusion.recording.values import (
     Context,
     ManifestBlock,
@@ -33,6 +48,7 @@ from fusion.recording.values import (
     wrong_size,
     wrong_text,
 )
+from shakercal._common.notices import DeclaredNotice
 
 LARGEST_TOML = 4_000_000  # bytes; no manifest is anywhere near
 LONG_LINE = 5000  # characters, from which on nesting takes the reader of TOML time
@@ -46,13 +62,19 @@ def read_toml(path: Path) -> dict[str, Any]:
     text = read_text(path, LARGEST_TOML, "a manifest")
     deep = next((number for number, line in enumerate(text.splitlines(), 1) if _nested(line) > DEEPEST), None)
     if deep is not None:
-        raise InputError(path, f"line {deep}", "more", f"at most {DEEPEST} tables or lists in one another")
+        raise InputError(
+            INVALID_SYNTAX,
+            path,
+            f"line {deep}",
+            found="more",
+            expected=f"at most {DEEPEST} tables or lists in one another",
+        )
     try:
         values = tomllib.loads(text)
     except RecursionError as error:
-        raise InputError(path, "", "brackets without end", "TOML") from error
+        raise InputError(INVALID_SYNTAX, path, found="brackets without end", expected="TOML") from error
     except ValueError as error:
-        raise InputError(path, "", describe(str(error), plain=True), "TOML") from error
+        raise InputError(INVALID_SYNTAX, path, found=describe(str(error), plain=True), expected="TOML") from error
     check_values(values, path)
     return values
 
@@ -65,7 +87,7 @@ def read_rows(
         reader = csv.DictReader(read_text(path, largest, "a table").splitlines())
         return tuple(reader.fieldnames or ()), list(reader)
     except csv.Error as error:
-        raise InputError(path, "", found=str(error), expected=expected) from error
+        raise InputError(INVALID_SYNTAX, path, found=str(error), expected=expected) from error
 
 
 def read_text(path: Path, largest: int, what: str) -> str:
@@ -74,22 +96,24 @@ def read_text(path: Path, largest: int, what: str) -> str:
         size = path.stat()
         if not stat.S_ISREG(size.st_mode):
             found = "a folder" if stat.S_ISDIR(size.st_mode) else "a device or pipe"
-            raise InputError(path, "", found, "a file that can be read")
+            raise InputError(UNREADABLE_FILE, path, found=found, expected="a file that can be read")
         if size.st_size > largest:
-            raise InputError(path, "", f"{size.st_size} bytes", f"{what} of at most {largest} bytes")
+            raise InputError(
+                FILE_TOO_LARGE, path, found=f"{size.st_size} bytes", expected=f"{what} of at most {largest} bytes"
+            )
         content = path.read_bytes()
         if content.startswith(UTF16):
-            raise InputError(path, "", "UTF-16", "UTF-8 text; save it as UTF-8")
+            raise InputError(WRONG_ENCODING, path, found="UTF-16", expected="UTF-8 text; save it as UTF-8")
         return content.decode("utf-8-sig")
     except FileNotFoundError as error:
-        raise InputError(path, "", "no such file", "an existing file") from error
+        raise InputError(MISSING_FILE, path, found="no such file", expected="an existing file") from error
     except UnicodeDecodeError as error:
         line = content[: error.start].count(b"\n") + 1
         found = f"a letter of another encoding in line {line}, such as code page 1252"
-        raise InputError(path, "", found, "UTF-8 text; save it as UTF-8") from error
+        raise InputError(WRONG_ENCODING, path, found=found, expected="UTF-8 text; save it as UTF-8") from error
     except (OSError, ValueError) as error:  # a ValueError: NUL in the name
         found = getattr(error, "strerror", None) or str(error)
-        raise InputError(path, "", found, "a file that can be read") from error
+        raise InputError(UNREADABLE_FILE, path, found=found, expected="a file that can be read") from error
 
 
 def _nested(line: str) -> int:
@@ -112,18 +136,28 @@ def check_values(values: Any, path: Path) -> None:
         if isinstance(value, dict | list):
             if len(place) > DEEPEST:
                 raise InputError(
-                    path, key_path(values, place[:3]), "more", f"at most {DEEPEST} tables or lists in one another"
+                    INVALID_SYNTAX,
+                    path,
+                    key_path(values, place[:3]),
+                    found="more",
+                    expected=f"at most {DEEPEST} tables or lists in one another",
                 )
             steps = value.items() if isinstance(value, dict) else enumerate(value)
             for step, item in steps:
                 wrong = wrong_text(step) if isinstance(step, str) else None
                 if wrong is not None:
-                    raise InputError(path, key_path(values, place), f"the name {describe(step, plain=True)}", wrong)
+                    raise InputError(
+                        INVALID_VALUE,
+                        path,
+                        key_path(values, place),
+                        found=f"the name {describe(step, plain=True)}",
+                        expected=wrong,
+                    )
                 waiting.append((item, [*place, step]))
             continue
         wrong = wrong_text(value) if isinstance(value, str) else wrong_size(value)
         if wrong is not None:
-            raise InputError(path, key_path(values, place), describe(value), wrong)
+            raise InputError(VALUE_OUT_OF_RANGE, path, key_path(values, place), found=describe(value), expected=wrong)
 
 
 def validate(model: type[AnyBlock], text: dict[str, Any], path: Path, context: Context | None = None) -> AnyBlock:
@@ -145,14 +179,15 @@ def checked_table(
     except ValidationError as error:
         whole, start = location or (values, [])
 
-        def told(problem: ErrorDetails) -> InputError:
-            place, own = [*start, *problem["loc"]], problem.get("ctx", {}).get("key")
-            expected, found = describe_problem(model, problem)
-            return InputError(path, key_path(whole, [*place, *own.split(".")] if own else place), found, expected)
+        def located(problem: ErrorDetails) -> InputError:
+            steps, inner = [*start, *problem["loc"]], problem.get("ctx", {}).get("key")
+            declared, expected, found = describe_problem(model, problem)
+            key = key_path(whole, [*steps, *inner.split(".")] if inner else steps)
+            return InputError(declared, path, key, found=found, expected=expected)
 
-        # An unknown key comes before the key that is missing in its stead.
+        # An unknown key is often the misspelt one that is missing: it is reported first.
         problems = sorted(error.errors(include_url=False), key=lambda problem: problem["type"] != "extra_forbidden")
-        raise InputError.together(map(told, problems)) from error
+        raise InputError.together(map(located, problems)) from error
 
 
 # Inputs as certificates state them: a table in the place of a value, or of its standard uncertainty.
@@ -201,18 +236,38 @@ class UncertaintyStatement(ManifestBlock):
     @model_validator(mode="after")
     def _says_enough(self) -> Self:
         if (self.U is None) == (self.U_relative is None):
-            raise refusal("either U or U_relative", "neither" if self.U is None else "both", key="U")
+            raise refusal(
+                "either U or U_relative",
+                "neither" if self.U is None else "both",
+                key="U",
+                declared=INVALID_UNCERTAINTY_STATEMENT,
+            )
         numbers = self.U if isinstance(self.U, list | tuple) else [0.0 if self.U is None else self.U]
         if not all(is_number(number) and number >= 0 for number in numbers):
-            raise refusal("a number or numbers, none negative", describe(self.U), key="U")
+            raise refusal(
+                "a number or numbers, none negative", describe(self.U), key="U", declared=INVALID_UNCERTAINTY_STATEMENT
+            )
         if self.distribution == "normal" and self.k is None:
-            raise refusal("the coverage factor k that belongs to U (1 for a standard uncertainty)", "nothing", key="k")
+            raise refusal(
+                "the coverage factor k that belongs to U (1 for a standard uncertainty)",
+                "nothing",
+                key="k",
+                declared=INVALID_UNCERTAINTY_STATEMENT,
+            )
         if self.distribution != "normal" and (self.k or self.dof) is not None:
             key = "dof" if self.k is None else "k"
-            raise refusal(f"no such key: U of a {self.distribution} distribution is its half-width", "one", key=key)
+            raise refusal(
+                f"no such key: U of a {self.distribution} distribution is its half-width",
+                "one",
+                key=key,
+                declared=INVALID_UNCERTAINTY_STATEMENT,
+            )
         if self.date is not None and self.valid_until is not None and self.valid_until < self.date:
             raise refusal(
-                f"a day after {self.date}, the date of the certificate", f"{self.valid_until}", key="valid_until"
+                f"a day after {self.date}, the date of the certificate",
+                f"{self.valid_until}",
+                key="valid_until",
+                declared=INVALID_UNCERTAINTY_STATEMENT,
             )
         return self
 
@@ -307,16 +362,32 @@ def expand_statements(text: dict[str, Any], path: Path) -> tuple[dict[str, Any],
             target, relative = UNCERTAINTY_OF.get(name, f"{name}_uncertainty"), _is_relative(name, value)
             if (own.value is None) == (name == key):
                 wanted = "the value that this U belongs to" if name == key else "no value: it stands at its own key"
-                raise InputError(path, key_path(text, [*here, "value"]), describe(own.value), wanted)
+                raise InputError(
+                    INVALID_UNCERTAINTY_STATEMENT,
+                    path,
+                    key_path(text, [*here, "value"]),
+                    found=describe(own.value),
+                    expected=wanted,
+                )
             if name == key and target in value:
                 raise InputError(
-                    path, key_path(text, [*place, target]), "one", f"no such key, since {key} states its U"
+                    KEY_NOT_APPLICABLE,
+                    path,
+                    key_path(text, [*place, target]),
+                    found="one",
+                    expected=f"no such key, since {key} states its U",
                 )
             u = own.standard_uncertainty(value.get(name) if own.value is None else own.value, relative=relative)
             if u is None:
                 given, wanted = ("U", "U_relative") if relative else ("U_relative", "U")
                 found = describe(getattr(own, given))
-                raise InputError(path, key_path(text, [*here, given]), found, f"{wanted} for a value such as this")
+                raise InputError(
+                    INVALID_UNCERTAINTY_STATEMENT,
+                    path,
+                    key_path(text, [*here, given]),
+                    found=found,
+                    expected=f"{wanted} for a value such as this",
+                )
             statements.append(UncertainInput(path, key_path(text, here), own.value, u, relative, own))
             out |= {target: u} if own.value is None else {key: own.value, target: u}
         return out
@@ -347,7 +418,13 @@ def find_unfilled(text: dict[str, Any], path: Path) -> list[InputError]:
     comments = [comment.strip() for value, _, comment in marks for _ in range(value.count(f'"{UNFILLED}"'))]
     told = comments if len(comments) == len(places) else [""] * len(places)
     return [
-        InputError(path, key_path(text, place), f'"{UNFILLED}", not filled in yet', comment or "a value")
+        InputError(
+            UNFILLED_VALUE,
+            path,
+            key_path(text, place),
+            found=f'"{UNFILLED}", not filled in yet',
+            expected=comment or "a value",
+        )
         for place, comment in zip(places, told, strict=True)
     ]
 
@@ -383,15 +460,25 @@ def _block_name(siblings: Any, block: Any) -> str:
     return ""
 
 
-def describe_problem(model: type[ManifestBlock], problem: ErrorDetails) -> tuple[str, str]:
-    """What was expected and what was found, for any error of pydantic's."""
+VALIDATION_ERRORS = {
+    "greater_than": VALUE_OUT_OF_RANGE,
+    "greater_than_equal": VALUE_OUT_OF_RANGE,
+    "less_than_equal": VALUE_OUT_OF_RANGE,
+    "less_than": VALUE_OUT_OF_RANGE,
+    "literal_error": INVALID_VALUE,
+}
+"""Declarations by pydantic's type of error; all others are wrong types."""
+
+
+def describe_problem(model: type[ManifestBlock], problem: ErrorDetails) -> tuple[DeclaredNotice, str, str]:
+    """Return the declaration, the expected and the found value of any error of pydantic."""
     kind, context = problem["type"], problem.get("ctx", {})
     if kind == "refused":
-        return str(context["expected"]), str(context["found"])
+        return context["declared"], str(context["expected"]), str(context["found"])
     if kind == "missing":
-        return "this key, which is required", "nothing"
+        return MISSING_KEY, "this key, which is required", "no such key"
     if kind == "extra_forbidden":
-        return _known_keys(model, problem["loc"]), "an unknown key"
+        return UNKNOWN_KEY, _available_keys(model, problem["loc"]), "an unknown key"
     expected = {
         "float_type": "a number",
         "finite_number": "a finite number",
@@ -408,18 +495,19 @@ def describe_problem(model: type[ManifestBlock], problem: ErrorDetails) -> tuple
         "model_type": "a table",
         "dict_type": "a table",
     }.get(kind)
-    return expected.format(**context) if expected else problem["msg"], describe(problem["input"])
+    declared = VALIDATION_ERRORS.get(kind, WRONG_VALUE_TYPE)
+    return declared, expected.format(**context) if expected else problem["msg"], describe(problem["input"])
 
 
-def _known_keys(model: type[BaseModel], place: tuple[int | str, ...]) -> str:
-    """Which key of the table at a place below a model was probably meant, else all its keys."""
-    for step in place[:-1]:
+def _available_keys(model: type[BaseModel], path: tuple[int | str, ...]) -> str:
+    """Return the key of the table at a key path that was probably meant, else all its keys."""
+    for step in path[:-1]:
         field = model.model_fields.get(step) if isinstance(step, str) else None
         below = next(models_in(field.annotation), None) if field is not None else None
         model = below or model
-    known = list(model.model_fields)
-    close = get_close_matches(str(place[-1]), known, n=1)
-    return f'a known key, probably "{close[0]}"' if close else "one of the keys " + ", ".join(known)
+    available = list(model.model_fields)
+    close = get_close_matches(str(path[-1]), available, n=1)
+    return f'a key of this table, probably "{close[0]}"' if close else "one of the keys " + ", ".join(available)
 
 
 def models_in(annotation: Any) -> Iterator[type[BaseModel]]:

@@ -22,6 +22,20 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from pydantic_core import PydanticCustomError
 
 from fusion.base import natural_key
+from fusion.recording.recording_notices import (
+    IMPOSSIBLE_MASS_PROPERTIES,
+    INVALID_VALUE,
+    KEY_NOT_APPLICABLE,
+    MISSING_FILE,
+    MISSING_KEY,
+    NAME_NOT_USABLE_IN_FILES,
+    PATH_NOT_ALLOWED,
+    REPEATED_NAME,
+    UNREADABLE_FILE,
+    VALUE_OUT_OF_RANGE,
+    WRONG_VALUE_TYPE,
+)
+from shakercal._common.notices import DeclaredNotice
 
 if TYPE_CHECKING:
     from fusion.recording.rig import InstrumentHead, Stereo
@@ -56,7 +70,7 @@ class PathScope:
         """Resolve the path of one existing file."""
         path = self._inside(self._followed(self._join(text), text), text)
         if not path.is_file():
-            raise refusal("an existing file", _other_than_file(path))
+            raise refusal("an existing file", _other_than_file(path), declared=MISSING_FILE)
         return path
 
     def files(self, text: str) -> tuple[Path, ...]:
@@ -67,10 +81,10 @@ class PathScope:
         if not MAGIC.search(text):
             return (self.file(text),)
         if "**" in text:
-            raise refusal("a pattern that stays in one folder", f"'{text}' with '**'")
+            raise refusal("a pattern that stays in one folder", f"'{text}' with '**'", declared=PATH_NOT_ALLOWED)
         matches = [path for path in self._expand(text) if path.is_file()]
         if not matches:
-            raise refusal("at least one file", f"nothing that matches {plain}")
+            raise refusal("at least one file", f"nothing that matches {plain}", declared=MISSING_FILE)
         folders = {folder: self._followed(folder, text) for folder in {path.parent for path in matches}}
         real = (self._followed(p, text) if p.is_symlink() else folders[p.parent] / p.name for p in matches)
         return tuple(self._inside(path, text) for path in real)
@@ -78,12 +92,16 @@ class PathScope:
     def _join(self, text: str) -> Path:
         """Check the syntax of a path and put it behind the manifest's folder."""
         if not text.strip() or UNPRINTABLE.search(text):
-            raise refusal("a path", "an empty text" if not text.strip() else "a text with control characters")
+            raise refusal(
+                "a path",
+                "an empty text" if not text.strip() else "a text with control characters",
+                declared=INVALID_VALUE,
+            )
         if "\\" in text:
-            raise refusal("a path with '/' between its parts", f"'{text}'")
+            raise refusal("a path with '/' between its parts", f"'{text}'", declared=PATH_NOT_ALLOWED)
         absolute = PurePosixPath(text).is_absolute() or PureWindowsPath(text).drive != ""
         if absolute and not self.allow_outside:
-            raise refusal("a path relative to this file", f"'{text}'")
+            raise refusal("a path relative to this file", f"'{text}'", declared=PATH_NOT_ALLOWED)
         return self.folder / text
 
     def _followed(self, path: Path, text: str) -> Path:
@@ -91,7 +109,9 @@ class PathScope:
         try:
             return path.resolve()
         except RuntimeError as error:  # as versions of Python before 3.13 tell it
-            raise refusal("a path that can be read", f"links that lead in a circle at '{text}'") from error
+            raise refusal(
+                "a path that can be read", f"links that lead in a circle at '{text}'", declared=UNREADABLE_FILE
+            ) from error
 
     def _inside(self, path: Path, text: str) -> Path:
         """Refuse a path without links that lies outside the campaign's folder."""
@@ -99,6 +119,7 @@ class PathScope:
             raise refusal(
                 f"a path inside the folder {self.of} {self.root} (--allow-outside permits others)",
                 f"'{text}', which leads to {path}",
+                declared=PATH_NOT_ALLOWED,
             )
         return path
 
@@ -156,11 +177,10 @@ class ManifestBlock(BaseModel):
     model_config = ConfigDict(strict=True, frozen=True, extra="forbid", defer_build=True)
 
 
-def refusal(expected: str, found: str, key: str = "") -> PydanticCustomError:
-    """The error a validator raises; `key` names the offending key where the whole table was checked."""
-    return PydanticCustomError(
-        "refused", "expected {expected}, found {found}", {"expected": expected, "found": found, "key": key}
-    )
+def refusal(expected: str, found: str, key: str = "", declared: DeclaredNotice = INVALID_VALUE) -> PydanticCustomError:
+    """Return the error that a validator raises; `key`: within the table, where the whole table was checked."""
+    context = {"expected": expected, "found": found, "key": key, "declared": declared}
+    return PydanticCustomError("refused", "expected {expected}, found {found}", context)
 
 
 SMALLEST, LARGEST = 1e-100, 1e30
@@ -210,12 +230,12 @@ def is_number(value: Any) -> bool:
 
 def _numbers(value: Any, count: int, expected: str) -> tuple[float, ...]:
     if not isinstance(value, list | tuple):
-        raise refusal(expected, describe(value))
+        raise refusal(expected, describe(value), declared=WRONG_VALUE_TYPE)
     if len(value) != count:
-        raise refusal(expected, f"{len(value)} elements")
+        raise refusal(expected, f"{len(value)} elements", declared=WRONG_VALUE_TYPE)
     wrong = [(i, element) for i, element in enumerate(value, 1) if not is_number(element)]
     if wrong:
-        raise refusal(expected, f"{describe(wrong[0][1])} as element {wrong[0][0]}")
+        raise refusal(expected, f"{describe(wrong[0][1])} as element {wrong[0][0]}", declared=WRONG_VALUE_TYPE)
     return tuple(float(element) for element in value)
 
 
@@ -231,7 +251,7 @@ def rows_of(rows: int, columns: int, fewer: int | None = None) -> Callable[[Any]
     def checked(value: Any) -> tuple[tuple[float, ...], ...]:
         if not isinstance(value, list | tuple) or len(value) != rows:
             found = f"{len(value)} rows" if isinstance(value, list | tuple) else describe(value)
-            raise refusal(expected, found)
+            raise refusal(expected, found, declared=WRONG_VALUE_TYPE)
         if fewer is not None and all(isinstance(row, list | tuple) and len(row) == fewer for row in value):
             value = [[*row, *[0.0] * (columns - fewer)] for row in value]
         return tuple(_numbers(row, columns, expected) for row in value)
@@ -246,7 +266,11 @@ def box(value: Any) -> Box:
     """Return a rectangle of whole pixels: left, top, width, height."""
     whole = isinstance(value, list | tuple) and len(value) == 4 and all(type(part) is int for part in value)
     if not (whole and min(value) >= 0 and min(value[2:]) >= 1 and max(value) <= MOST_PIXELS):
-        raise refusal("[x, y, width, height] of the left picture in whole px, the latter two above 0", describe(value))
+        raise refusal(
+            "[x, y, width, height] of the left picture in whole px, the latter two above 0",
+            describe(value),
+            declared=WRONG_VALUE_TYPE,
+        )
     x, y, width, height = value
     return x, y, width, height
 
@@ -254,9 +278,9 @@ def box(value: Any) -> Box:
 def boxes(value: Any) -> tuple[Box, ...]:
     """Return rectangles of whole pixels."""
     if not isinstance(value, list | tuple) or any(not isinstance(one, list | tuple) for one in value):
-        raise refusal("a list of [x, y, width, height]", describe(value))
+        raise refusal("a list of [x, y, width, height]", describe(value), declared=WRONG_VALUE_TYPE)
     if len(value) > MOST_BOXES:
-        raise refusal(f"at most {MOST_BOXES} rectangles", str(len(value)))
+        raise refusal(f"at most {MOST_BOXES} rectangles", str(len(value)), declared=VALUE_OUT_OF_RANGE)
     return tuple(map(box, value))
 
 
@@ -279,7 +303,7 @@ def uncertainty_vector(count: int, each: str = "") -> Callable[[Any], tuple[floa
         one_for_all = not each and is_number(value)
         elements = (float(value),) * count if one_for_all else _numbers(value, count, expected)
         if min(elements) < 0:
-            raise refusal(expected, f"{min(elements):g}")
+            raise refusal(expected, f"{min(elements):g}", declared=VALUE_OUT_OF_RANGE)
         return elements
 
     return check
@@ -297,7 +321,7 @@ def positive(check: Callable[[Any], tuple[float, ...]], expected: str) -> Callab
     def above_zero(value: Any) -> tuple[float, ...]:
         numbers = check(value)
         if min(numbers) <= 0:
-            raise refusal(expected, f"{min(numbers):g}")
+            raise refusal(expected, f"{min(numbers):g}", declared=VALUE_OUT_OF_RANGE)
         return numbers
 
     return above_zero
@@ -336,13 +360,23 @@ def inertia(value: Any) -> tuple[tuple[float, ...], ...]:
     row, column = np.unravel_index(int(np.abs(array - array.T).argmax()), (3, 3))
     if abs(array[row, column] - array[column, row]) > SYMMETRY_TOLERANCE * largest:
         pair = f"{array[row, column]:g} in row {row + 1}, column {column + 1}"
-        raise refusal("a symmetric matrix", f"{pair} and {array[column, row]:g} opposite")
+        raise refusal(
+            "a symmetric matrix", f"{pair} and {array[column, row]:g} opposite", declared=IMPOSSIBLE_MASS_PROPERTIES
+        )
     low, middle, high = (float(moment) for moment in np.linalg.eigvalsh((array + array.T) / 2))
     if low < -SYMMETRY_TOLERANCE * largest:
-        raise refusal("an inertia with positive principal moments", f"the principal moment {low:g} kg m^2")
+        raise refusal(
+            "an inertia with positive principal moments",
+            f"the principal moment {low:g} kg m^2",
+            declared=IMPOSSIBLE_MASS_PROPERTIES,
+        )
     if high > low + middle + ROUNDING_TOLERANCE * high:
         moments = f"{low:g}, {middle:g} and {high:g} kg m^2"
-        raise refusal("principal moments of which none exceeds the sum of the others", moments)
+        raise refusal(
+            "principal moments of which none exceeds the sum of the others",
+            moments,
+            declared=IMPOSSIBLE_MASS_PROPERTIES,
+        )
     return rows
 
 
@@ -351,38 +385,42 @@ def inertia_spread(value: Any) -> tuple[tuple[float, ...], ...]:
     rows = ((float(value),) * 3,) * 3 if is_number(value) else _matrix3(value)
     array = np.array(rows)
     if array.min() < 0 or not np.allclose(array, array.T):
-        raise refusal("one number or a symmetric matrix of 3 rows of 3 numbers, none negative", "another matrix")
+        raise refusal(
+            "one number or a symmetric matrix of 3 rows of 3 numbers, none negative",
+            "another matrix",
+            declared=WRONG_VALUE_TYPE,
+        )
     return rows
 
 
 def _version(value: Any) -> int:
     """Check the version of a file's format; `true` is no 1."""
     if type(value) is not int or value != 1:
-        raise refusal("1, the version of the format", describe(value))
+        raise refusal("1, the version of the format", describe(value), declared=INVALID_VALUE)
     return value
 
 
 def texts(value: Any) -> tuple[str, ...]:
     """Check a list of different, non-empty texts."""
     if not isinstance(value, list | tuple) or not all(isinstance(item, str) and item for item in value):
-        raise refusal("a list of texts", describe(value))
+        raise refusal("a list of texts", describe(value), declared=WRONG_VALUE_TYPE)
     repeated = repeated_name(value)
     if repeated is not None:
-        raise refusal("different names", f'"{repeated}" twice')
+        raise refusal("different names", f'"{repeated}" twice', declared=REPEATED_NAME)
     return _counted(value)
 
 
 def _counted(value: Sequence[Any]) -> tuple[Any, ...]:
     """A list as a tuple, refused where it has more items than anybody writes."""
     if len(value) > MOST_ITEMS:
-        raise refusal(f"at most {MOST_ITEMS}", f"{len(value)}")
+        raise refusal(f"at most {MOST_ITEMS}", f"{len(value)}", declared=VALUE_OUT_OF_RANGE)
     return tuple(value)
 
 
 def array_of_tables(value: Any) -> Any:
     """An array of tables as the tuple that the models hold."""
     if not isinstance(value, list | tuple):
-        raise refusal("blocks in double brackets, [[…]]", describe(value))
+        raise refusal("blocks in double brackets, [[…]]", describe(value), declared=WRONG_VALUE_TYPE)
     return _counted(value)
 
 
@@ -393,14 +431,14 @@ def existing(resolve: Callable[[PathScope, str], Any], expected: str) -> Callabl
         if isinstance(value, Path | tuple):  # resolved before
             return value
         if not isinstance(value, str):
-            raise refusal(expected, describe(value))
+            raise refusal(expected, describe(value), declared=WRONG_VALUE_TYPE)
         if not isinstance(info.context, Context):
             raise refusal("a resolved path", "a text outside any manifest")
         try:
             return resolve(info.context.scope, value)
         except OSError as error:
             found = f"{error.strerror or error} ({describe(str(error.filename), plain=True)})"
-            raise refusal("a path that can be read", found) from error
+            raise refusal("a path that can be read", found, declared=UNREADABLE_FILE) from error
 
     return check
 
@@ -415,14 +453,14 @@ def refuse_missing(block: ManifestBlock, required: Sequence[str], why: str) -> N
     """Refuse a table that lacks a key its kind needs."""
     for key in required:
         if getattr(block, key) is None:
-            raise refusal(f"this key, required for {why}", "nothing", key=key)
+            raise refusal(f"this key, required for {why}", "nothing", key=key, declared=MISSING_KEY)
 
 
 def refuse_foreign(block: ManifestBlock, known: Collection[str], why: str) -> None:
     """Refuse a key that means nothing for the kind of a table."""
     for key in type(block).model_fields:
         if key in block.model_fields_set and key not in known:
-            raise refusal(f"no such key for {why}", describe(getattr(block, key)), key=key)
+            raise refusal(f"no such key for {why}", describe(getattr(block, key)), key=key, declared=KEY_NOT_APPLICABLE)
 
 
 RESERVED = {"con", "prn", "aux", "nul", *(f"{port}{n}" for port in ("com", "lpt") for n in range(10))}
@@ -436,19 +474,26 @@ def refuse_as_file_names(names: Collection[str], key: str) -> None:
         wrong = re.search(r'[\x00-\x1f\x7f/\\:*?"<>|]', name)
         if not name or wrong or name[-1] in ". " or name[0] in " -" or len(name.encode()) > LONGEST_FILE_NAME:
             expected = f"a name that a file can bear, of at most {LONGEST_FILE_NAME} bytes, since motion-NAME.csv does"
-            raise refusal(expected, f'"{describe(name, plain=True)}"', key=key)
+            raise refusal(expected, f'"{describe(name, plain=True)}"', key=key, declared=NAME_NOT_USABLE_IN_FILES)
         if name.partition(".")[0].lower() in RESERVED:
-            raise refusal("a name that is no device's on Windows", f'"{name}"', key=key)
+            raise refusal(
+                "a name that is no device's on Windows", f'"{name}"', key=key, declared=NAME_NOT_USABLE_IN_FILES
+            )
         twin = seen.setdefault(unicodedata.normalize("NFKC", name).casefold(), name)
         if twin != name:
-            raise refusal(f'a name that differs from "{twin}" by more than case', f'"{name}"', key=key)
+            raise refusal(
+                f'a name that differs from "{twin}" by more than case',
+                f'"{name}"',
+                key=key,
+                declared=NAME_NOT_USABLE_IN_FILES,
+            )
 
 
 def refuse_repeated(names: Sequence[str], what: str, key: str) -> None:
     """Refuse blocks of which two have one name."""
     twice = repeated_name(names)
     if twice is not None:
-        raise refusal(f"{what} of different names", f'"{twice}" twice', key=key)
+        raise refusal(f"{what} of different names", f'"{twice}" twice', key=key, declared=REPEATED_NAME)
 
 
 def size_range(low: float, high: float, unit: str, **others: float) -> AfterValidator:
@@ -464,7 +509,9 @@ def size_range(low: float, high: float, unit: str, **others: float) -> AfterVali
                 usual = [f" ({number * one:g} {unit} if meant in {name})" for name, one in others.items()]
                 fits = [told for told, one in zip(usual, others.values(), strict=True) if low <= size * one <= high]
                 least = f"{low:g} to {high:g}" if size < low else f"at most {high:g}"
-                raise refusal(f"{least} {unit}".strip(), f"{number:g}{next(iter(fits), '')}")
+                raise refusal(
+                    f"{least} {unit}".strip(), f"{number:g}{next(iter(fits), '')}", declared=VALUE_OUT_OF_RANGE
+                )
         return value
 
     return AfterValidator(check)
