@@ -159,7 +159,7 @@ def _parsed(path: Path, _: FileIdentity | None) -> CalibrationCertificate:
             INVALID_CERTIFICATE_FILE,
             path,
             "dcc:uniqueIdentifier",
-            found="nothing",
+            found="no such key",
             expected="the number of the certificate",
         )
     core = administrative.find("{*}coreData")
@@ -338,7 +338,7 @@ class _Numbers:
         element = parent.find(f"{{*}}{tag}")
         texts = [] if element is None or not element.text else element.text.split()
         if not texts:
-            raise self.refusal(tag, "nothing", "numbers" if tag.endswith("List") else "a number")
+            raise self.refusal(tag, "no element", "numbers" if tag.endswith("List") else "a number")
         try:
             found = np.array([float(text) for text in texts])
         except ValueError as error:
@@ -356,7 +356,7 @@ class _Numbers:
         element = parent.find(f"{{*}}{tag}")
         texts = (element.text or "").split() if element is not None else []
         if len(texts) not in (1, count):
-            raise self.refusal(tag, f"{len(texts)} units" if texts else "nothing", f"one unit, or {count}")
+            raise self.refusal(tag, f"{len(texts)} units" if texts else "no unit", f"one unit, or {count}")
         try:
             units = [parse_unit(text) for text in texts]
         except ValueError as error:
@@ -374,7 +374,7 @@ class _Numbers:
             return self._hybrid(inner)
         if tag in ("list", "realList"):
             if not inner:
-                raise self.refusal(tag, "nothing", "values")
+                raise self.refusal(tag, "no element", "values")
             parts = [self.quantity(child) if tag == "list" else self._real(child, "", values) for child in inner]
             if len({part.unit.dimension for part in parts}) > 1:
                 raise self.refusal(tag, "units of different quantities", "units that convert into each other")
@@ -395,7 +395,7 @@ class _Numbers:
                 wrong.append(error)
         found = [own for own in found if own.unit.dimension != LEVEL] or found
         if not found:
-            raise next(iter(wrong), self.refusal("hybrid", "nothing", "values"))
+            raise next(iter(wrong), self.refusal("hybrid", "no element", "values"))
         best = min(found, key=lambda own: own.unit.factor != 1.0 or own.unit.celsius)
         for own in found:
             if own.unit.dimension != best.unit.dimension or own.value.shape != best.value.shape:

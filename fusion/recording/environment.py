@@ -76,7 +76,10 @@ class Environment(ManifestBlock):
     def _gravity_is_told_whole(self) -> Self:
         if self.latitude is not None and self.height is None and self.gravity is None:
             raise refusal(
-                "the height above the sea in m that belongs to latitude", "nothing", key="height", declared=MISSING_KEY
+                "the height above the sea in m that belongs to latitude",
+                "no such key",
+                key="height",
+                declared=MISSING_KEY,
             )
         if self.gravity is not None and self.down is not None:
             raise refusal(
@@ -88,7 +91,7 @@ class Environment(ManifestBlock):
         if self.down is not None and self.latitude is None:
             raise refusal(
                 "the latitude in degrees, of which and of height gravity along down follows",
-                "nothing",
+                "no such key",
                 key="latitude",
                 declared=MISSING_KEY,
             )

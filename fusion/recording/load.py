@@ -162,7 +162,7 @@ def find_recordings(path: str | Path) -> list[Path]:
         raise InputError(
             NO_RECORDING,
             path,
-            found="nothing at this path",
+            found="no file or folder",
             expected="a recording folder, its recording.toml, or a campaign folder",
         )
     if (path / RECORDING_NAME).is_file():

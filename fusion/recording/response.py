@@ -118,7 +118,7 @@ class ChainElement(ManifestBlock):
         for key in needed:
             if getattr(self, key) is None:
                 raise refusal(
-                    f'this key, required for filter = "{self.filter}"', "nothing", key=key, declared=MISSING_KEY
+                    f'this key, required for filter = "{self.filter}"', "no such key", key=key, declared=MISSING_KEY
                 )
         if self.filter == "resonance" and self.order not in (None, 2):
             raise refusal("order 2 of a resonance", f"{self.order}", key="order")

@@ -161,7 +161,10 @@ class Sensor(ManifestBlock):
         _refuse_impossible(self.internal_mass, self.internal_inertia, "internal_mass", "internal_inertia")
         if self.cross_talk is not None and self.capacity is None:
             raise refusal(
-                "the six rated loads that cross_talk is relative to", "nothing", key="capacity", declared=MISSING_KEY
+                "the six rated loads that cross_talk is relative to",
+                "no such key",
+                key="capacity",
+                declared=MISSING_KEY,
             )
         return self
 
@@ -192,7 +195,7 @@ class MountedBody(ManifestBlock):
         if self.mass_kind == "conventional" and self.density is None:
             raise refusal(
                 'the density in kg/m^3 that mass_kind = "conventional" needs',
-                "nothing",
+                "no such key",
                 key="density",
                 declared=MISSING_KEY,
             )
@@ -338,7 +341,7 @@ class Elastic(ManifestBlock):
         refuse_foreign(self, known, f'shape = "{self.shape}"')
         if self.shape == "modes":
             if not self.mode:
-                raise refusal("at least one [[load.elastic.mode]]", "nothing", key="mode", declared=MISSING_KEY)
+                raise refusal("at least one [[load.elastic.mode]]", "no such key", key="mode", declared=MISSING_KEY)
             places = set(self.mode[0].displacement)
             for number, mode in enumerate(self.mode, 1):
                 if set(mode.displacement) != places:
@@ -392,7 +395,7 @@ class RigLoad(MountedBody):
         if self.cable_stiffness is None and any(self.cable_stiffness_uncertainty):
             raise refusal(
                 "the stiffness that this uncertainty belongs to (0 if need be)",
-                "nothing",
+                "no such key",
                 key="cable_stiffness",
                 declared=MISSING_KEY,
             )
@@ -483,7 +486,7 @@ class InstrumentHead(ManifestBlock):
                 declared=KEY_NOT_APPLICABLE,
             )
         if self.mirror is None and any(self.mirror_uncertainty):
-            raise refusal("the mirror whose uncertainty is stated", "nothing", key="mirror", declared=MISSING_KEY)
+            raise refusal("the mirror whose uncertainty is stated", "no such key", key="mirror", declared=MISSING_KEY)
         return self
 
 

@@ -250,7 +250,7 @@ class UncertaintyStatement(ManifestBlock):
         if self.distribution == "normal" and self.k is None:
             raise refusal(
                 "the coverage factor k that belongs to U (1 for a standard uncertainty)",
-                "nothing",
+                "no such key",
                 key="k",
                 declared=INVALID_UNCERTAINTY_STATEMENT,
             )

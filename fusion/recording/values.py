@@ -84,7 +84,7 @@ class PathScope:
             raise refusal("a pattern that stays in one folder", f"'{text}' with '**'", declared=PATH_NOT_ALLOWED)
         matches = [path for path in self._expand(text) if path.is_file()]
         if not matches:
-            raise refusal("at least one file", f"nothing that matches {plain}", declared=MISSING_FILE)
+            raise refusal("at least one file", f"no file that matches {plain}", declared=MISSING_FILE)
         folders = {folder: self._followed(folder, text) for folder in {path.parent for path in matches}}
         real = (self._followed(p, text) if p.is_symlink() else folders[p.parent] / p.name for p in matches)
         return tuple(self._inside(path, text) for path in real)
@@ -209,7 +209,7 @@ def wrong_size(value: Any) -> str | None:
 def describe(value: Any, *, plain: bool = False) -> str:
     """Say in a few words what was found in a TOML file, control characters by their number; `plain`: a text alone."""
     if value is None or isinstance(value, bool):
-        return {None: "nothing", True: "true", False: "false"}[value]
+        return {None: "no value", True: "true", False: "false"}[value]
     if isinstance(value, str):
         short = value if len(value) <= 60 or (plain and len(value) <= 200) else value[:57] + "..."
         short = UNPRINTABLE.sub(lambda found: f"\\u{ord(found[0]):04x}", short)
@@ -453,7 +453,7 @@ def refuse_missing(block: ManifestBlock, required: Sequence[str], why: str) -> N
     """Refuse a table that lacks a key its kind needs."""
     for key in required:
         if getattr(block, key) is None:
-            raise refusal(f"this key, required for {why}", "nothing", key=key, declared=MISSING_KEY)
+            raise refusal(f"this key, required for {why}", "no such key", key=key, declared=MISSING_KEY)
 
 
 def refuse_foreign(block: ManifestBlock, known: Collection[str], why: str) -> None:
