@@ -232,11 +232,11 @@ def unit_notices(manifest: Manifest, daq: Daq, raw: Mapping[str, RawChannel]) ->
     """Return a notice for every channel whose file states another unit than its `scale` implies."""
     notices = []
     certified = {item.key for item in manifest.inputs if item.stated is not None and item.stated.certificate}
-    for entry in daq.channel:
+    for entry in (entry for entry in daq.channel if entry.quantity != "trigger"):
         key = f"daq.{quote_key(daq.name)}.channel.{quote_key(entry.name)}.scale"
         of_certificate = any(other.endswith(key) for other in certified)
         found = _unit_notice(entry, raw[entry.name].unit, manifest.rig, of_certificate)
-        declared, values = (None, {}) if found is None or entry.quantity == "trigger" else found
+        declared, values = (None, {}) if found is None else found
         peak = abs(entry.scale) * float(np.ptp(np.nan_to_num(raw[entry.name].samples))) / 2.0
         if declared is None and entry.quantity == "output" and manifest.rig.unit_of(entry) == "V/V" and peak > SUPPLY:
             declared, values = OUTPUT_EXCEEDS_SUPPLY, {"amplitude": peak}
