@@ -5,13 +5,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from fusion.base import round_to_uncertainty
-from fusion.estimation.coverage import Polar, polar_elements
-from fusion.estimation.uncertainty import Uncertainty
+from fusion.estimation.coverage import Polar
+from fusion.estimation.uncertainty import Uncertainty, polar_elements
 from shaker.arrays import ComplexArray, FloatArray
 
 if TYPE_CHECKING:
@@ -91,7 +92,7 @@ class TabularResult(ABC):
             for k, e, polar in shown.results()
         ]
         try:
-            import pandas
+            pandas: Any = import_module("pandas")
         except ImportError:
             return rows
         return pandas.DataFrame(rows)
@@ -111,7 +112,7 @@ class TabularResult(ABC):
             if not found:
                 continue
             frequency, label = [f for f, _ in found], f"{shown.channel[element]}/{shown.component[element]}"
-            style = {"fmt": "o", "capsize": 3.0, "label": f"{label} in {shown.unit[element]}"}
+            style: Any = {"fmt": "o", "capsize": 3.0, "label": f"{label} in {shown.unit[element]}"}
             polars = [polar for _, polar in found]
             magnitude.errorbar(
                 frequency, [p.magnitude for p in polars], [p.expanded_magnitude for p in polars], **style

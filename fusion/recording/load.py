@@ -15,6 +15,7 @@ from typing import Any
 
 from fusion.base import FileIdentity, check_names, natural_key
 from fusion.errors import InputError
+from fusion.recording.acknowledged import Acknowledgement
 from fusion.recording.certified import CertifiedInputs, certified_inputs
 from fusion.recording.cross_checks import find_contradictions
 from fusion.recording.excitation import KINDS, ONE_SET_UP, ExcitationEntry, join_alternatives, kinds_of
@@ -89,6 +90,7 @@ class Manifest:
     date: Date | None = None
     operator: str | None = None
     procedure: str | None = None
+    acknowledged: tuple[Acknowledgement, ...] = ()
     inputs: tuple[UncertainInput, ...] = ()
     signature_notices: tuple[Notice, ...] = ()
     file_identities: Mapping[Path, FileIdentity] = field(default_factory=dict)
@@ -284,6 +286,7 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
         date=record.date,
         operator=record.operator,
         procedure=record.procedure,
+        acknowledged=(*rig.acknowledged, *record.acknowledged),
         inputs=(*of_rig, *uncertain_inputs(text, path), *(item for found in of_certificates for item in found.curves)),
         signature_notices=tuple(
             dict.fromkeys(notice for found in of_certificates for notice in found.signature_notices)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, model_validator
 
 from fusion.instruments.transducer import HEAD, STATIONARY, TRANSDUCERS
+from fusion.recording.acknowledged import Acknowledgement
 from fusion.recording.dsi import parse_unit
 from fusion.recording.environment import Environment
 from fusion.recording.excitation import ExcitationEntry
@@ -451,3 +452,4 @@ class RecordingFile(SetUpFiles):
     part: Annotated[tuple[RigPart, ...], BeforeValidator(array_of_tables)] = ()
     shaker: Shaker | None = None
     take: Annotated[tuple[Take, ...], BeforeValidator(array_of_tables)] = ()
+    acknowledged: Annotated[tuple[Acknowledgement, ...], BeforeValidator(array_of_tables)] = ()

@@ -12,6 +12,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from fusion.estimation.measurement_model import UnobservedMotion
 from fusion.instruments.transducer import TRANSDUCERS
+from fusion.recording.acknowledged import Acknowledgement
 from fusion.recording.environment import Environment
 from fusion.recording.recording_notices import (
     CONTRADICTING_VALUES,
@@ -563,6 +564,7 @@ class Rig(ManifestBlock):
     shaker: Shaker | None = None
     model: ModelChanges | None = None
     administration: RigAdministration | None = None
+    acknowledged: Annotated[tuple[Acknowledgement, ...], BeforeValidator(array_of_tables)] = ()
 
     @model_validator(mode="after")
     def _parts_have_different_names(self) -> Self:

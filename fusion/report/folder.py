@@ -13,7 +13,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -357,12 +357,33 @@ def subject_of(rig: Rig) -> list[tuple[str, str]]:
     return [("Rig", rig.name), *sensor]
 
 
+def notice_frame(notices: Iterable[Notice]) -> dict[str, Any]:
+    """Return the notices of a page, and the tables of those that are acknowledged or of what is not assessed."""
+    every = warnings_first(notices)
+    acknowledged = [(one.code, one.where, one.text, one.acknowledged) for one in every if one.acknowledged]
+    assumed = [one for one in every if one.possible_size and not one.acknowledged]
+    not_assessed = [(one.code, one.text, one.where, one.possible_size, one.remedy) for one in assumed]
+    tables = (
+        Table("Acknowledged", ("code", "where", "notice", "reason (by, date)"), "llll", tuple(acknowledged)),
+        Table(
+            "Not assessed: influences outside U",
+            ("code", "influence", "where", "possible size", "how to assess it"),
+            "lllll",
+            tuple(not_assessed),
+        ),
+    )
+    return {
+        "notices": [one for one in every if not one.acknowledged and not one.possible_size],
+        "notice_tables": [table for table in tables if table.rows],
+    }
+
+
 def origin_frame(origin: ResultOrigin, notices: Iterable[Notice]) -> dict[str, Any]:
     """What every page shows beside its subject: notices, settings and versions, input files, the program."""
     settings = tuple((name, str(value)) for name, value in origin.settings.items())
     inputs = tuple((name, Markup("<code>{}</code>").format(digest)) for name, digest in origin.input_hashes.items())
     return {
-        "notices": warnings_first(notices),
+        **notice_frame(notices),
         "origin": [
             Table("Versions", ("program or library", "version"), "ll", tuple(origin.versions.items())),
             Table("Settings", ("name", "value"), "ll", settings),
@@ -485,11 +506,19 @@ class CommandReport(Generic[E]):
         Results stand in `output`, or in a folder of the command's name: of the campaign or of the only recording, or,
         of several paths, beside the first recording's rig.
         """
-        first = manifests[0]
+        first, acknowledged = manifests[0], [one for manifest in manifests for one in manifest.acknowledged]
+
+        from fusion.recording.acknowledged import acknowledge
+
+        def acknowledging(hashes: dict[str, str]) -> E:
+            evaluation: Any = evaluate(hashes)
+            made: E = replace(evaluation, notices=acknowledge(evaluation.notices, acknowledged))
+            return made
+
         own = first.root if len(paths) > 1 else first.folder if paths[0].is_file() else paths[0]
         read = {path: seen for manifest in manifests for path, seen in manifest.file_identities.items()}
         inputs = hash_files([file for manifest in manifests for file in manifest.files], first.root, read)
-        return self.run(inputs, own / self.name if output is None else output, evaluate, force=force)
+        return self.run(inputs, own / self.name if output is None else output, acknowledging, force=force)
 
     def write(
         self, evaluation: E, folder: Path, inputs: InputFiles | None = None, *, force: bool = False

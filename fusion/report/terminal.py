@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any
 
-from fusion.base import PROGRAM, ProgressCallback, cleanup_on_signal, no_progress
+from fusion.base import PROGRAM, ProgressCallback, cleanup_on_signal, count_text, no_progress
 from shakercal._common.notices import GatheredNotice, Notice
 
 if TYPE_CHECKING:
@@ -124,7 +124,8 @@ def print_text(text: str) -> None:
 
 def log_notices(notices: Iterable[tuple[Notice | GatheredNotice, str]]) -> None:
     """Log notices with a remark each, every warning whole; more notes than a few are only counted, but for -v."""
-    shown = [(notice, remark) for notice, remark in notices if not notice.possible_size]
+    given = list(notices)
+    shown = [(notice, remark) for notice, remark in given if not notice.possible_size and not notice.acknowledged]
     verbose = log.isEnabledFor(logging.DEBUG)
     notes = sum(notice.severity != "warning" for notice, _ in shown)
     codes: dict[str, None] = {}
@@ -135,6 +136,8 @@ def log_notices(notices: Iterable[tuple[Notice | GatheredNotice, str]]) -> None:
             codes[notice.code] = None
     if notes > MOST_NOTES and not verbose:
         log.info("%d notes on the page, or here with -v", notes)
+    if acknowledged := sum(bool(notice.acknowledged) for notice, _ in given):
+        log.info("%s on the page", count_text(acknowledged, "acknowledged notice"))
     if named := " ".join(filter(None, codes)):
         log.info("effect and remedy: shakercal explain %s", named)
 

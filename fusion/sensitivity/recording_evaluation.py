@@ -15,6 +15,7 @@ from fusion.instruments.vibrometer import beam_notices, point_spreads
 from fusion.phasors.set_up import MeasuredSetUp, measure_set_ups, prepare_set_ups
 from fusion.phasors.set_up_merging import join_set_ups
 from fusion.phasors.stereo_phasors import unresolved_fundamentals
+from fusion.recording.acknowledged import acknowledge
 from fusion.recording.load import Manifest, find_single_recording, load_manifest
 from fusion.recording.plausibility import plausibility_notices
 from fusion.sensitivity.analyse import Evaluation, Inputs, analyse, elastic_rows, missing_result
@@ -54,6 +55,7 @@ def evaluate_recording(
     started, settings, manifest = time.monotonic(), settings or Settings(), _checked(recording)
     set_ups = measure_set_ups(prepare_set_ups(manifest), settings, progress, executor, checkpoints)
     evaluation = evaluate_set_ups(manifest, set_ups, settings, progress)
+    evaluation = replace(evaluation, notices=acknowledge(evaluation.notices, manifest.acknowledged))
     return replace(evaluation, input_hashes=dict(input_hashes or {}), duration_s=time.monotonic() - started)
 
 

@@ -62,6 +62,7 @@ class Notice:
     code, severity : those of the declaration.
     where : the channel, camera, file or stage that it concerns.
     text, effect, remedy, possible_size : the texts of the declaration with the values of the case.
+    acknowledged : of a notice that a manifest acknowledges: the reason, the name and the date; else empty.
     values : the values by name; numbers in the unit that the name ends with.
     """
 
@@ -72,6 +73,7 @@ class Notice:
     effect: str
     remedy: str
     possible_size: str
+    acknowledged: str
     values: Mapping[str, Value] = field(hash=False)
 
     def __init__(self, declared: DeclaredNotice | str, where: str = "", /, *legacy: str, **values: Value) -> None:
@@ -87,6 +89,7 @@ class Notice:
         set_field(self, "effect", declared.effect.format(**values))
         set_field(self, "remedy", declared.remedy.format(**values))
         set_field(self, "possible_size", declared.possible_size.format(**values))
+        set_field(self, "acknowledged", "")
         set_field(self, "values", values)
 
     @classmethod
@@ -94,7 +97,7 @@ class Notice:
         """Return the notice that `as_row` describes; of an older file, one without a code."""
         severity: Any = {"info": "note"}.get(row["severity"], row["severity"])
         notice = cls(DeclaredNotice(row.get("code", ""), severity, ""), row["where"])
-        for name in ("text", "effect", "remedy", "possible_size"):
+        for name in ("text", "effect", "remedy", "possible_size", "acknowledged"):
             object.__setattr__(notice, name, row.get(name, ""))
         object.__setattr__(notice, "values", json.loads(row.get("values", "{}")))
         return notice
@@ -108,10 +111,17 @@ class Notice:
 
     def at(self, where: str) -> Notice:
         """Return the same notice of another place."""
+        return self._with("where", where)
+
+    def acknowledge(self, reason: str) -> Notice:
+        """Return the notice as acknowledged with a reason, a name and a date; without a reason as it is."""
+        return self._with("acknowledged", reason) if reason else self
+
+    def _with(self, name: str, value: str) -> Notice:
         notice = object.__new__(Notice)
         for one in fields(self):
             object.__setattr__(notice, one.name, getattr(self, one.name))
-        object.__setattr__(notice, "where", where)
+        object.__setattr__(notice, name, value)
         return notice
 
     @property
@@ -168,6 +178,16 @@ class GatheredNotice:
     def where(self) -> str:
         """The place, one for all recordings."""
         return self.first.where
+
+    @property
+    def explanation(self) -> str:
+        """The sentence with the ranges of its numbers, effect and remedy."""
+        return " ".join(text for text in (self.text, self.first.effect, self.first.remedy) if text)
+
+    @property
+    def acknowledged(self) -> str:
+        """The reason, name and date of an acknowledgement, empty where a recording lacks one."""
+        return self.first.acknowledged if all(notice.acknowledged for notice, _ in self.each) else ""
 
     @property
     def possible_size(self) -> str:
