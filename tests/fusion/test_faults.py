@@ -452,9 +452,9 @@ def test_a_folder_whose_name_is_no_text_is_refused(make_campaign, evaluated, cap
 HOLD = """
 import sys, time
 from pathlib import Path
-from fusion.report.atomic_files import claimed, temporary
+from fusion.report.atomic_files import file_lock, temporary_path
 place = Path(sys.argv[1])
-with claimed(place), temporary(place) as made:
+with file_lock(place), temporary_path(place) as made:
     made.mkdir()
     (made / "half").write_text("")
     Path(sys.argv[2]).write_text("held")
