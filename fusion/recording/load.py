@@ -1,6 +1,6 @@
-"""Manifests read from disk and checked against each other.
+"""Reading of manifests: recording.toml with its rig.toml, checked.
 
-Every mistake becomes one `InputError` that names file and key.
+Every error becomes one `InputError` that names file and key.
 """
 
 from __future__ import annotations
@@ -59,13 +59,25 @@ PLACEHOLDER_MIRROR_M = 1e6
 
 @dataclass(frozen=True)
 class Manifest:
-    """One recording with its rig, checked: every path resolved and existing, every reference known.
+    """One recording with its rig; every path and every reference exists.
 
-    `path`: recording.toml; `folder`: where it stands; `root`: the folder of rig.toml. `mounting`: recordings with
-    another text were mounted anew. `part`: those of rig and recording together. `files`: every input file, both
-    manifests first; `read`: what they were when the manifests were read. `inputs`: what has an uncertainty. The rig's
-    environment is that of the recording.
+    Attributes
+    ----------
+    path, folder : recording.toml and its folder.
+    root, rig_path : folder of rig.toml, and rig.toml.
+    rig : the rig, with the environment of the recording.
+    mounting : recordings with another text were mounted again.
+    part : parts of rig and recording.
 
+    files : every input file, both manifests first.
+    inputs : inputs with an uncertainty.
+
+    signature_notices : notices of the signatures of certificates.
+    file_identities : identities of the files when the manifests were read.
+    acknowledged : acknowledgements of notices.
+
+    Examples
+    --------
     >>> from fusion import Manifest, load_manifest
     >>> manifest = load_manifest("sample_images/demo/Fz-0080")
     >>> isinstance(manifest, Manifest), manifest.excitation.kind, manifest.rig.sensor.channels
@@ -100,7 +112,7 @@ class Manifest:
 
     @property
     def set_ups(self) -> list[tuple[str, Manifest]]:
-        """What was recorded at once, with its key prefix: the top level, where it holds anything, and every take."""
+        """Set-ups with their key prefixes: the top level, unless it is empty, and every take."""
         blocks = [("", replace(self, take=()))] if self.daq or not self.take else []
         for number, take in enumerate(self.take, 1):
             part = replace(self, daq=take.daq, images=take.images, points=take.points, take=())
@@ -109,12 +121,12 @@ class Manifest:
 
     @property
     def certificate_notices(self) -> tuple[Notice, ...]:
-        """Return the notices of all certificates: those that were not valid, and those of signatures."""
+        """Notices of all certificates: expired ones, and those of signatures."""
         return (*self.expiry_notices, *self.signature_notices)
 
     @property
     def expiry_notices(self) -> tuple[Notice, ...]:
-        """Return a warning for every certificate that was no longer valid on the day of the recording, else today."""
+        """Warnings of certificates that were not valid on the day of the recording, else today."""
         day = self.date or Date.today()
         return tuple(
             Notice(CERTIFICATE_EXPIRED, item.file.name, key=item.key, source=item.source, day=str(day))
@@ -123,11 +135,11 @@ class Manifest:
         )
 
     def check_command(self, command: str) -> None:
-        """Raise `InputError` where `shakercal COMMAND` evaluates no such recording."""
+        """Raise `InputError` if `shakercal COMMAND` does not evaluate this recording."""
         kind, kinds = self.excitation.kind, kinds_of(command)
         if kind not in kinds:
             which = "kind" if len(kinds) == 1 else "kinds"
-            other = f"(shakercal {KINDS[kind].commands[0]} takes this one)"
+            other = f"(shakercal {KINDS[kind].commands[0]} evaluates this one)"
             expected = f"{join_alternatives(kinds)}, the {which} that shakercal {command} evaluates {other}"
             raise InputError(WRONG_EXCITATION_KIND, self.path, "excitation.kind", found=kind, expected=expected)
         if self.take and command in ONE_SET_UP:
@@ -137,7 +149,7 @@ class Manifest:
 
 
 def check_one_rig(manifests: Sequence[Manifest]) -> None:
-    """Raise `InputError` where recordings that are evaluated together are not all of the first one's rig."""
+    """Raise `InputError` if recordings for one evaluation have different rigs."""
     first = manifests[0]
     for manifest in manifests:
         if manifest.rig_path.resolve() != first.rig_path.resolve():
@@ -148,8 +160,23 @@ def check_one_rig(manifests: Sequence[Manifest]) -> None:
 
 
 def find_recordings(path: str | Path) -> list[Path]:
-    """List the recording.toml files a command is to work on: the one of a recording, or those of a campaign folder.
+    """Return the recording.toml files of a recording or of a campaign folder.
 
+    Parameters
+    ----------
+    path : str or Path
+        Recording folder, its recording.toml, or campaign folder.
+
+    Returns
+    -------
+    Files in natural order.
+
+    Raises
+    ------
+    InputError : if there is no recording.
+
+    Examples
+    --------
     >>> from fusion import find_recordings
     >>> [recording.parent.name for recording in find_recordings("sample_images/demo")]
     ['Fz-0080']
@@ -183,7 +210,7 @@ def find_recordings(path: str | Path) -> list[Path]:
 
 
 def find_single_recording(path: str | Path) -> Path:
-    """Return the one recording.toml at a path, as `find_recordings` finds it."""
+    """Return the single recording.toml at a path; `InputError` for several."""
     found = find_recordings(path)
     if len(found) > 1:
         raise InputError(
@@ -193,11 +220,11 @@ def find_single_recording(path: str | Path) -> Path:
 
 
 def select_kinds(recordings: Sequence[Path], kinds: Collection[str]) -> list[Path]:
-    """Return the recordings of a campaign that have one of some kinds of excitation, or that cannot be read.
+    """Return the recordings with one of some kinds of excitation, or that cannot be read.
 
-    Where none is left, all are returned, so that the command says of each what it expects.
+    If there are none, all are returned, so that the command reports its expectation.
     """
-    kept = []
+    selected = []
     for recording in recordings:
         try:
             excitation = read_toml(recording).get("excitation")
@@ -205,13 +232,34 @@ def select_kinds(recordings: Sequence[Path], kinds: Collection[str]) -> list[Pat
             excitation = None
         kind = excitation.get("kind") if isinstance(excitation, dict) else None
         if not isinstance(kind, str) or kind in kinds:
-            kept.append(recording)
-    return kept or list(recordings)
+            selected.append(recording)
+    return selected or list(recordings)
 
 
 def load_for_command(paths: Sequence[str | Path], command: str, *, allow_outside: bool = False) -> list[Manifest]:
-    """Load the recordings at paths that a command evaluates, each once; of a campaign's others the user is told.
+    """Return the recordings at paths that a command evaluates, each once.
 
+    Other recordings of a campaign are logged.
+
+    Parameters
+    ----------
+    paths : sequence of str or Path
+        Recordings or campaigns.
+    command : str
+        Name of a command, such as "run".
+    allow_outside : bool
+        Accept files outside the folder of rig.toml (default: False).
+
+    Returns
+    -------
+    Checked manifests.
+
+    Raises
+    ------
+    InputError : for wrong manifests, and for recordings that the command does not evaluate.
+
+    Examples
+    --------
     >>> from fusion import load_for_command
     >>> [manifest.name for manifest in load_for_command(["sample_images/demo"], "run")]
     ['Fz 80.0 Hz, simulated']
@@ -227,13 +275,30 @@ def load_for_command(paths: Sequence[str | Path], command: str, *, allow_outside
             manifests.setdefault(manifest.path.resolve(), manifest)
         others = [recording.parent.name for recording in recordings if recording not in chosen]
         if others:
-            log.info("%s: left out, since their kind is not %s: %s", path, join_alternatives(kinds), ", ".join(others))
+            log.info("%s: skipped, since their kind is not %s: %s", path, join_alternatives(kinds), ", ".join(others))
     return list(manifests.values())
 
 
 def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifest:
-    """Read and check recording.toml (or the folder it stands in) and the rig.toml it names.
+    """Return a checked recording with the rig that it names.
 
+    Parameters
+    ----------
+    recording : str or Path
+        recording.toml or its folder.
+    allow_outside : bool
+        Accept files outside the folder of rig.toml (default: False).
+
+    Returns
+    -------
+    The manifest.
+
+    Raises
+    ------
+    InputError : with all errors of both files.
+
+    Examples
+    --------
     >>> from fusion import load_manifest
     >>> load_manifest("sample_images/demo/Fz-0080").excitation.frequencies
     (80.0,)
@@ -257,11 +322,11 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
     text, rig_text = (found.text for found in of_certificates)
     certificates = {file: identity for found in of_certificates for file, identity in found.files.items()}
     rig, record = _checked_files((path, text), (rig_path, rig_text), folders)
-    own = expand_statements(text, path)[0].get("environment", {})
+    overridden = expand_statements(text, path)[0].get("environment", {})
     of_rig = tuple(
         item
         for item in uncertain_inputs(rig_text, rig_path)
-        if f"{item.key}_uncertainty" not in (f"environment.{key}" for key in own)
+        if f"{item.key}_uncertainty" not in (f"environment.{key}" for key in overridden)
     )
     rig = rig.model_copy(update={"environment": record.environment or rig.environment})
     files = tuple(dict.fromkeys((*_input_files(path, rig_path, rig, record), *certificates)))
@@ -298,7 +363,7 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
 def _certificates(
     of_recording: tuple[Path, dict[str, Any]], of_rig: tuple[Path, dict[str, Any]], folders: tuple[PathScope, PathScope]
 ) -> tuple[CertifiedInputs, CertifiedInputs]:
-    """Read the certificates that recording and rig name; the `InputError` raised has every mistake of both."""
+    """Read the certificates of recording and rig; the `InputError` has all errors of both."""
     (path, text), (rig_path, rig_text) = of_recording, of_rig
     sensor = rig_text.get("sensor")
     unit = str(sensor.get("unit", "1")) if isinstance(sensor, dict) else "1"
@@ -312,9 +377,9 @@ def _certificates(
 def _checked_files(
     of_recording: tuple[Path, dict[str, Any]], of_rig: tuple[Path, dict[str, Any]], folders: tuple[PathScope, PathScope]
 ) -> tuple[Rig, RecordingFile]:
-    """Check what two files say, and what they say of each other; the `InputError` raised has every mistake of both.
+    """Check rig and recording, separately and together; the `InputError` has all errors of both.
 
-    Values that are still to be filled in come first.
+    Placeholders are reported first.
     """
     (path, text), (rig_path, rig_text) = of_recording, of_rig
     unknown, wrong = [*find_unfilled(text, path), *find_unfilled(rig_text, rig_path)], list[InputError]()
@@ -327,7 +392,7 @@ def _checked_files(
         values = expand_statements(text, path)[0]
         around = values.get("environment")
         if isinstance(around, dict):
-            # What the recording states takes the place of what the rig does: together they must be as valid as one.
+            # Keys of the recording override those of the rig: together they must be valid.
             values["environment"] = expand_statements(rig_text, rig_path)[0].get("environment", {}) | around
         stereo, head = _named_in(rig_text)
         if rig is not None:
@@ -337,9 +402,9 @@ def _checked_files(
     if rig is not None and record is not None:
         # A rig with placeholders may lack what the recording names.
         with _added_to(wrong), suppress(*[KeyError] if wrong else []):
-            told = {(error.file, error.key) for error in wrong}
+            reported = {(error.file, error.key) for error in wrong}
             for one in find_contradictions(rig, rig_path, record, path):
-                wrong += [one] if (one.file, one.key) not in told and not is_doubtful(one, doubtful) else []
+                wrong += [one] if (one.file, one.key) not in reported and not is_doubtful(one, doubtful) else []
     wrong = [*unknown, *(error for error in wrong if (error.file, error.key) not in {(e.file, e.key) for e in unknown})]
     if rig is None or record is None or wrong:
         raise InputError.together(wrong)
@@ -347,7 +412,7 @@ def _checked_files(
 
 
 def _without_rig(path: Path, text: dict[str, Any]) -> list[InputError]:
-    """Return the mistakes of a recording whose rig cannot be read."""
+    """Return the errors of a recording whose rig cannot be read."""
     found = list[InputError]()
     with _added_to(found):
         values = expand_statements(text, path)[0]
@@ -364,7 +429,7 @@ def _without_rig(path: Path, text: dict[str, Any]) -> list[InputError]:
 
 
 def _tables(values: Any, *keys: str) -> Iterator[dict[str, Any]]:
-    """Yield the tables in the lists at some keys of a table."""
+    """Yield the tables in lists at keys of a table."""
     for key in keys:
         items = values.get(key) if isinstance(values, dict) else None
         yield from (item for item in items if isinstance(item, dict)) if isinstance(items, list) else ()
@@ -378,7 +443,7 @@ def _validated(
     wrong: list[InputError],
     doubtful: dict[Path, set[str]],
 ) -> AnyBlock | None:
-    """Return a valid block, placeholders in the place of mistakes; add these, and the names of blocks that have one."""
+    """Return a valid block with placeholders; collect errors and names of such blocks."""
     found = Repair(model, values, path, context)
     wrong += found.errors
     doubtful[path] = found.names
@@ -387,7 +452,7 @@ def _validated(
 
 @contextmanager
 def _added_to(wrong: list[InputError]) -> Iterator[None]:
-    """Add every mistake that is found meanwhile to a list."""
+    """Add every error raised inside to a list."""
     try:
         yield
     except InputError as error:
@@ -395,7 +460,7 @@ def _added_to(wrong: list[InputError]) -> Iterator[None]:
 
 
 def _named_in(rig_text: dict[str, Any]) -> tuple[dict[str, Stereo], dict[str, InstrumentHead]]:
-    """Return stereo pairs and heads of a rig that has mistakes, so that the recording can be looked at all the same."""
+    """Return placeholders for stereo pairs and heads of a rig with errors."""
     names = {key: rig_text[key] if isinstance(rig_text.get(key), dict) else {} for key in ("stereo", "head")}
     pairs = {name: Stereo.model_construct(exposure=0.0) for name in names["stereo"]}
     return pairs, {name: InstrumentHead.model_construct(mirror=(PLACEHOLDER_MIRROR_M,) * 3) for name in names["head"]}
@@ -424,7 +489,7 @@ def _input_files(path: Path, rig_path: Path, rig: Rig, record: RecordingFile) ->
     files: dict[Path, None] = {}
     for file in named:
         files[file] = None
-        if file.suffix.lower() in (".cih", ".cihx"):  # the frames of such a header stand beside it
+        if file.suffix.lower() in (".cih", ".cihx"):  # the frames of such a header are in a separate file
             frames = [file.with_suffix(suffix) for suffix in (".mraw", ".MRAW")]
             files |= dict.fromkeys([frame for frame in frames if frame.is_file()][:1])
     return tuple(files)

@@ -60,8 +60,8 @@ if TYPE_CHECKING:
     Quantity = str
 else:
     Quantity = Literal[(*TRANSDUCERS, "force", "output", "voltage", "trigger")]
-MINIMUM_FRAMES = 3
-FARTHEST_EDGE = 1_000_000_000
+MINIMUM_FRAMES = 3  # two frames have no residual
+FARTHEST_EDGE = 1_000_000_000  # edges of a day at 10 kHz
 SCAN = ".asc"
 """Suffix of a scanning vibrometer's text."""
 COORDINATES = ("x", "y", "z")
@@ -101,22 +101,22 @@ def _daq_suffix(value: Path) -> Path:
 
 
 def _head(value: object, info: ValidationInfo) -> object:
-    """The head that a channel names, as rig.toml has it."""
+    """Return the head of rig.toml that a channel names."""
     if value is None or isinstance(value, NamedHead):
         return value
-    known = info.context.head if isinstance(info.context, Context) else {}
-    if not isinstance(value, str) or value not in known:
-        found = f"{describe(value)}; rig.toml has {', '.join(known) or 'none'}"
+    heads = info.context.head if isinstance(info.context, Context) else {}
+    if not isinstance(value, str) or value not in heads:
+        found = f"{describe(value)}; rig.toml has {', '.join(heads) or 'none'}"
         raise refusal("the name of a head of rig.toml", found, declared=UNKNOWN_NAME)
-    return NamedHead(value, known[value])
+    return NamedHead(value, heads[value])
 
 
 class ResponseColumns(ManifestBlock):
-    """Which columns of a response's table hold what, by the names its file gives them, in which units.
+    """Column names and units of a table of a frequency response.
 
-    `magnitude_unit`: converted into SI; without it the numbers count as they are. `u_magnitude_unit` "%": of the
-    magnitude, else its unit. `phase_unit`: without it as the file says, else rad. `k`: what the uncertainties were
-    expanded by.
+    `magnitude_unit`: converted into SI; without it the numbers are used unchanged. `u_magnitude_unit` "%": relative to
+    the magnitude, else its unit. `phase_unit`: by default that of the file, else rad. `k`: coverage factor of the
+    uncertainties.
     """
 
     frequency: Text
@@ -138,9 +138,9 @@ class ResponseColumns(ManifestBlock):
 class ChannelEntry(ManifestBlock):
     """One channel of a DAQ file: true phasor = file value · scale · exp(+jω·delay) / response(f).
 
-    `in_file`: its name in the file, where that is not `name`, by which the recording knows it. `body` "head": it sits
-    on its `head`; "room": a beam of that head at what stands still. Both tell how the head moves. `delay_of` "pure":
-    the delay is that of a converter or a line, which attenuates nothing; "filter": that of a low-pass.
+    `in_file`: its name in the file, if it differs from `name`. `body` "head": an accelerometer on its `head`; "room": a
+    beam of that head at a stationary object. Both measure the motion of the head. `delay_of` "pure": the delay of a
+    converter or a line, without attenuation; "filter": the delay of a low-pass.
     """
 
     name: Text
@@ -218,14 +218,14 @@ class ChannelEntry(ManifestBlock):
                 )
         if self.quantity == "output":
             refuse_missing(self, ("channel",), why)
-        known = {*self.ANY, *self.TRIGGER}
+        applicable = {*self.ANY, *self.TRIGGER}
         if self.quantity != "trigger":
-            known = {
+            applicable = {
                 *self.ANY,
                 *self.VALUE,
                 *{"output": ("channel",), "voltage": ()}.get(self.quantity, self.PLACEMENT),
             }
-        refuse_foreign(self, known, why)
+        refuse_foreign(self, applicable, why)
         suffix = self.response.suffix.lower() if self.response is not None else ""
         if self.response_result is not None and suffix != ".xml":
             raise refusal(
@@ -240,7 +240,7 @@ class ChannelEntry(ManifestBlock):
             )
         if self.delay_of is not None and not self.delay > 0.0 and (self.delay_of == "filter" or not self.delay):
             raise refusal(
-                "a delay above 0 that this says something of",
+                "a delay above 0 that this describes",
                 f"{self.delay:g}",
                 key="delay_of",
                 declared=CONTRADICTING_VALUES,
@@ -251,14 +251,14 @@ class ChannelEntry(ManifestBlock):
 
     @property
     def stored_name(self) -> str:
-        """Return what the file calls this channel."""
+        """The channel's name in its file."""
         return self.in_file or self.name
 
     @property
     def filter_delay_s(self) -> float:
-        """Return the delay that may be a low-pass's, which attenuates; 0 where it says that it is none.
+        """The delay that may be that of a low-pass; 0 if it is pure.
 
-        Beside a response the delay is pure, unless it says otherwise.
+        With a response the delay is pure, unless stated differently.
         """
         kind = self.delay_of or (None if self.response is None else "pure")
         return 0.0 if kind == "pure" else max(self.delay, 0.0)
@@ -275,7 +275,7 @@ class Daq(ManifestBlock):
     channel: Annotated[tuple[ChannelEntry, ...], BeforeValidator(array_of_tables), Field(min_length=1)]
 
     def data_set(self, entry: ChannelEntry) -> tuple[str, str]:
-        """Name of a channel and the scan point it names, empty where it names none: of a scan, `2/3` is ("2", "3")."""
+        """Return block and point of a channel of a scan, `2/3` as ("2", "3"); else name and ""."""
         block, _, point = entry.name.partition("/")
         return (block, point) if self.file.suffix.lower() == SCAN else (entry.name, "")
 
@@ -285,7 +285,7 @@ class Daq(ManifestBlock):
         refuse_repeated([entry.stored_name for entry in self.channel], "channels of the file", "channel")
         if self.file.suffix.lower() == SCAN and any(entry.in_file is not None for entry in self.channel):
             raise refusal(
-                "no key in_file of a scan, whose channels are named block/point",
+                "no key in_file for a scan, whose channels are named block/point",
                 "one",
                 key="channel",
                 declared=KEY_NOT_APPLICABLE,
@@ -294,7 +294,7 @@ class Daq(ManifestBlock):
 
 
 class Frames(ManifestBlock):
-    """What images and points share: the stereo pair, the trigger, and the exposure, by default the pair's own.
+    """Common keys of images and points; the exposure is that of the pair by default.
 
     `edge_step`: edges from one frame to the next, or to the next number of a file.
     """
@@ -312,27 +312,27 @@ class Frames(ManifestBlock):
 
     @model_validator(mode="before")
     @classmethod
-    def _take_from_the_pair(cls, value: Any, info: ValidationInfo) -> Any:
-        """Fill in what the recording does not override."""
+    def _inherit_from_pair(cls, value: Any, info: ValidationInfo) -> Any:
+        """Return the keys, completed by those of the pair."""
         if not isinstance(value, dict) or not isinstance(info.context, Context):
             return value
-        known = info.context.stereo
+        pairs = info.context.stereo
         name = value.get("stereo")
         if not isinstance(name, str):
             return value
-        if name not in known:
-            found = f'"{name}"; rig.toml has {", ".join(known) or "none"}'
+        if name not in pairs:
+            found = f'"{name}"; rig.toml has {", ".join(pairs) or "none"}'
             raise refusal("the name of a stereo pair of rig.toml", found, key="stereo", declared=UNKNOWN_NAME)
-        if any(known[name].row_time) and not cls.HAS_ROW_TIMES:
-            expected = "images, which tell when the rows of a rolling shutter (row_time) showed what they show"
+        if any(pairs[name].row_time) and not cls.HAS_ROW_TIMES:
+            expected = "images, because points of a rolling shutter (row_time) have no exposure times of their rows"
             raise refusal(expected, f'points of "{name}"', key="stereo", declared=CONTRADICTING_VALUES)
-        return {key: getattr(known[name], key) for key in cls.INHERITED} | value
+        return {key: getattr(pairs[name], key) for key in cls.INHERITED} | value
 
 
 class Images(Frames):
-    """Image sequences of the left and right camera of a stereo pair, frame by frame in natural order.
+    """Image sequences of the cameras of a stereo pair, in natural order.
 
-    `right` is empty of a camera alone. Subsets lie in the `region` of the first left picture alone, and in no `mask`:
+    `right` is empty for a single camera. Subsets are inside the `region` of the first left image, outside every `mask`:
     x, y, width, height in px.
     """
 
@@ -343,11 +343,11 @@ class Images(Frames):
     mask: Mask = ()
 
     INHERITED: ClassVar[tuple[str, ...]] = (*Frames.INHERITED, "bit_depth")
-    TELLS_ROWS: ClassVar[bool] = True
+    HAS_ROW_TIMES: ClassVar[bool] = True
 
     @property
     def cameras(self) -> tuple[tuple[str, tuple[Path, ...]], ...]:
-        """The files of each camera by its key."""
+        """Files of each camera, with its key."""
         return (("left", self.left), ("right", self.right)) if self.right else (("left", self.left),)
 
     @model_validator(mode="after")
@@ -370,9 +370,9 @@ class Images(Frames):
 
 
 class PointFiles(Frames):
-    """Tables of 3-D points from another DIC program: one file per frame, or one with a column `frame`.
+    """Tables of 3-D points: one file per frame, or a column `frame`.
 
-    Without `columns` the files' headers name them.
+    Without `columns` the headers of the files name them.
     """
 
     files: ExistingFiles
@@ -381,7 +381,7 @@ class PointFiles(Frames):
     scale: Positive | None = None
 
     @model_validator(mode="after")
-    def _columns_hold_what_is_used(self) -> Self:
+    def _columns_match_keys(self) -> Self:
         columns = self.columns or ()
         if self.valid_status is not None and "status" not in columns:
             raise refusal(
@@ -397,7 +397,7 @@ class PointFiles(Frames):
             )
         if single and len(self.files) > 1:
             raise refusal(
-                'one file, since its column "frame" tells the frames',
+                'one file, since its column "frame" numbers the frames',
                 f"{len(self.files)}",
                 key="files",
                 declared=FRAMES_DO_NOT_MATCH,
@@ -406,7 +406,7 @@ class PointFiles(Frames):
 
 
 class SetUpFiles(ManifestBlock):
-    """What was recorded at once."""
+    """Files of one set-up."""
 
     daq: Annotated[tuple[Daq, ...], BeforeValidator(array_of_tables)] = ()
     images: Annotated[tuple[Images, ...], BeforeValidator(array_of_tables)] = ()
@@ -419,7 +419,7 @@ class SetUpFiles(ManifestBlock):
 
     @property
     def files(self) -> list[Path]:
-        """Files that these tables name."""
+        """Files named in these tables."""
         files = []
         for daq in self.daq:
             files += [daq.file, *(entry.response for entry in daq.channel if entry.response)]
@@ -429,15 +429,15 @@ class SetUpFiles(ManifestBlock):
 
 
 class Take(SetUpFiles):
-    """What was recorded at once, where a recording holds several measurements one after another."""
+    """A sequential set-up of a recording."""
 
     daq: Annotated[tuple[Daq, ...], BeforeValidator(array_of_tables), Field(min_length=1)]
 
 
 class RecordingFile(SetUpFiles):
-    """recording.toml as it stands: one excitation and the files recorded under it.
+    """recording.toml: one excitation and the files recorded under it.
 
-    `environment`: what of the rig's surroundings was otherwise that day.
+    `environment`: keys that differ from those of the rig.
     """
 
     format: Version
