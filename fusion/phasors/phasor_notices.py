@@ -270,7 +270,7 @@ CAMERA_DELAYED = DeclaredNotice(
     effect="The error of depth and phase is not included in U.",
     remedy="Synchronise the exposures of the two cameras.",
 )
-BODY_DEFORMS = DeclaredNotice(
+PAIR_BODY_DEFORMS = DeclaredNotice(
     "SC-436",
     "warning",
     "The body deforms at {frequency_hz:.6g} Hz: {shape} of {amplitude_nm:.3g} nm (u {u_nm:.2g} nm, chance "

@@ -107,7 +107,7 @@ OUTPUT_LAGS = DeclaredNotice(
     effect="No delay or response of its measuring chain is stated, so the phase of the sensitivity includes it.",
     remedy="State `delay` or `response` if the amplifier has one.",
 )
-OUTPUT_LEADS = DeclaredNotice(
+OUTPUT_LEADS_LOAD = DeclaredNotice(
     "SC-482",
     "warning",
     "Output {output} {direction} the load by {lag_mrad:.3g} mrad at {frequency_hz:.6g} Hz ({lag_us:.3g} µs).",

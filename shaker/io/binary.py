@@ -26,8 +26,8 @@ from shaker.io.channel import (
     read_datasets,
     select_names,
 )
-from shaker.io.mat5 import check_mat5
 from shaker.io.times import SampleTimes, agreed_rate, times_of_stamps
+from shakercal._common.mat5 import check_mat5
 
 _RATES = ("sample_rate", "sampling_rate", "sampling_frequency", "fs")
 _MATLAB_RATES = ("sample_rate", "fs", "Fs")
