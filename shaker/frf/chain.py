@@ -212,7 +212,7 @@ def filters_of_delay(frequency_hz: FloatArray, delay_s: float) -> ComplexArray:
 
     >>> from shaker.frf.chain import filters_of_delay
     >>> import numpy as np
-    >>> np.abs(filters_of_delay(np.array([319.0]), 168e-6)).min().round(3)  # of a first order
+    >>> float(np.abs(filters_of_delay(np.array([319.0]), 168e-6)).min().round(3))  # of a first order
     0.948
     """
     s, found = derivative_factor(frequency_hz, 1), []
