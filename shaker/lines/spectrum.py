@@ -126,7 +126,7 @@ def _hann_rfft(samples: FloatArray, middle: float) -> ComplexArray:
     pieces = next((r for r in range(_FEWEST_PARTS, _MOST_PARTS + 1) if count % r == 0), 1) if count >= _LONG else 1
     turn = 2.0 * np.pi / count
     if pieces == 1:
-        return np.asarray(np.fft.rfft(_windowed(samples, mean, middle, slice(0, count))))
+        return np.asarray(np.fft.rfft(_apply_window(samples, mean, middle, slice(0, count))))
     length, bins = count // pieces, count // 2 + 1
     halves = [np.empty(0, dtype=np.complex128)] * pieces
     order = sorted(range(pieces), key=lambda q: min(q, pieces - 1 - q))  # in which they are done with
@@ -134,7 +134,7 @@ def _hann_rfft(samples: FloatArray, middle: float) -> ComplexArray:
     for some in (order[first : first + each] for first in range(0, pieces, each)):
         block = np.empty((len(some), length // 2 + 1), dtype=np.complex128)
         for q, row in zip(some, block, strict=True):
-            row[:] = np.fft.rfft(_windowed(samples, mean, middle, slice(q, count, pieces)))
+            row[:] = np.fft.rfft(_apply_window(samples, mean, middle, slice(q, count, pieces)))
             halves[q] = row
     del block, row
     for part in split_bins(length // 2 + 1):
@@ -160,7 +160,7 @@ def _hann_rfft(samples: FloatArray, middle: float) -> ComplexArray:
     return result
 
 
-def _windowed(samples: FloatArray, mean: float, middle: float, which: slice) -> FloatArray:
+def _apply_window(samples: FloatArray, mean: float, middle: float, which: slice) -> FloatArray:
     """Return some samples (S,) without mean, times a Hann window.
 
     The window is 1 + cos(2π/S·(n - middle)); little memory is used.
