@@ -118,9 +118,10 @@ def split_bins(bins: int, most: int = _PART) -> list[slice]:
 def _hann_rfft(samples: FloatArray, middle: float) -> ComplexArray:
     """Return the transform (B,) of samples (S,) without mean, times 1 + cos(2π/S·(n - middle)).
 
-    Long records are split: every r-th sample is transformed, r a divisor of S, and the r transforms F_q are combined
-    (decimation in time, Cooley and Tukey 1965): X(jM + m) = Σ_q exp(-2πi·qj/r)·exp(-2πi·qm/S)·F_q(m), M = S/r, a
-    transform of r numbers for each m. m up to M/2 are enough: X(jM + M - m) is the conjugate of X((r - 1 - j)M + m).
+    Long records are split. Every r-th sample is transformed, r a divisor of S. The r transforms F_q are combined
+    (decimation in time, Cooley and Tukey 1965). With M = S/r it is X(jM + m) = Σ_q
+    exp(-2πi·qj/r)·exp(-2πi·qm/S)·F_q(m), a transform of r numbers for each m. Values of m up to M/2 are enough: X(jM +
+    M - m) is the conjugate of X((r - 1 - j)M + m).
     """
     count, mean = len(samples), samples.mean()
     pieces = next((r for r in range(_FEWEST_PARTS, _MOST_PARTS + 1) if count % r == 0), 1) if count >= _LONG else 1
