@@ -240,8 +240,8 @@ def test_no_common_rate_gives_the_stated_frequencies(component, kilohertz):
 
 
 def test_false_poles_give_notices():
-    assert any("turns its sign" in notice.text for notice in figures("20").notices)
-    assert any("half the sampling rate" in n.text for n in indices(wrist_paper.transfer_function(), 1.0, 1e5).notices)
+    assert any("sign" in notice.text for notice in figures("20").notices)
+    assert any("100000 Hz" in n.text for n in indices(wrist_paper.transfer_function(), 1.0, 1e5).notices)
     assert figures("Fx").notices == ()
 
 
