@@ -303,9 +303,7 @@ def _driven_lines(
         turns = [(f, round(f * excitation.period) / excitation.period) for f in strong.frequency_hz.tolist()]
         nominal_hz = [whole for f, whole in turns if abs(f - whole) <= rate_hz / len(time_s)]
     if not nominal_hz:
-        raise ValueError(
-            f"band: expected lines between {low:g} and {high:g} Hz above the noise, found none"
-        )
+        raise ValueError(f"band: expected lines between {low:g} and {high:g} Hz above the noise, found none")
     listed = ", ".join(f"{f:.6g}" for f in nominal_hz)
     return nominal_hz, Notice(LINES_FROM_BAND, "excitation.band", count=len(nominal_hz), frequencies=listed)
 
