@@ -87,10 +87,7 @@ class OutputRow(NamedTuple):
 
 
 def lowest_mode(fit: StepFit) -> tuple[float, float, float, float]:
-    """Return frequency (Hz), its u, damping ratio, and its u of the lowest mode.
-
-    NaN without one.
-    """
+    """Return frequency (Hz) and damping ratio of the lowest mode, each with u, or NaN."""
     model = fit.model
     if model is None or not len(model.frequency_hz):
         return (np.nan,) * 4
@@ -269,6 +266,8 @@ def fill(file: h5py.File, evaluation: StepEvaluation) -> None:
         written = ("channel", "unit", "used", "reason", "pooled", "parameters", "figures", "budget", "gains", "ropes")
         for name in written:
             write_value(group, name, getattr(component, name))
+        if component.pooled is not None:
+            group["pooled"].move("unobserved", "beside")  # files keep the name that they had
         releases = group.create_group("releases", track_order=True)
         for release in component.releases:
             release_group = releases.create_group(releases.free_name(release.name), track_order=True)
