@@ -266,8 +266,6 @@ def fill(file: h5py.File, evaluation: StepEvaluation) -> None:
         written = ("channel", "unit", "used", "reason", "pooled", "parameters", "figures", "budget", "gains", "ropes")
         for name in written:
             write_value(group, name, getattr(component, name))
-        if component.pooled is not None:
-            group["pooled"].move("unobserved", "beside")  # files keep the name that they had
         releases = group.create_group("releases", track_order=True)
         for release in component.releases:
             release_group = releases.create_group(releases.free_name(release.name), track_order=True)
