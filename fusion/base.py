@@ -72,19 +72,24 @@ def natural_key(name: str) -> tuple[tuple[tuple[int, int | str], ...], str]:
 
 
 def check_names(files: Iterable[Path]) -> None:
-    """Raise `InputError` for a file whose path is no text, so that no result could name it."""
+    """Raise `InputError` for a file whose path is not UTF-8, so that no result could name it."""
+    from fusion.recording.recording_notices import PATH_NOT_UTF8
+
     for path in files:
-        if any("\ud800" <= sign <= "\udfff" for sign in str(path)):  # in which Python holds bytes that are no UTF-8
-            raise InputError(path, "", found="other bytes", expected="a path whose names are text in UTF-8")
+        if any("\ud800" <= sign <= "\udfff" for sign in str(path)):  # Python's escapes of bytes that are not UTF-8
+            raise InputError(PATH_NOT_UTF8, path, found="other bytes", expected="a path whose names are text in UTF-8")
 
 
 def check_new_file(path: Path, *, force: bool) -> None:
-    """Refuse a place for a file that is taken (by a file: unless `force`) or that is in no folder."""
+    """Raise `InputError` for a path that exists (a file: unless `force`) or that has no folder."""
+    from fusion.commands.command_notices import OUTPUT_EXISTS, OUTPUT_FOLDER_MISSING
+
     if path.exists() and not (force and path.is_file()):
-        what = "file" if path.is_file() else "folder"
-        raise InputError(path, "", found=f"a {what} of this name", expected="a new file (--force replaces it)")
+        found = f"a {'file' if path.is_file() else 'folder'} of this name"
+        raise InputError(OUTPUT_EXISTS, path, found=found, expected="a new file (--force replaces it)")
     if not path.absolute().parent.is_dir():
-        raise InputError(path, "", found=f"no folder {path.parent}", expected="a file in an existing folder")
+        found = f"no folder {path.parent}"
+        raise InputError(OUTPUT_FOLDER_MISSING, path, found=found, expected="a file in an existing folder")
 
 
 # What is undone when a signal ends the process: whoever begins something that must not be left registers its undoing.

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from fusion.commands.options import CliCommand, Parser
 
 ENDING = ("SIGINT", "SIGTERM", "SIGHUP")
-LEAST_ADDRESSES = 1_000_000_000
+MIN_ADDRESSES = 1_000_000_000
 """Bytes: a run without images takes 870 MB of addresses before it has read anything."""
 GARBAGE = 20_000
 """New objects after which Python looks for cycles among them; at its own 700 that is a tenth of what starting takes."""
@@ -96,14 +96,12 @@ def _check_memory() -> None:
     if sys.platform != "win32":
         import resource
 
+        from fusion.commands.command_notices import ADDRESS_SPACE_TOO_SMALL
         from fusion.errors import ComputeError
 
         limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-        if limit != resource.RLIM_INFINITY and limit < LEAST_ADDRESSES:
-            found = f"found {limit / 1e6:.0f} MB (ulimit -v)"
-            raise ComputeError(
-                f"the memory does not suffice: expected {LEAST_ADDRESSES / 1e6:.0f} MB of addresses, {found}"
-            )
+        if limit != resource.RLIM_INFINITY and limit < MIN_ADDRESSES:
+            raise ComputeError(ADDRESS_SPACE_TOO_SMALL, expected_mb=MIN_ADDRESSES / 1e6, found_mb=limit / 1e6)
 
 
 def _unwritten() -> OSError | None:

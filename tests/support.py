@@ -149,7 +149,7 @@ def refusals(capsys: pytest.CaptureFixture[str]) -> RefusedCommand:
 PAGES = (
     "fusion.report.recording_report.render_report",
     "fusion.campaign.joint_report.render_campaign",
-    "fusion.report.folder.Command.page",
+    "fusion.report.folder.CommandReport.page",
 )
 
 

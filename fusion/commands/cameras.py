@@ -43,6 +43,7 @@ def _cameras_options(parser: Parser) -> None:
 def cameras(options: argparse.Namespace) -> None:
     """Calibrate a stereo pair from target pictures."""
     from fusion.cameras.calibrate import CameraSettings, run_camera, run_cameras
+    from fusion.commands.command_notices import INVALID_OPTION, LENGTH_UNIT_REQUIRED
     from fusion.errors import InputError
     from fusion.report.terminal import progress_bar
     from photogram.calibration.scale import KnownLength
@@ -52,18 +53,19 @@ def cameras(options: argparse.Namespace) -> None:
         target = Target(options.target, options.spacing.m, options.size, options.dictionary)
     except ValueError as error:
         key, _, sentence = str(error).partition(": ")
-        raise InputError("shakercal cameras", f"--{key}", sentence, "") from error
+        raise InputError(INVALID_OPTION, "shakercal cameras", f"--{key}", reason=sentence) from error
     if not options.spacing.unit and not target.is_likely:
         spacing = f"{options.spacing.m:g}"
         found = f"{spacing} m, of a target {target.length_m:.3g} m long"
-        raise InputError("shakercal cameras", "--spacing", found, f"a unit with it: {spacing}mm or {spacing}m")
+        expected = f"a unit with the number: {spacing}mm or {spacing}m"
+        raise InputError(LENGTH_UNIT_REQUIRED, "shakercal cameras", "--spacing", found=found, expected=expected)
     known = None
     if options.known_length is not None:
         try:
             first, second, *words = options.known_length
             known = KnownLength.from_words(first, second, *map(in_metres, words))
         except ValueError as error:
-            raise InputError("shakercal cameras", "--known-length", str(error), "") from error
+            raise InputError(INVALID_OPTION, "shakercal cameras", "--known-length", reason=str(error)) from error
     settings = CameraSettings(target, options.shape, options.scale_uncertainty, options.lens, known)
     with progress_bar(enabled=not options.quiet) as progress:
         run = run_camera if options.mono else run_cameras

@@ -105,6 +105,7 @@ def _range(text: str) -> list[float]:
 def plan(options: argparse.Namespace) -> None:
     """Find camera rates at which excitation and harmonics fold to separate places."""
     from fusion.base import check_new_file
+    from fusion.commands.command_notices import CONFLICTING_OPTIONS
     from fusion.errors import InputError
     from fusion.planning.plan import MotionSize, Request, make_plan, plan_csv, print_plan
     from fusion.report.atomic_files import write_atomically
@@ -113,7 +114,7 @@ def plan(options: argparse.Namespace) -> None:
     for file in filter(None, (options.figure, options.csv)):
         check_new_file(file, force=options.force)
     if options.rate is not None and options.min_rate is not None:
-        raise InputError("--min-rate", "", found="--rate", expected="--max-rate beside it")
+        raise InputError(CONFLICTING_OPTIONS, "--min-rate", found="--rate", expected="--max-rate with it")
     limits_hz = options.min_rate or (options.max_rate or 0.0) / 2.0, options.max_rate
     request = Request(
         frequency_hz=options.frequencies,
@@ -164,13 +165,14 @@ def _simulate_options(parser: Parser) -> None:
 @command(_simulate_options, "rope --preset steps")
 def simulate(options: argparse.Namespace) -> None:
     """Write a simulated recording with its truth."""
+    from fusion.commands.command_notices import INVALID_OPTION, OUTPUT_EXISTS
     from fusion.errors import InputError
     from fusion.report.terminal import progress_bar
     from fusion.simulate import simulate
 
     if options.out.exists() and not options.force:
         expected = "a new folder (--force replaces an earlier simulation)"
-        raise InputError(options.out, "", found="a file or folder of this name", expected=expected)
+        raise InputError(OUTPUT_EXISTS, options.out, found="a file or folder of this name", expected=expected)
     violated = {"violate": tuple(options.violate)} if options.violate else {}
     try:
         with progress_bar(enabled=not options.quiet) as progress:
@@ -178,7 +180,8 @@ def simulate(options: argparse.Namespace) -> None:
     except ValueError as error:
         if not str(error).startswith("violate: "):
             raise
-        raise InputError("shakercal simulate", "--violate", str(error).partition(": ")[2], "") from error
+        reason = str(error).partition(": ")[2]
+        raise InputError(INVALID_OPTION, "shakercal simulate", "--violate", reason=reason) from error
     number = len(list(options.out.glob("*/recording.toml")))
     kind = "recording" if number == 1 else "campaign" if number else "element" if written.is_file() else "pictures"
     print(f"simulated {kind}: {written}" + (f", {number} recordings" if kind == "campaign" else ""))
@@ -343,17 +346,20 @@ def _print_rows(name: str, text: str) -> None:
 
 def _manifests(options: argparse.Namespace) -> list[Manifest]:
     """Load the recordings of a folder; only one fits a table or figure, and none takes a file's options."""
+    from fusion.commands.command_notices import OPTION_OF_ANOTHER_INPUT
     from fusion.errors import InputError
     from fusion.recording.load import find_recordings, load_manifest
+    from fusion.recording.recording_notices import ONE_RECORDING_EXPECTED
 
     for name in ("channel", "sample_rate", "band"):
         if getattr(options, name) is not None:
             option = f"--{name.replace('_', '-')}"
-            raise InputError(options.source, "", found=option, expected="no such option, recording.toml states it")
+            expected = "no such option, recording.toml states it"
+            raise InputError(OPTION_OF_ANOTHER_INPUT, options.source, found=option, expected=expected)
     recordings = find_recordings(options.source)
     if len(recordings) > 1 and (options.csv or options.figure):
         found, expected = f"{len(recordings)} recordings", "one recording for --csv and --figure"
-        raise InputError(options.source, "", found=found, expected=expected)
+        raise InputError(ONE_RECORDING_EXPECTED, options.source, found=found, expected=expected)
     return [load_manifest(recording, allow_outside=options.allow_outside) for recording in recordings]
 
 

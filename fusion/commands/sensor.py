@@ -55,6 +55,7 @@ def _identify_options(parser: Parser) -> None:
 @command(_identify_options, "campaign --load-mass 0.5 2 7")
 def identify(options: argparse.Namespace) -> None:
     """Stiffness, damping and internal mass of the sensor from a whole campaign."""
+    from fusion.commands.command_notices import FREQUENCIES_NOT_ASCENDING
     from fusion.errors import InputError
     from fusion.sensor.identify.identification_inputs import IdentifySettings
     from fusion.sensor.identify.identification_report import run_identify
@@ -62,7 +63,8 @@ def identify(options: argparse.Namespace) -> None:
     band = None if options.band is None else (options.band[0], options.band[1])
     if band is not None and band[0] >= band[1]:
         found = f"{band[0]:g} and {band[1]:g}"
-        raise InputError(options.campaign, "--band", found=found, expected="two frequencies in Hz, the lower first")
+        expected = "two frequencies in Hz, the lower first"
+        raise InputError(FREQUENCIES_NOT_ASCENDING, options.campaign, "--band", found=found, expected=expected)
     settings = IdentifySettings(
         model=options.model,
         damping=options.damping,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, added_up, real_design, real_stack
+from fusion.instruments.instrument_notices import PARALLEL_BEAMS, PARALLEL_BEAMS_WITHOUT_HEAD
 from fusion.instruments.transducer import LaserBeams, chain_name
 from shaker.arrays import ComplexArray, FloatArray, check_shape, check_shapes
 from shakercal._common.notices import Notice
@@ -119,22 +120,13 @@ class PointSpread:
 
 
 def beam_notices(entries: Sequence[ChannelEntry]) -> tuple[Notice, ...]:
-    """Say of which vibrometers several points state one direction, and what is taken of that."""
+    """Return a note for every vibrometer with several points of exactly one direction."""
     beams, notices = LaserBeams.of(entries), []
-    unsure = {chain_name(entry) for entry in entries if entry.direction_uncertainty > 0.0 and beams.shares_tilt(entry)}
+    tilted = {chain_name(entry) for entry in entries if entry.direction_uncertainty > 0.0 and beams.shares_tilt(entry)}
     for name in dict.fromkeys(name for name, _ in beams.parallel):
-        alike = [(axis_name(np.asarray(d)), count) for (own, d), count in beams.parallel.items() if own == name]
-        text = ", ".join(f"{count} points state exactly the direction {axis}" for axis, count in alike)
-        if name in unsure:
-            text += (
-                " and no head: their direction errors are taken as one tilt of all and as each point's own as well, "
-                "since it may be either; [head.NAME] says which"
-            )
-        text += (
-            "; beams of a scanning head are not parallel (50 mm off axis at 0.5 m reads 0.5 % less): its mirror or its "
-            "standoff allows for that"
-        )
-        notices.append(Notice("note", text, name))
+        counts = [(axis_name(np.asarray(d)), count) for (title, d), count in beams.parallel.items() if title == name]
+        declared = PARALLEL_BEAMS_WITHOUT_HEAD if name in tilted else PARALLEL_BEAMS
+        notices.append(Notice(declared, name, beams=", ".join(f"{count} along {axis}" for axis, count in counts)))
     return tuple(notices)
 
 

@@ -1,8 +1,8 @@
-"""Inputs that manifests take from Digital Calibration Certificates, put into the words in which a user types them."""
+"""Inputs of manifests from Digital Calibration Certificates, as a user would type them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from datetime import date as Date
 from pathlib import Path
@@ -18,10 +18,19 @@ from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.dcc import SUFFIX, CalibrationCertificate, CertifiedQuantity, read_dcc
 from fusion.recording.dcc_curves import curve_named, in_hertz
 from fusion.recording.dsi import CELSIUS_AT_0_K, Dimension, parse_unit
+from fusion.recording.recording_notices import (
+    CERTIFIED_RESULT_NOT_FOUND,
+    CERTIFIED_UNIT_MISMATCH,
+    CONTRADICTING_VALUES,
+    KEY_NOT_APPLICABLE,
+    KEY_TAKES_NO_CERTIFICATE,
+    MISSING_FILE,
+    UNREADABLE_FILE,
+)
 from fusion.recording.response import certified_table
 from fusion.recording.toml import UNFILLED, UncertainInput, UncertaintyStatement, checked_table, key_path
 from fusion.recording.values import ManifestBlock, PathScope, Text, describe
-from shakercal._common.notices import Notice
+from shakercal._common.notices import DeclaredNotice, Notice
 
 UNIT_OF = {
     **dict.fromkeys(("mass", "internal_mass", "tip_mass"), "kg"),
@@ -34,25 +43,25 @@ UNIT_OF = {
     "temperature_coefficient": "1/K",
     "sensor_temperature": "K",
 }
-"""What a certificate may state of a key with one number, in SI."""
+"""SI unit of every key with one number that a certificate may state."""
 UNIT_OF_THREE = {
     **dict.fromkeys(("centre_of_mass", "internal_centre_of_mass", "point", "mirror"), "m"),
     "gravity": "m/s^2",
     "cable_stiffness": "N/m",
 }
-"""The same of three numbers."""
+"""The same for keys with three numbers."""
 ELECTRICAL = ("1", "V", "A", "C")
-"""In what a recorder's or a transducer's output may be."""
+"""Units of the outputs of transducers and recorders."""
 WIDE_K = 2.1
-"""Above it a coverage factor of 95 % tells of few degrees of freedom."""
+"""Coverage factor for 95 % above which few degrees of freedom are assumed: 1.96 to 2.0 mean infinitely many."""
 
 
-At = tuple[dict[str, Any], list[int | str]]
-"""A whole file, and a place in it."""
+Location = tuple[dict[str, Any], list[int | str]]
+"""The content of a file, and a key path in it."""
 
 
 class CertificateReference(ManifestBlock):
-    """A table at a key whose value stands in a certificate: which file, which of its results, until when it holds."""
+    """A table at a key that refers to a certificate: file, result, degrees of freedom, last valid day."""
 
     dcc: Text
     result: str = ""
@@ -62,10 +71,10 @@ class CertificateReference(ManifestBlock):
 
 @dataclass
 class CertifiedInputs:
-    """What the certificates of one manifest say: its text without them, their files, the curves that channels follow.
+    """Inputs of one manifest from certificates: its text with their values, their files, response curves.
 
-    `files`: with what they were before they were read. `wrong`: every table that cannot be used. `signed`: notices of
-    the signatures of the files.
+    `files`: with their identities before reading. `errors`: of every table that cannot be used. `signature_notices`: of
+    the files.
     """
 
     path: Path
@@ -77,41 +86,41 @@ class CertifiedInputs:
     errors: list[InputError] = field(default_factory=list)
     signature_notices: list[Notice] = field(default_factory=list)
 
-    def replaced(self, value: Any, whole: dict[str, Any], place: list[int | str]) -> Any:
-        """Return a part of a manifest, tables with `dcc` replaced by what the certificate states."""
+    def resolve(self, value: Any, whole: dict[str, Any], path: list[int | str]) -> Any:
+        """Return a part of a manifest, with the values of certificates instead of tables with `dcc`."""
         if isinstance(value, list):
-            return [self.replaced(item, whole, [*place, number]) for number, item in enumerate(value)]
+            return [self.resolve(item, whole, [*path, number]) for number, item in enumerate(value)]
         if not isinstance(value, dict):
             return value
         out: dict[str, Any] = {}
         for key, item in value.items():
-            here = [*place, key]
-            own = {"dcc": item} if key == "response" and _is_certificate(item) else item
-            if own is not item and isinstance(value.get("response_result"), str):
-                own["result"] = value["response_result"]
-            named = own.get("dcc") if isinstance(own, dict) else None
+            key_steps = [*path, key]
+            table = {"dcc": item} if key == "response" and _is_certificate(item) else item
+            if table is not item and isinstance(value.get("response_result"), str):
+                table["result"] = value["response_result"]
+            named = table.get("dcc") if isinstance(table, dict) else None
             if named is None or named == UNFILLED or isinstance(named, dict):
-                out[key] = self.replaced(item, whole, here)
+                out[key] = self.resolve(item, whole, key_steps)
                 continue
             try:
-                out |= self._taken(own, (whole, here), value)
+                out |= self._table_values(table, (whole, key_steps), value)
             except InputError as error:
                 self.errors += error.each
         return out
 
-    def _taken(self, own: dict[str, Any], at: At, beside: Mapping[str, Any]) -> Any:
-        """Return what stands in the place of one table, by key."""
-        whole, place = at
-        table, name = checked_table(CertificateReference, own, self.path, at), str(place[-1])
-        key = key_path(whole, place)
-        known = name in UNIT_OF or name in UNIT_OF_THREE or name in ("scale", "response", "step_amplitude")
-        if not known or (name == "response" and "quantity" not in beside):
+    def _table_values(self, values: dict[str, Any], location: Location, siblings: Mapping[str, Any]) -> Any:
+        """Return the values by key that replace one table."""
+        whole, path = location
+        table, name = checked_table(CertificateReference, values, self.path, location), str(path[-1])
+        key = key_path(whole, path)
+        certifiable = name in UNIT_OF or name in UNIT_OF_THREE or name in ("scale", "response", "step_amplitude")
+        if not certifiable or (name == "response" and "quantity" not in siblings):
             expected = "no certificate: it can state " + ", ".join((*UNIT_OF, *UNIT_OF_THREE, "scale, step_amplitude"))
-            raise InputError(self.path, key, "one", expected + " and a channel's response")
+            expected += " and a channel's response"
+            raise self._error(KEY_TAKES_NO_CERTIFICATE, key, "one", expected)
         if not _is_certificate(table.dcc):
-            raise InputError(
-                self.path, f"{key}.dcc", describe(table.dcc), f"a Digital Calibration Certificate, *{SUFFIX}"
-            )
+            expected = f"a Digital Calibration Certificate, *{SUFFIX}"
+            raise self._error(KEY_TAKES_NO_CERTIFICATE, f"{key}.dcc", describe(table.dcc), expected)
         certificate = self._certificate(table.dcc, key if name == "response" else f"{key}.dcc")
         source: dict[str, Any] = {"certificate": certificate.number, "laboratory": certificate.laboratory}
         last = [day for day in (table.valid_until, certificate.valid_until) if day is not None]
@@ -119,37 +128,42 @@ class CertifiedInputs:
         source |= {"valid_until": min(last)} if last else {}
         if name == "response":
             if table.dof is not None:
-                raise InputError(self.path, f"{key}.dof", f"{table.dof:g}", "no such key of a list over frequency")
-            self._curve(certificate, table, (at, source), beside)
+                expected = "no such key of a list over frequency"
+                raise self._error(KEY_NOT_APPLICABLE, f"{key}.dof", f"{table.dof:g}", expected)
+            self._curve(certificate, table, (location, source), siblings)
             return {name: table.dcc} | ({"response_result": table.result} if table.result else {})
-        quantity, value, relative = self._quantity(certificate, table, key, beside)
+        quantity, value, relative = self._quantity(certificate, table, key, siblings)
         k, dof = float(quantity.k[0]), table.dof
         if dof is None and k > WIDE_K and not abs(quantity.probability[0] - 0.95) > 0.01:
             from scipy.special import stdtridf
 
             dof = max(float(stdtridf(0.975, k)), 1.0)
         source |= {"dof": dof} if dof is not None else {}
-        own_u = quantity.expanded.tolist() if len(quantity.expanded) > 1 else float(quantity.expanded[0])
-        stated = {"U_relative": relative} if relative is not None else {"U": own_u}
+        absolute = quantity.expanded.tolist() if len(quantity.expanded) > 1 else float(quantity.expanded[0])
+        stated = {"U_relative": relative} if relative is not None else {"U": absolute}
         return {name: {"value": value, **stated, "k": k, **source}}
 
+    def _error(self, declared: DeclaredNotice, key: str, found: str, expected: str) -> InputError:
+        return InputError(declared, self.path, key, found=found, expected=expected)
+
     def _certificate(self, name: str, key: str) -> CalibrationCertificate:
-        """Read the certificate that a path leads to, and keep what it was before."""
+        """Read the certificate at a path, and record the identity of its file before reading."""
         try:
             path = self.scope.file(name)
         except PydanticCustomError as error:
-            told = error.context or {}
-            raise InputError(self.path, key, str(told.get("found")), str(told.get("expected"))) from error
+            context = error.context or {}
+            found, expected = str(context.get("found")), str(context.get("expected"))
+            raise self._error(context.get("declared", MISSING_FILE), key, found, expected) from error
         except OSError as error:
-            raise InputError(self.path, key, error.strerror or str(error), "a path that can be read") from error
+            raise self._error(UNREADABLE_FILE, key, error.strerror or str(error), "a path that can be read") from error
         self.files.setdefault(path, FileIdentity.of(path))
         certificate = read_dcc(path)
         self.signature_notices += certificate.signature_notices
         return certificate
 
-    def _dimension(self, beside: Mapping[str, Any]) -> Dimension | None:
-        """Return of what a channel's scale or response makes electrical quantities; None where that is no SI unit."""
-        quantity = beside.get("quantity")
+    def _dimension(self, siblings: Mapping[str, Any]) -> Dimension | None:
+        """Return the dimension of the channel's quantity; None if it has no SI unit."""
+        quantity = siblings.get("quantity")
         unit = {"output": self.sensor_unit, "force": "N", "voltage": "V", "trigger": "1"}.get(str(quantity))
         if unit is None and str(quantity) in TRANSDUCERS:
             unit = TRANSDUCERS[str(quantity)].unit.replace("rad", "1")
@@ -159,94 +173,99 @@ class CertifiedInputs:
             return None
 
     def _quantity(
-        self, certificate: CalibrationCertificate, table: CertificateReference, key: str, beside: Mapping[str, Any]
+        self, certificate: CalibrationCertificate, table: CertificateReference, key: str, siblings: Mapping[str, Any]
     ) -> tuple[CertifiedQuantity, Any, float | None]:
-        """Return the quantity that a table means, its value for the key, and U relative to it where it is inverted."""
-        name, ways = key.rsplit(".", 1)[-1], dict[Dimension, bool]()  # by dimension: whether it is the reciprocal
+        """Return the quantity that a table names, its value, and its relative U if the value is a reciprocal."""
+        name, reciprocal = key.rsplit(".", 1)[-1], dict[Dimension, bool]()  # whether it is one, by dimension
         if name == "scale":
-            across = self._dimension(beside)
-            for unit in ELECTRICAL if across is not None else ():
-                below = parse_unit(unit).dimension
-                for way, inverted in ((_over(across or below, below), False), (_over(below, across or below), True)):
-                    if ways.setdefault(way, inverted) is not inverted:
-                        ways.pop(way)
-            told = f"V, A or C per {beside.get('quantity')} (its sensitivity), or the reciprocal of that"
+            mechanical = self._dimension(siblings)
+            for unit in ELECTRICAL if mechanical is not None else ():
+                electrical = parse_unit(unit).dimension
+                over = _over(mechanical or electrical, electrical), _over(electrical, mechanical or electrical)
+                for dimension, inverted in zip(over, (False, True), strict=True):
+                    if reciprocal.setdefault(dimension, inverted) is not inverted:
+                        reciprocal.pop(dimension)
+            units = f"V, A or C per {siblings.get('quantity')} (its sensitivity), or the reciprocal of that"
         else:
-            moment = str(beside.get("component", "F")).startswith("M")
-            told = {**UNIT_OF, **UNIT_OF_THREE, "step_amplitude": "N m" if moment else "N"}[name]
-            ways[parse_unit(told).dimension] = False
-        found = self._picked(certificate, table, key, (ways, 3 if name in UNIT_OF_THREE else 1, told))
-        found = in_hertz(certificate, found) if told == "Hz" else found
+            moment = str(siblings.get("component", "F")).startswith("M")
+            units = {**UNIT_OF, **UNIT_OF_THREE, "step_amplitude": "N m" if moment else "N"}[name]
+            reciprocal[parse_unit(units).dimension] = False
+        found = self._select(certificate, table, key, (reciprocal, 3 if name in UNIT_OF_THREE else 1, units))
+        found = in_hertz(certificate, found) if units == "Hz" else found
         conventional = "conventional" in " ".join((*found.types, found.name)).lower()
-        if name == "mass" and conventional and beside.get("mass_kind", "true") != "conventional":
+        if name == "mass" and conventional and siblings.get("mass_kind", "true") != "conventional":
             expected = f'mass_kind = "conventional" and the density, or a true mass in {certificate.path.name}'
-            raise InputError(self.path, key, f"a conventional mass ({found.where})", expected)
+            raise self._error(CONTRADICTING_VALUES, key, f"a conventional mass ({found.where})", expected)
         value = found.value.real - (-CELSIUS_AT_0_K if name == "sensor_temperature" else 0.0)
-        if not ways[found.unit.dimension]:
+        if not reciprocal[found.unit.dimension]:
             return found, value.tolist() if len(value) > 1 else float(value[0]), None
         if value[0] == 0.0:
             raise certificate.refusal(found.where, "0", "a sensitivity other than 0")
         return found, float(1.0 / value[0]), float(found.expanded[0] / abs(value[0]))
 
-    def _picked(
+    def _select(
         self, certificate: CalibrationCertificate, table: CertificateReference, key: str,
-        fits: tuple[Mapping[Dimension, bool], int, str],
+        fits: tuple[Collection[Dimension], int, str],
     ) -> CertifiedQuantity:  # fmt: skip
-        """Return the one quantity of a certificate that a name, or its unit, picks; it has to have an uncertainty."""
-        (ways, count, told), file = fits, certificate.path.name
+        """Return the one quantity of a certificate that fits a name, dimensions and a count; it must have a U."""
+        (dimensions, count, units), file = fits, certificate.path.name
         real = [q for q in certificate.quantities if q.is_real]
         named = [q for q in real if not table.result or q.is_named(table.result)]
         if not named:
-            known = ", ".join(dict.fromkeys(f'"{q.result or q.name}"' for q in real[:8])) or "none"
+            available = ", ".join(dict.fromkeys(f'"{q.result or q.name}"' for q in real[:8])) or "none"
             found = f'"{table.result}"' if table.result else "no result with numbers"
-            raise InputError(self.path, f"{key}.result", found, f"a result of {file}, which has {known}")
-        fitting = [own for q in named if (own := q.in_one_of(ways)) is not None]
+            expected = f"a result of {file}, which has {available}"
+            raise self._error(CERTIFIED_RESULT_NOT_FOUND, f"{key}.result", found, expected)
+        fitting = [converted for q in named if (converted := q.in_one_of(dimensions)) is not None]
         if not fitting:
             unusable = [q for q in named if q.problem is not None]
             if unusable and (table.result or len(unusable) == len(named)):
                 unusable[0].usable()
-            units = ", ".join(dict.fromkeys(q.unit.text for q in named[:8] if q.unit.text))
-            raise InputError(self.path, key, f"{units} ({named[0].where} of {file})", f"a quantity in {told}")
+            stated = ", ".join(dict.fromkeys(q.unit.text for q in named[:8] if q.unit.text))
+            found = f"{stated} ({named[0].where} of {file})"
+            raise self._error(CERTIFIED_UNIT_MISMATCH, key, found, f"a quantity in {units}")
         sized = [q for q in fitting if len(q.value) == count or q.problem is not None]
         if not sized:
             found = f"a list of {len(fitting[0].value)} ({fitting[0].where} of {file})"
-            raise InputError(self.path, key, found, f"{count} numbers" if count > 1 else "a result with one value")
+            expected = f"{count} numbers" if count > 1 else "a result with one value"
+            raise self._error(CERTIFIED_UNIT_MISMATCH, key, found, expected)
         if len(sized) > 1:
             where = "; ".join(q.where for q in sized[:4])
-            expected = f"the id, name or type of one of the {len(sized)} results in {told} of {file} ({where})"
-            raise InputError(self.path, f"{key}.result", f'"{table.result}"' if table.result else "nothing", expected)
-        picked = sized[0].usable()
-        if np.any(np.isnan(picked.value)):
-            raise certificate.refusal(picked.where, "nan", "finite numbers" if count > 1 else "a finite number")
-        if not np.all(np.isfinite(picked.expanded / picked.k)):
-            raise certificate.refusal(picked.where, "no uncertainty", "U with its coverage factor")
-        if np.ptp(picked.k) > 0.0:
-            raise certificate.refusal(picked.where, "several coverage factors", "one for all three numbers")
-        return picked
+            expected = f"the id, name or type of one of the {len(sized)} results in {units} of {file} ({where})"
+            found = f'"{table.result}"' if table.result else "no name"
+            raise self._error(CERTIFIED_RESULT_NOT_FOUND, f"{key}.result", found, expected)
+        selected = sized[0].usable()
+        if np.any(np.isnan(selected.value)):
+            raise certificate.refusal(selected.where, "nan", "finite numbers" if count > 1 else "a finite number")
+        if not np.all(np.isfinite(selected.expanded / selected.k)):
+            raise certificate.refusal(selected.where, "no uncertainty", "U with its coverage factor")
+        if np.ptp(selected.k) > 0.0:
+            raise certificate.refusal(selected.where, "several coverage factors", "one for all three numbers")
+        return selected
 
     def _curve(
-        self, certificate: CalibrationCertificate, table: CertificateReference, at: tuple[At, dict[str, Any]],
-        beside: Mapping[str, Any],
+        self, certificate: CalibrationCertificate, table: CertificateReference, at: tuple[Location, dict[str, Any]],
+        siblings: Mapping[str, Any],
     ) -> None:  # fmt: skip
-        """Check the list over frequency that a channel follows, and keep where it comes from."""
-        inside, source = at
-        key = key_path(*inside)
-        plain, across = [parse_unit(unit).dimension for unit in ELECTRICAL], self._dimension(beside)
-        fits = {_over(one, other) for one in plain for other in (*plain, across) if other is not None}
+        """Check the frequency response of a channel, and record its source."""
+        location, source = at
+        key = key_path(*location)
+        electrical, mechanical = [parse_unit(unit).dimension for unit in ELECTRICAL], self._dimension(siblings)
+        fits = {_over(one, other) for one in electrical for other in (*electrical, mechanical) if other is not None}
         curve, read = curve_named(certificate, table.result), certified_table(certificate, table.result)
         if curve.unit.dimension not in fits:
             found = f'{curve.unit.text} (result "{curve.name}" of {certificate.path.name})'
-            expected = f"a response in V, A or C, to each other or per {beside.get('quantity')}"
-            raise InputError(self.path, key, found, expected)
+            expected = f"a response in V, A or C, to each other or per {siblings.get('quantity')}"
+            raise self._error(CERTIFIED_UNIT_MISMATCH, key, found, expected)
         relative = read.u_magnitude / read.magnitude
         stated = checked_table(
-            UncertaintyStatement, {"U_relative": float(2.0 * relative.max()), "k": 2.0, **source}, self.path, inside
+            UncertaintyStatement, {"U_relative": float(2.0 * relative.max()), "k": 2.0, **source}, self.path, location
         )
         self.curves.append(UncertainInput(self.path, key, None, relative, True, stated))
 
 
 def _is_certificate(value: object) -> bool:
-    """Whether a text is the name of a certificate's file."""
+    """Whether a value is the file name of a certificate."""
     return isinstance(value, str) and value.lower().endswith(SUFFIX)
 
 
@@ -255,7 +274,7 @@ def _over(one: Dimension, other: Dimension) -> Dimension:
 
 
 def certified_inputs(text: dict[str, Any], path: Path, scope: PathScope, sensor_unit: str = "1") -> CertifiedInputs:
-    """Return a manifest with every `{ dcc = "file.xml", … }` replaced by the table that a user types from it."""
+    """Return a manifest with the tables that a user would type instead of `{ dcc = "file.xml", … }`."""
     found = CertifiedInputs(path, scope, sensor_unit)
-    found.text = found.replaced(text, text, [])
+    found.text = found.resolve(text, text, [])
     return found

@@ -1,4 +1,4 @@
-"""What was recorded, read from its files: DAQ records, the points of a scan."""
+"""DAQ records of a recording, read from its files; the points of a scan."""
 
 from __future__ import annotations
 
@@ -14,6 +14,17 @@ from fusion.errors import ComputeError, InputError, as_input_error
 from fusion.instruments.transducer import TRANSDUCERS, aim_contradiction
 from fusion.recording.excitation import KINDS
 from fusion.recording.manifest import SCAN, ChannelEntry, Daq, Frames
+from fusion.recording.recording_notices import (
+    CONSTANT_CHANNEL,
+    CONTRADICTING_DIRECTION,
+    NON_FINITE_SAMPLES,
+    NONUNIFORM_SAMPLES,
+    ONE_SCAN_EXPECTED,
+    REPEATED_NAME,
+    TOO_FEW_SAMPLES,
+    UNKNOWN_DATA_SET,
+    UNREADABLE_DAQ_FILE,
+)
 from fusion.recording.units import in_stated_units
 from shaker.arrays import FloatArray, Stacked
 from shaker.io import read_channels
@@ -27,21 +38,21 @@ if TYPE_CHECKING:
     from photogram.images.sequence import ImageSequence
     from shaker.io.text import VibrometerScan
 
-# DAQ blocks as read from their files, one set-up after another, checked for what a user can get wrong.
+# DAQ blocks as read from their files, one set-up after another, checked.
 
 
 def check_uniform(file: Path, name: str, raw: RawChannel) -> None:
-    """Raise `InputError` for a channel of a file whose samples are not uniform, naming its first gap."""
+    """Raise `InputError` with the first gap if the samples of a channel are not uniform."""
     gap = raw.gap
     if gap is not None:
-        raise InputError(file, name, found=gap, expected="uniform sampling")
+        raise InputError(NONUNIFORM_SAMPLES, file, name, found=gap, expected="uniform sampling")
 
 
 @dataclass(frozen=True)
 class DaqRecord:
-    """One DAQ block: its manifest entry, its channels by name, and the file's start time (s) of the earliest sample.
+    """One DAQ block: manifest entry, channels by name, start time (s) of the earliest sample.
 
-    `slowest_hz`: the lowest driven frequency of a periodic motion, which tells a stretch without signal from a rest.
+    `slowest_hz`: the lowest driven frequency of a periodic motion. It distinguishes lost samples from a rest.
     """
 
     entry: Daq
@@ -53,38 +64,38 @@ class DaqRecord:
     _pulses: dict[str, PulseWidth | ValueError] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def lag_s(self, name: str) -> float:
-        """Return the time of a channel's first sample, seconds from the block's earliest sample."""
+        """Return the time of a channel's first sample, s from the block's earliest sample."""
         return self.raw[name].start_s - self.start_s
 
     def time_s(self, name: str) -> FloatArray:
-        """Return the times (S,) of a channel's samples, seconds from the block's earliest sample on its own clock."""
+        """Return the times (S,) of a channel's samples, s from the block's earliest sample."""
         return np.asarray(self.lag_s(name) + self.raw[name].time_s)
 
     def values(self, channel: ChannelEntry) -> FloatArray:
-        """Return the samples (S,) of a channel times its scale: SI of its quantity."""
+        """Return the samples (S,) of a channel times its scale, in SI units."""
         return np.asarray(self.raw[channel.name].samples * channel.scale)
 
     def check_uniform(self, channels: Iterable[ChannelEntry]) -> None:
-        """Raise `InputError` for a channel whose samples are not uniform, naming its first gap."""
+        """Raise `InputError` with the first gap if the samples of a channel are not uniform."""
         for channel in channels:
             check_uniform(self.entry.file, channel.stored_name, self.raw[channel.name])
 
     @property
     def gaps(self) -> tuple[str, ...]:
-        """Return a sentence for channels that are not sampled uniformly, those with the same times together."""
-        alike: dict[str, list[str]] = {}
+        """Sentences on channels that are not sampled uniformly, grouped by their gaps."""
+        channels_of: dict[str, list[str]] = {}
         for name, raw in self.raw.items():
             if raw.gap is not None:
-                alike.setdefault(raw.gap, []).append(name)
-        return tuple(f"{', '.join(names)}: samples are not uniform, {gap}" for gap, names in alike.items())
+                channels_of.setdefault(raw.gap, []).append(name)
+        return tuple(f"{', '.join(names)}: samples are not uniform, {gap}" for gap, names in channels_of.items())
 
     def stacked(self, channels: Sequence[ChannelEntry]) -> Stacked:
-        """Return channels sampled alike side by side, (S, C), in SI of their quantities."""
+        """Return channels with the same sampling as (S, C), in SI units."""
         columns = tuple(self.raw[channel.name].samples for channel in channels)
         return Stacked(columns, tuple(channel.scale for channel in channels))
 
     def defects(self, channel: ChannelEntry) -> tuple[Defect, ...]:
-        """Return which samples of a channel are lost or clipped, examined once; none of a trigger."""
+        """Return the lost or clipped samples of a channel, examined once; none of a trigger."""
         if channel.quantity == "trigger":
             return ()
         if channel.name not in self._defects:
@@ -94,7 +105,7 @@ class DaqRecord:
         return self._defects[channel.name]
 
     def usable_samples(self, channels: Sequence[ChannelEntry]) -> Stacked:
-        """Return channels as `stacked`, NaN where samples are lost or clipped."""
+        """Return channels as `stacked`, with NaN for lost or clipped samples."""
         stacked = self.stacked(channels)
         columns = list(stacked.columns)
         for c, channel in enumerate(channels):
@@ -111,12 +122,12 @@ class DaqRecord:
         return self._triggers[channel.name]
 
     def pulse_width(self, trigger: str) -> PulseWidth:
-        """Measure the width of the pulses of a trigger channel, once; a `ValueError` says why it cannot be."""
+        """Measure the width of the pulses of a trigger channel, once; `ValueError` if it is impossible."""
         if trigger not in self._pulses:
             channel = next(channel for channel in self.entry.channel if channel.name == trigger)
-            given = self.values(channel), self.raw[trigger].sample_rate_hz, channel.threshold, channel.edge
+            signal = self.values(channel), self.raw[trigger].sample_rate_hz, channel.threshold, channel.edge
             try:
-                self._pulses[trigger] = pulse_width(*given, self.fit_trigger(channel))
+                self._pulses[trigger] = pulse_width(*signal, self.fit_trigger(channel))
             except ValueError as error:
                 self._pulses[trigger] = error
         found = self._pulses[trigger]
@@ -125,7 +136,7 @@ class DaqRecord:
         return found
 
 
-# A scanning vibrometer's text in a recording: every scan point is a take of its own.
+# The text file of a scanning vibrometer: every scan point is a separate set-up.
 
 
 AnyFrames = TypeVar("AnyFrames", bound=Frames)
@@ -133,26 +144,26 @@ AnyFrames = TypeVar("AnyFrames", bound=Frames)
 
 @dataclass(frozen=True)
 class ScannedPoint(DaqRecord):
-    """One point of a scan: the DAQ block as it was there, its channels named by their block alone.
+    """One point of a scan: its DAQ block, with channels named by their block only.
 
-    `number`: as channels name the point, counted from "1".
+    `number`: of the point in channel names, from "1".
     """
 
     number: str
 
 
 def scanned_points(manifest: Manifest, daq: Daq) -> tuple[ScannedPoint, ...] | None:
-    """Return the points that a block of a scan holds, in the order of the scan; None for any other file.
+    """Return the points of a scan in their order; None for other files.
 
-    A channel that names its block alone was recorded at every point. A velocity or displacement that does so, and is
-    not the reference, is what looked at the points: its `point` is where the origin of the file's coordinates lies in
-    the sensor frame, whose axes they share. All others stand at their own.
+    A channel that names only its block was recorded at every point. If it is a velocity or displacement and not the
+    reference, it measured at the points. Its `point` is then the origin of the file's coordinates in the sensor frame,
+    with the same axes. All other channels have a fixed point.
     """
     if daq.file.suffix.lower() != SCAN:
         return None
     from shaker.io.text import read_scan_asc
 
-    with as_input_error(manifest.path, f"daq.{daq.name}.file"):
+    with as_input_error(manifest.path, f"daq.{daq.name}.file", UNREADABLE_DAQ_FILE):
         scan = read_scan_asc(daq.file)
     if len(scan.point_m) == 1:
         return None
@@ -160,30 +171,42 @@ def scanned_points(manifest: Manifest, daq: Daq) -> tuple[ScannedPoint, ...] | N
     sets = [daq.data_set(entry) for entry in daq.channel]
     for entry, (block, point) in zip(daq.channel, sets, strict=True):
         if point and (block, "") in sets:
-            found = f"{block} beside it, which is recorded at every point"
-            raise InputError(manifest.path, f"daq.{daq.name}.channel.{entry.name}", found, "each data set once")
+            found = f"{block} as well, which is recorded at every point"
+            raise InputError(
+                REPEATED_NAME,
+                manifest.path,
+                f"daq.{daq.name}.channel.{entry.name}",
+                found=found,
+                expected="each data set once",
+            )
         if point not in ("", *present) or block not in scan.channels_at(0):
-            expected = f"block/point of {len(scan.samples)} blocks and {len(present)} points, or a block alone"
-            raise InputError(daq.file, entry.name, found="no such data set", expected=expected)
+            expected = f"block/point of {len(scan.samples)} blocks and {len(present)} points, or a block"
+            raise InputError(UNKNOWN_DATA_SET, daq.file, entry.name, found="no such data set", expected=expected)
     named = {point for _, point in sets}
-    points = tuple(_point(daq, scan, place) for place, point in enumerate(present) if named & {"", point})
+    points = tuple(_point(daq, scan, index) for index, point in enumerate(present) if named & {"", point})
     for entry, number in ((entry, point.number) for point in points for entry in point.entry.channel):
-        wrong = aim_contradiction(entry)
-        if wrong is not None:
+        contradiction = aim_contradiction(entry)
+        if contradiction is not None:
             key = f"daq.{daq.name}.channel.{entry.name}.direction"
-            raise InputError(manifest.path, key, f"at point {number} {wrong[1]}", wrong[0])
+            raise InputError(
+                CONTRADICTING_DIRECTION,
+                manifest.path,
+                key,
+                found=f"at point {number} {contradiction[1]}",
+                expected=contradiction[0],
+            )
     return points
 
 
 def split_scan(manifest: Manifest) -> Iterator[tuple[Manifest, ScannedPoint | None]]:
-    """Yield what was recorded at once of a block of a manifest: itself, or one part for each point of its scan.
+    """Yield the set-ups of a manifest: itself, or one for each point of its scan.
 
-    What was recorded beside a scan belongs to its first point, images and points whose trigger names a point to that.
+    Other blocks belong to the first point. Images and points whose trigger names a scan point belong to that.
     """
     scans = {daq.name: points for daq in manifest.daq if (points := scanned_points(manifest, daq)) is not None}
     if len(scans) > 1:
         found, expected = f"{len(scans)}: {', '.join(scans)}", "one scan of several points at a time"
-        raise InputError(manifest.path, "daq", found=found, expected=expected)
+        raise InputError(ONE_SCAN_EXPECTED, manifest.path, "daq", found=found, expected=expected)
     if not scans:
         yield manifest, None
     for name, points in scans.items():
@@ -198,7 +221,7 @@ def split_scan(manifest: Manifest) -> Iterator[tuple[Manifest, ScannedPoint | No
 
 
 def _of_point(frames: Sequence[AnyFrames], point: ScannedPoint, first: bool) -> Iterator[AnyFrames]:
-    """Yield the images or points of a scan point, their trigger named as its channels are."""
+    """Yield the images or points of a scan point, with the trigger name of its channels."""
     for entry in frames:
         block, slash, number = entry.trigger.partition("/")
         if slash and block in point.raw and number.isdecimal():
@@ -208,35 +231,34 @@ def _of_point(frames: Sequence[AnyFrames], point: ScannedPoint, first: bool) -> 
             yield entry
 
 
-def _point(daq: Daq, scan: VibrometerScan, place: int) -> ScannedPoint:
-    """Return what a block holds at a scan point, by its place, its channels named by their block alone."""
+def _point(daq: Daq, scan: VibrometerScan, index: int) -> ScannedPoint:
+    """Return the DAQ block of a scan point, with channels named by their block only."""
     entries = []
     for entry in daq.channel:
         block, point = daq.data_set(entry)
-        if point not in ("", str(place + 1)):
+        if point not in ("", str(index + 1)):
             continue
         changes: dict[str, object] = {"name": block}
-        looked_at_points = (
+        measured_at_points = (
             not point
             and not entry.reference
             and entry.quantity in TRANSDUCERS
             and TRANSDUCERS[entry.quantity].kind == "vibrometer"
         )
-        if entry.point is not None and looked_at_points:
-            changes["point"] = tuple((np.asarray(entry.point, dtype=np.float64) + scan.point_m[place]).tolist())
+        if entry.point is not None and measured_at_points:
+            changes["point"] = tuple((np.asarray(entry.point, dtype=np.float64) + scan.point_m[index]).tolist())
         entries.append(entry.model_copy(update=changes))
-    samples = scan.channels_at(place)
+    samples = scan.channels_at(index)
     raw = {entry.name: samples[entry.name] for entry in entries}
-    return ScannedPoint(daq.model_copy(update={"channel": tuple(entries)}), raw, 0.0, str(place + 1))
+    return ScannedPoint(daq.model_copy(update={"channel": tuple(entries)}), raw, 0.0, str(index + 1))
 
 
-# What was recorded, one set-up after another.
+# The set-ups of a recording.
 
 
 @dataclass(frozen=True)
 class FileCache:
-    """What was read of a recording's files, to be used again where they are read on: channels by set-up and block,
-    images of a camera by their paths and the bit depth that is stated."""
+    """Files that were read already: channels by set-up and block, images by paths and bit depth."""
 
     channels: dict[tuple[str, str], dict[str, RawChannel]] = field(default_factory=dict)
     images: dict[tuple[tuple[Path, ...], int | None], ImageSequence] = field(default_factory=dict)
@@ -244,7 +266,7 @@ class FileCache:
 
 @dataclass(frozen=True)
 class SetUpRecords:
-    """What was recorded at once: its share of the manifest, its DAQ blocks, and its place in recording.toml."""
+    """One set-up: its part of the manifest, its DAQ blocks, and its key in recording.toml."""
 
     manifest: Manifest
     records: tuple[DaqRecord, ...]
@@ -252,12 +274,12 @@ class SetUpRecords:
 
 
 def read_daqs(manifest: Manifest) -> tuple[DaqRecord, ...]:
-    """Read every DAQ block of what was recorded at once; raises `InputError` naming file and channel."""
+    """Read every DAQ block of a set-up; `InputError` with file and channel."""
     return tuple(_read_daq(manifest, daq) for daq in manifest.daq)
 
 
 def read_set_ups(manifest: Manifest, cache: FileCache | None = None) -> tuple[SetUpRecords, ...]:
-    """Read a recording set-up by set-up: its top level, then every `[[take]]`, of a scan point by point."""
+    """Read the set-ups of a recording: top level, every `[[take]]`, every scan point."""
     set_ups, read = [], {} if cache is None else cache.channels
     for where, block in manifest.set_ups:
         with errors_in_set_up(manifest.path, where):
@@ -272,7 +294,7 @@ def read_set_ups(manifest: Manifest, cache: FileCache | None = None) -> tuple[Se
 
 @contextmanager
 def errors_in_set_up(path: Path, where: str, name: str = "") -> Iterator[None]:
-    """Say in which set-up of the recording `path` something went wrong: its place there, its name elsewhere."""
+    """Add the set-up to errors: its key prefix to those of recording.toml, else its name."""
     try:
         yield
     except InputError as error:
@@ -284,7 +306,7 @@ def errors_in_set_up(path: Path, where: str, name: str = "") -> Iterator[None]:
 
 
 def recorded_channels(manifest: Manifest, daq: Daq) -> dict[str, RawChannel]:
-    """Read the channels of a block from its file, each by the name that the recording gives it (`in_stated_units`)."""
+    """Read the channels of a block by their names in the recording (`in_stated_units`)."""
     stored = read_channels(daq.file, [entry.stored_name for entry in daq.channel], daq.sample_rate)
     named = {entry.name: stored[entry.stored_name] for entry in daq.channel}
     return in_stated_units(manifest, daq, named)
@@ -297,14 +319,14 @@ def _read_daq(
     raw: dict[str, RawChannel] | None = None,
     slowest_hz: float | None = None,
 ) -> DaqRecord:
-    """Read and check a block; what has been read, the point of a scan or `raw` channels, is checked only.
+    """Read and check a block; a scan point, or `raw` channels, are checked only.
 
     With the frequency of a periodic motion, samples may be missing.
     """
     if point is not None and point.entry is daq:
         record: DaqRecord = replace(point, slowest_hz=slowest_hz)
     else:
-        with as_input_error(manifest.path, f"daq.{daq.name}.file"):
+        with as_input_error(manifest.path, f"daq.{daq.name}.file", UNREADABLE_DAQ_FILE):
             raw = recorded_channels(manifest, daq) if raw is None else raw
         start_s = min(channel.start_s for channel in raw.values())
         record = DaqRecord(daq, raw, start_s, slowest_hz=slowest_hz)
@@ -317,15 +339,17 @@ def _read_daq(
 
 
 def _check_samples(daq: Daq, entry: ChannelEntry, channel: RawChannel, *, gaps: bool) -> None:
-    """Refuse an empty channel, samples that are not numbers unless there may be `gaps`, and a dead channel."""
+    """Refuse empty and constant channels, and non-finite samples unless `gaps` are allowed."""
     name, samples = entry.stored_name, channel.samples
     if len(samples) < 2:
-        raise InputError(daq.file, name, found=str(len(samples)), expected="at least 2 samples")
+        raise InputError(TOO_FEW_SAMPLES, daq.file, name, found=str(len(samples)), expected="at least 2 samples")
     bad = np.flatnonzero(~np.isfinite(samples))
     if len(bad) and gaps and len(samples) - len(bad) > 1:
         samples = np.delete(samples, bad)
     elif len(bad):
         found = f"{len(bad)} of {len(channel.samples)} not finite, the first at sample {bad[0]}"
-        raise InputError(daq.file, name, found=found, expected="finite samples")
+        raise InputError(NON_FINITE_SAMPLES, daq.file, name, found=found, expected="finite samples")
     if entry.quantity != "trigger" and np.ptp(samples) == 0.0:
-        raise InputError(daq.file, name, found=f"{samples[0]:g} throughout", expected="samples that change")
+        raise InputError(
+            CONSTANT_CHANNEL, daq.file, name, found=f"{samples[0]:g} throughout", expected="samples that change"
+        )

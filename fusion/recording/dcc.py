@@ -20,10 +20,17 @@ import numpy as np
 from fusion.base import FileIdentity
 from fusion.errors import InputError
 from fusion.recording.dsi import CELSIUS_AT_0_K, LEVEL, NONE, Dimension, Unit, parse_unit
+from fusion.recording.recording_notices import (
+    CERTIFICATE_CHANGED,
+    CERTIFIED_VALUE_NOT_USABLE,
+    INVALID_CERTIFICATE_FILE,
+    SIGNATURE_NOT_CHECKED,
+    SIGNER_NOT_VERIFIED,
+)
 from fusion.recording.toml import read_text
 from fusion.recording.values import describe, wrong_size
 from shaker.arrays import ComplexArray, FloatArray
-from shakercal._common.notices import Notice
+from shakercal._common.notices import DeclaredNotice, Notice
 
 SUFFIX = ".xml"
 ROOT = "{https://ptb.de/dcc}digitalCalibrationCertificate"
@@ -116,9 +123,11 @@ class CalibrationCertificate:
     quantities: tuple[CertifiedQuantity, ...]
     signature_notices: tuple[Notice, ...] = ()
 
-    def refusal(self, key: str, found: str, expected: str) -> InputError:
-        """Return the mistake of an element of this file."""
-        return InputError(self.path, key, found, expected)
+    def refusal(
+        self, key: str, found: str, expected: str, declared: DeclaredNotice = CERTIFIED_VALUE_NOT_USABLE
+    ) -> InputError:
+        """Return the error of an element of this file."""
+        return InputError(declared, self.path, key, found=found, expected=expected)
 
 
 def read_dcc(path: Path) -> CalibrationCertificate:
@@ -137,10 +146,22 @@ def _parsed(path: Path, _: FileIdentity | None) -> CalibrationCertificate:
     root = _root(path)
     administrative = root.find("{*}administrativeData")
     if administrative is None:
-        raise InputError(path, "dcc:administrativeData", "no such element", "the administrative data of a certificate")
+        raise InputError(
+            INVALID_CERTIFICATE_FILE,
+            path,
+            "dcc:administrativeData",
+            found="no such element",
+            expected="the administrative data of a certificate",
+        )
     number = _text(administrative.find("{*}coreData/{*}uniqueIdentifier"))
     if not number:
-        raise InputError(path, "dcc:uniqueIdentifier", "nothing", "the number of the certificate")
+        raise InputError(
+            INVALID_CERTIFICATE_FILE,
+            path,
+            "dcc:uniqueIdentifier",
+            found="no such key",
+            expected="the number of the certificate",
+        )
     core = administrative.find("{*}coreData")
     days = [_day(path, core.find(f"{{*}}{name}")) for name in ("endPerformanceDate", "beginPerformanceDate")]
     statements = [
@@ -167,14 +188,13 @@ def _signatures(path: Path) -> Iterator[Notice]:
 
     found = check_signatures(_root(path, whole=True), SIGNED)
     if found.changed:
-        difference = f"{found.changed}: it was changed after signing; ask the laboratory for the original"
-        raise InputError(path, "ds:Signature", difference, "the content that was signed")
+        raise InputError(
+            CERTIFICATE_CHANGED, path, "ds:Signature", found=found.changed, expected="the content that was signed"
+        )
     if found.unchecked:
-        text = f"the signature was not checked ({found.unchecked}): a change after signing would not be noticed"
-        yield Notice("warning", f"{text}; verify it with the laboratory's tool", path.name)
+        yield Notice(SIGNATURE_NOT_CHECKED, path.name, reason=found.unchecked)
     elif found.count:
-        text = "the content was not changed after signing (its digests agree); who signed it was not verified"
-        yield Notice("note", text, path.name)
+        yield Notice(SIGNER_NOT_VERIFIED, path.name)
 
 
 def _root(path: Path, *, whole: bool = False) -> Any:
@@ -186,7 +206,12 @@ def _root(path: Path, *, whole: bool = False) -> Any:
 
     text = read_text(path, LARGEST, "a Digital Calibration Certificate")
     if re.search(r"<!(DOCTYPE|ENTITY)", text, re.IGNORECASE):
-        raise InputError(path, "", "a document type declaration", "XML without one, as a certificate has")
+        raise InputError(
+            INVALID_CERTIFICATE_FILE,
+            path,
+            found="a document type declaration",
+            expected="XML without one, as a certificate has",
+        )
     parser = etree.XMLParser(
         resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False,
         remove_comments=not whole, remove_pis=not whole, encoding="utf-8",
@@ -195,10 +220,14 @@ def _root(path: Path, *, whole: bool = False) -> Any:
         root = etree.fromstring(text.encode(), parser)
     except (etree.XMLSyntaxError, ValueError) as error:
         told = describe(" ".join(str(error).split()), plain=True)
-        raise InputError(path, "", f"damaged XML ({told})", "a Digital Calibration Certificate") from error
+        raise InputError(
+            INVALID_CERTIFICATE_FILE, path, found=f"damaged XML ({told})", expected="a Digital Calibration Certificate"
+        ) from error
     if root.tag != ROOT:
         found = f"the element {describe(str(root.tag), plain=True)}"
-        raise InputError(path, "", found, "dcc:digitalCalibrationCertificate, the root of a DCC")
+        raise InputError(
+            INVALID_CERTIFICATE_FILE, path, found=found, expected="dcc:digitalCalibrationCertificate, the root of a DCC"
+        )
     return root
 
 
@@ -227,7 +256,9 @@ def _day(path: Path, element: Any) -> Date | None:
         return Date.fromisoformat(_text(element)[:10])
     except ValueError as error:
         key = f"dcc:{_tag(element)}"
-        raise InputError(path, key, f'"{_text(element)}"', "a day as YYYY-MM-DD") from error
+        raise InputError(
+            INVALID_CERTIFICATE_FILE, path, key, found=f'"{_text(element)}"', expected="a day as YYYY-MM-DD"
+        ) from error
 
 
 def _quantities(path: Path, root: Any) -> Iterator[CertifiedQuantity]:
@@ -244,7 +275,13 @@ def _quantities(path: Path, root: Any) -> Iterator[CertifiedQuantity]:
             elif _tag(element) == "quantity":
                 count += 1
                 if count > MOST_QUANTITIES:
-                    raise InputError(path, "dcc:results", "more", f"at most {MOST_QUANTITIES} quantities")
+                    raise InputError(
+                        INVALID_CERTIFICATE_FILE,
+                        path,
+                        "dcc:results",
+                        found="more",
+                        expected=f"at most {MOST_QUANTITIES} quantities",
+                    )
                 for values in [child for child in element if _tag(child) in KINDS][:1]:
                     found = _quantity(path, result, element, values)
                     places = (result, data, element, *element.iterfind("{*}name/{*}content"))
@@ -292,14 +329,16 @@ class _Numbers:
     where: str
 
     def refusal(self, tag: str, found: str, expected: str) -> InputError:
-        return InputError(self.path, f"{self.where}: si:{tag}", found, expected)
+        return InputError(
+            CERTIFIED_VALUE_NOT_USABLE, self.path, f"{self.where}: si:{tag}", found=found, expected=expected
+        )
 
     def numbers(self, parent: Any, tag: str, count: int | None = None) -> FloatArray:
         """Read a list of numbers; one number stands for all `count`."""
         element = parent.find(f"{{*}}{tag}")
         texts = [] if element is None or not element.text else element.text.split()
         if not texts:
-            raise self.refusal(tag, "nothing", "numbers" if tag.endswith("List") else "a number")
+            raise self.refusal(tag, "no element", "numbers" if tag.endswith("List") else "a number")
         try:
             found = np.array([float(text) for text in texts])
         except ValueError as error:
@@ -317,7 +356,7 @@ class _Numbers:
         element = parent.find(f"{{*}}{tag}")
         texts = (element.text or "").split() if element is not None else []
         if len(texts) not in (1, count):
-            raise self.refusal(tag, f"{len(texts)} units" if texts else "nothing", f"one unit, or {count}")
+            raise self.refusal(tag, f"{len(texts)} units" if texts else "no unit", f"one unit, or {count}")
         try:
             units = [parse_unit(text) for text in texts]
         except ValueError as error:
@@ -335,7 +374,7 @@ class _Numbers:
             return self._hybrid(inner)
         if tag in ("list", "realList"):
             if not inner:
-                raise self.refusal(tag, "nothing", "values")
+                raise self.refusal(tag, "no element", "values")
             parts = [self.quantity(child) if tag == "list" else self._real(child, "", values) for child in inner]
             if len({part.unit.dimension for part in parts}) > 1:
                 raise self.refusal(tag, "units of different quantities", "units that convert into each other")
@@ -356,7 +395,7 @@ class _Numbers:
                 wrong.append(error)
         found = [own for own in found if own.unit.dimension != LEVEL] or found
         if not found:
-            raise next(iter(wrong), self.refusal("hybrid", "nothing", "values"))
+            raise next(iter(wrong), self.refusal("hybrid", "no element", "values"))
         best = min(found, key=lambda own: own.unit.factor != 1.0 or own.unit.celsius)
         for own in found:
             if own.unit.dimension != best.unit.dimension or own.value.shape != best.value.shape:

@@ -1,7 +1,7 @@
-"""The kinds of excitation: what each of them needs in `[excitation]`, who evaluates it, what `check` says of it.
+"""Kinds of excitation: their keys in `[excitation]`, their commands, remarks of `check`.
 
-A further kind is one entry of `KINDS` (and its keys in `Excitation`): the manifest, `check`, the commands and campaigns
-of mixed kinds ask here.
+A new kind is one entry of `KINDS`, and its keys in `ExcitationEntry`: the manifest, `check`, the commands and campaigns
+of mixed kinds use this table.
 """
 
 from __future__ import annotations
@@ -12,6 +12,12 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from fusion.recording.recording_notices import (
+    MISSING_KEY,
+    REPEATED_NAME,
+    VALUE_OUT_OF_RANGE,
+    WRONG_VALUE_TYPE,
+)
 from fusion.recording.values import (
     HERTZ,
     Angle,
@@ -41,10 +47,10 @@ Kind = Literal["sine", "multisine", "chirp", "noise", "impact", "step", "rotatio
 
 
 def _driven(value: object) -> tuple[float, ...]:
-    """A direction of 3 numbers, made a unit vector, or 6 load components, left as they are."""
+    """Return a direction of 3 numbers as unit vector, or 6 load components unchanged."""
     if not isinstance(value, list | tuple) or len(value) not in (3, 6):
         found = f"{len(value)} elements" if isinstance(value, list | tuple) else describe(value)
-        raise refusal("3 numbers, or 6 where a moment is driven", found)
+        raise refusal("3 numbers, or 6 where a moment is driven", found, declared=WRONG_VALUE_TYPE)
     components = unit_vector(value) if len(value) == 3 else vector(6)(value)
     if not any(components):
         raise refusal("a direction", "the zero vector")
@@ -52,21 +58,21 @@ def _driven(value: object) -> tuple[float, ...]:
 
 
 def _frequencies(value: object) -> tuple[float, ...]:
-    """Nominal frequencies in Hz: at least one, positive, different."""
+    """Return nominal frequencies in Hz: at least one, positive, different."""
     if not isinstance(value, list | tuple) or not value:
-        raise refusal("a list of frequencies in Hz", describe(value))
+        raise refusal("a list of frequencies in Hz", describe(value), declared=WRONG_VALUE_TYPE)
     if len(value) > MOST_FREQUENCIES:
-        raise refusal(f"at most {MOST_FREQUENCIES} frequencies", f"{len(value)}")
+        raise refusal(f"at most {MOST_FREQUENCIES} frequencies", f"{len(value)}", declared=VALUE_OUT_OF_RANGE)
     lines = vector(len(value))(value)
     if min(lines) <= 0:
-        raise refusal("frequencies above 0", f"{min(lines):g}")
+        raise refusal("frequencies above 0", f"{min(lines):g}", declared=VALUE_OUT_OF_RANGE)
     if len(set(lines)) < len(lines):
-        raise refusal("different frequencies", "one of them twice")
+        raise refusal("different frequencies", "one of them twice", declared=REPEATED_NAME)
     return lines
 
 
 def _harmonics(value: object) -> Any:
-    """The word auto, or a list of multiples of the nominal frequencies."""
+    """Return the word auto, or a list of multiples of the nominal frequencies."""
     expected = '"auto" or a list of different multiples such as [2, 3]'
     if value == "auto":
         return value
@@ -74,8 +80,8 @@ def _harmonics(value: object) -> Any:
         raise refusal(expected, describe(value))
     for item in value:
         if not isinstance(item, int) or isinstance(item, bool) or not 1 <= item <= HIGHEST_HARMONIC:
-            told = expected if not isinstance(item, int) or item < 1 else f"multiples of at most {HIGHEST_HARMONIC}"
-            raise refusal(told, describe(item))
+            limit = expected if not isinstance(item, int) or item < 1 else f"multiples of at most {HIGHEST_HARMONIC}"
+            raise refusal(limit, describe(item))
     if len(set(value)) < len(value):
         raise refusal(expected, "one of them twice")
     return tuple(value)
@@ -89,7 +95,7 @@ def _band(value: object) -> tuple[float, ...]:
 
 
 class ExcitationEntry(ManifestBlock):
-    """What drove the rig: kind, direction in sensor axes, and what the kind needs."""
+    """The excitation: kind, direction in sensor axes, further keys of the kind."""
 
     kind: Kind
     direction: Annotated[tuple[float, ...] | None, BeforeValidator(_driven)] = None
@@ -120,29 +126,34 @@ class ExcitationEntry(ManifestBlock):
         refuse_missing(self, kind.required, why)
         refuse_foreign(self, {"kind", *kind.required, *kind.allowed}, why)
         if self.kind == "multisine" and self.frequencies is None and (self.band is None or self.period is None):
-            raise refusal('frequencies, or band and period, for kind = "multisine"', "neither", key="frequencies")
+            raise refusal(
+                'frequencies, or band and period, for kind = "multisine"',
+                "neither",
+                key="frequencies",
+                declared=MISSING_KEY,
+            )
         for key, what in (("scale", "a number"), ("step_amplitude", "a step")):
             if getattr(self, key) == 0.0:
-                raise refusal(f"{what} other than 0", "0", key=key)
+                raise refusal(f"{what} other than 0", "0", key=key, declared=VALUE_OUT_OF_RANGE)
         return self
 
     @property
     def slowest_hz(self) -> float | None:
-        """Lowest frequency of a motion that is periodic as long as it is recorded; None of others."""
+        """Lowest frequency of a periodic motion, None for other excitations."""
         if "run" not in KINDS[self.kind].commands:
             return None
         return min(self.frequencies) if self.frequencies else max(self.band[0], 1.0 / self.period)  # type: ignore[index,operator]
 
     @property
     def channels(self) -> tuple[tuple[str, tuple[str, ...]], ...]:
-        """Keys that name recorded channels, with these names."""
+        """Keys that name recorded channels, with the names."""
         force = () if self.force is None else (self.force,)
         return ("response", self.response), ("reference", self.reference), ("force", force)
 
 
 @dataclass(frozen=True)
 class RecordedChannels:
-    """What of a recording's channels `check` tells an excitation: outputs of the sensor, force channels, take count."""
+    """Recorded channels that `check` compares with an excitation: outputs, force channels, number of takes."""
 
     outputs: tuple[str | None, ...]
     forces: tuple[str, ...]
@@ -150,27 +161,27 @@ class RecordedChannels:
 
 
 def _released(excitation: ExcitationEntry, recorded: RecordedChannels) -> list[str]:
-    """What the models of a step response will lack."""
-    told = []
+    """Return remarks on the models of a step response that cannot be determined."""
+    remarks = []
     if not recorded.outputs:
-        told.append("no channel is an output of the sensor: no model")
+        remarks.append("no channel is an output of the sensor: no model")
     elif excitation.component not in recorded.outputs:
-        told.append(f"no channel is the output {excitation.component}, which is driven: cross-talk only")
+        remarks.append(f"no channel is the output {excitation.component}, which is driven: cross-talk only")
     if excitation.force is not None and excitation.force not in recorded.forces:
-        told.append(f"no force channel is named {excitation.force}")
+        remarks.append(f"no force channel is named {excitation.force}")
     if recorded.takes > 1:
-        told.append("several takes: shakercal step expects one release per recording")
-    return told
+        remarks.append("several takes: shakercal step expects one release per recording")
+    return remarks
 
 
 @dataclass(frozen=True)
 class ExcitationKind:
-    """What the program knows of one kind of excitation.
+    """The properties of one kind of excitation.
 
-    `commands`: that evaluate it, first the one to which a user is sent. `required`, `allowed`: keys of `[excitation]`.
-    `remarks`: what `check` says of the result where it is not the motion of bodies; None where it is, and what
-    instruments observe of it counts. `how`: what `check` says beside the command. `tabled`: the readings stand in the
-    table that the key `file` names, in the place of cameras, triggers and DAQ files.
+    `commands`: those that evaluate it, the recommended one first. `required`, `allowed`: keys of `[excitation]`.
+    `remarks`: function for remarks of `check`; None if the result is a motion of bodies, of which `check` reports the
+    observed components. `command_note`: addition to the command's name. `readings_in_table`: the readings are in the
+    table of the key `file`, instead of DAQ files and images.
     """
 
     commands: tuple[str, ...]
@@ -182,12 +193,12 @@ class ExcitationKind:
 
     @property
     def needs_uniform_samples(self) -> bool:
-        """Whether it needs channels that are sampled uniformly; sines are fitted at whatever times there are."""
+        """Whether channels must be sampled uniformly; sines are fitted at any times."""
         return self.commands[0] != "run"
 
     @property
     def command_remark(self) -> list[str]:
-        """Return what `check` says first, of what `shakercal run` does not evaluate."""
+        """Return the first remark of `check` on recordings of other commands than `shakercal run`."""
         command = self.commands[0]
         return [] if command == "run" else [f"shakercal {command} evaluates this recording{self.command_note}"]
 
@@ -222,24 +233,24 @@ KINDS = {
         readings_in_table=True,
     ),
 }
-"""In the order in which sentences list them."""
+"""In the order of lists in messages."""
 
 ONE_SET_UP = {
-    **dict.fromkeys(("step", "load", "decouple"), "one release per recording, in a folder of its own"),
-    "transfer": "no [[take]] blocks, since shakercal transfer evaluates what was recorded at once",
+    **dict.fromkeys(("step", "load", "decouple"), "one release per recording, in a separate folder"),
+    "transfer": "no [[take]] blocks, since shakercal transfer evaluates a single set-up",
 }
-"""What commands expect that evaluate no recording of several takes."""
+"""Expectation of commands that evaluate no recording of several takes."""
 
 
 def kinds_of(command: str) -> tuple[str, ...]:
-    """Return the kinds of excitation that a command evaluates; refuse a command of which no kind says so."""
+    """Return the kinds of excitation that a command evaluates; `ValueError` if there are none."""
     kinds = tuple(name for name, kind in KINDS.items() if command in kind.commands)
     if not kinds:
-        known = join_alternatives(list(dict.fromkeys(name for kind in KINDS.values() for name in kind.commands)))
-        raise ValueError(f"command: expected one that evaluates recordings, {known}, found {command}")
+        available = join_alternatives(list(dict.fromkeys(name for kind in KINDS.values() for name in kind.commands)))
+        raise ValueError(f"command: expected one that evaluates recordings, {available}, found {command}")
     return kinds
 
 
 def join_alternatives(names: Sequence[str]) -> str:
-    """Return names as a sentence has alternatives: `sine or multisine`."""
+    """Return names as alternatives: `sine or multisine`."""
     return " or ".join(filter(None, (", ".join(names[:-1]), names[-1])))

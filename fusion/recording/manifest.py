@@ -13,6 +13,16 @@ from fusion.recording.acknowledged import Acknowledgement
 from fusion.recording.dsi import parse_unit
 from fusion.recording.environment import Environment
 from fusion.recording.excitation import ExcitationEntry
+from fusion.recording.recording_notices import (
+    CONTRADICTING_VALUES,
+    FRAMES_DO_NOT_MATCH,
+    INVALID_VALUE,
+    KEY_NOT_APPLICABLE,
+    REPEATED_NAME,
+    UNKNOWN_NAME,
+    VALUE_OUT_OF_RANGE,
+    WRONG_VALUE_TYPE,
+)
 from fusion.recording.rig import NamedHead, RigPart, Shaker
 from fusion.recording.values import (
     HERTZ,
@@ -50,8 +60,8 @@ if TYPE_CHECKING:
     Quantity = str
 else:
     Quantity = Literal[(*TRANSDUCERS, "force", "output", "voltage", "trigger")]
-MINIMUM_FRAMES = 3
-FARTHEST_EDGE = 1_000_000_000
+MINIMUM_FRAMES = 3  # two frames have no residual
+FARTHEST_EDGE = 1_000_000_000  # edges of a day at 10 kHz
 SCAN = ".asc"
 """Suffix of a scanning vibrometer's text."""
 COORDINATES = ("x", "y", "z")
@@ -69,14 +79,14 @@ def _unit(text: str) -> str:
 
 def _columns(value: object) -> tuple[str, ...]:
     if not isinstance(value, list | tuple) or not all(isinstance(name, str) for name in value):
-        raise refusal("a list of column names", describe(value))
+        raise refusal("a list of column names", describe(value), declared=WRONG_VALUE_TYPE)
     unknown = next((name for name in value if name not in COLUMNS and not name.startswith("id")), None)
     if unknown is not None:
         raise refusal("columns of " + ", ".join(COLUMNS) + " and id…", f'"{unknown}"')
     single = [name for name in value if name not in ("_", "status")]
     twice = repeated_name(single)
     if twice is not None:
-        raise refusal("each column once", f'"{twice}" twice')
+        raise refusal("each column once", f'"{twice}" twice', declared=REPEATED_NAME)
     missing = [name for name in COORDINATES if name not in single]
     if missing or 0 < len(set(REFERENCE_COORDINATES) & set(single)) < 3:
         raise refusal("the columns x, y, z and either all or none of x0, y0, z0", ", ".join(value))
@@ -86,27 +96,27 @@ def _columns(value: object) -> tuple[str, ...]:
 def _daq_suffix(value: Path) -> Path:
     wrong = unsupported_suffix(value)
     if wrong is not None:
-        raise refusal(*wrong)
+        raise refusal(*wrong, declared=INVALID_VALUE)
     return value
 
 
 def _head(value: object, info: ValidationInfo) -> object:
-    """The head that a channel names, as rig.toml has it."""
+    """Return the head of rig.toml that a channel names."""
     if value is None or isinstance(value, NamedHead):
         return value
-    known = info.context.head if isinstance(info.context, Context) else {}
-    if not isinstance(value, str) or value not in known:
-        found = f"{describe(value)}; rig.toml has {', '.join(known) or 'none'}"
-        raise refusal("the name of a head of rig.toml", found)
-    return NamedHead(value, known[value])
+    heads = info.context.head if isinstance(info.context, Context) else {}
+    if not isinstance(value, str) or value not in heads:
+        found = f"{describe(value)}; rig.toml has {', '.join(heads) or 'none'}"
+        raise refusal("the name of a head of rig.toml", found, declared=UNKNOWN_NAME)
+    return NamedHead(value, heads[value])
 
 
 class ResponseColumns(ManifestBlock):
-    """Which columns of a response's table hold what, by the names its file gives them, in which units.
+    """Column names and units of a table of a frequency response.
 
-    `magnitude_unit`: converted into SI; without it the numbers count as they are. `u_magnitude_unit` "%": of the
-    magnitude, else its unit. `phase_unit`: without it as the file says, else rad. `k`: what the uncertainties were
-    expanded by.
+    `magnitude_unit`: converted into SI; without it the numbers are used unchanged. `u_magnitude_unit` "%": relative to
+    the magnitude, else its unit. `phase_unit`: by default that of the file, else rad. `k`: coverage factor of the
+    uncertainties.
     """
 
     frequency: Text
@@ -128,9 +138,9 @@ class ResponseColumns(ManifestBlock):
 class ChannelEntry(ManifestBlock):
     """One channel of a DAQ file: true phasor = file value · scale · exp(+jω·delay) / response(f).
 
-    `in_file`: its name in the file, where that is not `name`, by which the recording knows it. `body` "head": it sits
-    on its `head`; "room": a beam of that head at what stands still. Both tell how the head moves. `delay_of` "pure":
-    the delay is that of a converter or a line, which attenuates nothing; "filter": that of a low-pass.
+    `in_file`: its name in the file, if it differs from `name`. `body` "head": an accelerometer on its `head`; "room": a
+    beam of that head at a stationary object. Both measure the motion of the head. `delay_of` "pure": the delay of a
+    converter or a line, without attenuation; "filter": the delay of a low-pass.
     """
 
     name: Text
@@ -186,47 +196,69 @@ class ChannelEntry(ManifestBlock):
                 refuse_missing(self, ("head",), f'body = "{self.body}"')
                 if (self.body == HEAD) != (transducer.kind == "accelerometer"):
                     expected = "an accelerometer on the head, or a laser beam at the room"
-                    raise refusal(expected, f'{why} with body = "{self.body}"', key="body")
+                    raise refusal(
+                        expected, f'{why} with body = "{self.body}"', key="body", declared=CONTRADICTING_VALUES
+                    )
             elif self.head is not None and transducer.kind != "vibrometer" and (aimed or self.head.stated.standoff):
-                raise refusal(f"a head without mirror and standoff for {why}", f'"{self.head.name}"', key="head")
+                raise refusal(
+                    f"a head without mirror and standoff for {why}",
+                    f'"{self.head.name}"',
+                    key="head",
+                    declared=UNKNOWN_NAME,
+                )
             refuse_missing(self, ("body",) if transducer.rotational else ("body", "point"), why)
             if not aimed:
                 refuse_missing(self, ("direction",), why)
             if self.head is not None and self.point is not None and self.point == self.head.stated.mirror:
-                raise refusal(f"another point than the mirror of head {self.head.name}", "the same", key="point")
+                raise refusal(
+                    f"another point than the mirror of head {self.head.name}",
+                    "the same",
+                    key="point",
+                    declared=CONTRADICTING_VALUES,
+                )
         if self.quantity == "output":
             refuse_missing(self, ("channel",), why)
-        known = {*self.ANY, *self.TRIGGER}
+        applicable = {*self.ANY, *self.TRIGGER}
         if self.quantity != "trigger":
-            known = {
+            applicable = {
                 *self.ANY,
                 *self.VALUE,
                 *{"output": ("channel",), "voltage": ()}.get(self.quantity, self.PLACEMENT),
             }
-        refuse_foreign(self, known, why)
+        refuse_foreign(self, applicable, why)
         suffix = self.response.suffix.lower() if self.response is not None else ""
         if self.response_result is not None and suffix != ".xml":
             raise refusal(
-                "no such key without a certificate as response", f'"{self.response_result}"', key="response_result"
+                "no such key without a certificate as response",
+                f'"{self.response_result}"',
+                key="response_result",
+                declared=KEY_NOT_APPLICABLE,
             )
         if self.response_columns is not None and suffix not in SUFFIXES:
-            raise refusal("no such key without a table as response", "one", key="response_columns")
+            raise refusal(
+                "no such key without a table as response", "one", key="response_columns", declared=KEY_NOT_APPLICABLE
+            )
         if self.delay_of is not None and not self.delay > 0.0 and (self.delay_of == "filter" or not self.delay):
-            raise refusal("a delay above 0 that this says something of", f"{self.delay:g}", key="delay_of")
+            raise refusal(
+                "a delay above 0 that this describes",
+                f"{self.delay:g}",
+                key="delay_of",
+                declared=CONTRADICTING_VALUES,
+            )
         if self.scale == 0.0:
-            raise refusal("a number other than 0", "0", key="scale")
+            raise refusal("a number other than 0", "0", key="scale", declared=VALUE_OUT_OF_RANGE)
         return self
 
     @property
     def stored_name(self) -> str:
-        """Return what the file calls this channel."""
+        """The channel's name in its file."""
         return self.in_file or self.name
 
     @property
     def filter_delay_s(self) -> float:
-        """Return the delay that may be a low-pass's, which attenuates; 0 where it says that it is none.
+        """The delay that may be that of a low-pass; 0 if it is pure.
 
-        Beside a response the delay is pure, unless it says otherwise.
+        With a response the delay is pure, unless stated differently.
         """
         kind = self.delay_of or (None if self.response is None else "pure")
         return 0.0 if kind == "pure" else max(self.delay, 0.0)
@@ -243,7 +275,7 @@ class Daq(ManifestBlock):
     channel: Annotated[tuple[ChannelEntry, ...], BeforeValidator(array_of_tables), Field(min_length=1)]
 
     def data_set(self, entry: ChannelEntry) -> tuple[str, str]:
-        """Name of a channel and the scan point it names, empty where it names none: of a scan, `2/3` is ("2", "3")."""
+        """Return block and point of a channel of a scan, `2/3` as ("2", "3"); else name and ""."""
         block, _, point = entry.name.partition("/")
         return (block, point) if self.file.suffix.lower() == SCAN else (entry.name, "")
 
@@ -252,12 +284,17 @@ class Daq(ManifestBlock):
         refuse_repeated([entry.name for entry in self.channel], "channels", "channel")
         refuse_repeated([entry.stored_name for entry in self.channel], "channels of the file", "channel")
         if self.file.suffix.lower() == SCAN and any(entry.in_file is not None for entry in self.channel):
-            raise refusal("no key in_file of a scan, whose channels are named block/point", "one", key="channel")
+            raise refusal(
+                "no key in_file for a scan, whose channels are named block/point",
+                "one",
+                key="channel",
+                declared=KEY_NOT_APPLICABLE,
+            )
         return self
 
 
 class Frames(ManifestBlock):
-    """What images and points share: the stereo pair, the trigger, and the exposure, by default the pair's own.
+    """Common keys of images and points; the exposure is that of the pair by default.
 
     `edge_step`: edges from one frame to the next, or to the next number of a file.
     """
@@ -275,27 +312,27 @@ class Frames(ManifestBlock):
 
     @model_validator(mode="before")
     @classmethod
-    def _take_from_the_pair(cls, value: Any, info: ValidationInfo) -> Any:
-        """Fill in what the recording does not override."""
+    def _inherit_from_pair(cls, value: Any, info: ValidationInfo) -> Any:
+        """Return the keys, completed by those of the pair."""
         if not isinstance(value, dict) or not isinstance(info.context, Context):
             return value
-        known = info.context.stereo
+        pairs = info.context.stereo
         name = value.get("stereo")
         if not isinstance(name, str):
             return value
-        if name not in known:
-            found = f'"{name}"; rig.toml has {", ".join(known) or "none"}'
-            raise refusal("the name of a stereo pair of rig.toml", found, key="stereo")
-        if any(known[name].row_time) and not cls.HAS_ROW_TIMES:
-            expected = "images, which tell when the rows of a rolling shutter (row_time) showed what they show"
-            raise refusal(expected, f'points of "{name}"', key="stereo")
-        return {key: getattr(known[name], key) for key in cls.INHERITED} | value
+        if name not in pairs:
+            found = f'"{name}"; rig.toml has {", ".join(pairs) or "none"}'
+            raise refusal("the name of a stereo pair of rig.toml", found, key="stereo", declared=UNKNOWN_NAME)
+        if any(pairs[name].row_time) and not cls.HAS_ROW_TIMES:
+            expected = "images, because points of a rolling shutter (row_time) have no exposure times of their rows"
+            raise refusal(expected, f'points of "{name}"', key="stereo", declared=CONTRADICTING_VALUES)
+        return {key: getattr(pairs[name], key) for key in cls.INHERITED} | value
 
 
 class Images(Frames):
-    """Image sequences of the left and right camera of a stereo pair, frame by frame in natural order.
+    """Image sequences of the cameras of a stereo pair, in natural order.
 
-    `right` is empty of a camera alone. Subsets lie in the `region` of the first left picture alone, and in no `mask`:
+    `right` is empty for a single camera. Subsets are inside the `region` of the first left image, outside every `mask`:
     x, y, width, height in px.
     """
 
@@ -306,29 +343,36 @@ class Images(Frames):
     mask: Mask = ()
 
     INHERITED: ClassVar[tuple[str, ...]] = (*Frames.INHERITED, "bit_depth")
-    TELLS_ROWS: ClassVar[bool] = True
+    HAS_ROW_TIMES: ClassVar[bool] = True
 
     @property
     def cameras(self) -> tuple[tuple[str, tuple[Path, ...]], ...]:
-        """The files of each camera by its key."""
+        """Files of each camera, with its key."""
         return (("left", self.left), ("right", self.right)) if self.right else (("left", self.left),)
 
     @model_validator(mode="after")
     def _as_many_left_as_right(self) -> Self:
         left, right = len(self.left), len(self.right)
         if self.right and left != right:
-            raise refusal("as many images left as right", f"{left} left and {right} right", key="right")
+            raise refusal(
+                "as many images left as right",
+                f"{left} left and {right} right",
+                key="right",
+                declared=FRAMES_DO_NOT_MATCH,
+            )
         if 1 < left < MINIMUM_FRAMES:
-            raise refusal(f"at least {MINIMUM_FRAMES} frames", f"{left}", key="left")
+            raise refusal(f"at least {MINIMUM_FRAMES} frames", f"{left}", key="left", declared=FRAMES_DO_NOT_MATCH)
         if set(self.left) & set(self.right):
-            raise refusal("other images than the left ones", "the same files", key="right")
+            raise refusal(
+                "other images than the left ones", "the same files", key="right", declared=FRAMES_DO_NOT_MATCH
+            )
         return self
 
 
 class PointFiles(Frames):
-    """Tables of 3-D points from another DIC program: one file per frame, or one with a column `frame`.
+    """Tables of 3-D points: one file per frame, or a column `frame`.
 
-    Without `columns` the files' headers name them.
+    Without `columns` the headers of the files name them.
     """
 
     files: ExistingFiles
@@ -337,20 +381,32 @@ class PointFiles(Frames):
     scale: Positive | None = None
 
     @model_validator(mode="after")
-    def _columns_hold_what_is_used(self) -> Self:
+    def _columns_match_keys(self) -> Self:
         columns = self.columns or ()
         if self.valid_status is not None and "status" not in columns:
-            raise refusal('a column "status" for valid_status', ", ".join(columns) or "none named", key="columns")
+            raise refusal(
+                'a column "status" for valid_status',
+                ", ".join(columns) or "none named",
+                key="columns",
+                declared=CONTRADICTING_VALUES,
+            )
         single = "frame" in columns
         if 1 < len(self.files) < MINIMUM_FRAMES and not single:
-            raise refusal(f"at least {MINIMUM_FRAMES} frames", f"{len(self.files)}", key="files")
+            raise refusal(
+                f"at least {MINIMUM_FRAMES} frames", f"{len(self.files)}", key="files", declared=FRAMES_DO_NOT_MATCH
+            )
         if single and len(self.files) > 1:
-            raise refusal('one file, since its column "frame" tells the frames', f"{len(self.files)}", key="files")
+            raise refusal(
+                'one file, since its column "frame" numbers the frames',
+                f"{len(self.files)}",
+                key="files",
+                declared=FRAMES_DO_NOT_MATCH,
+            )
         return self
 
 
 class SetUpFiles(ManifestBlock):
-    """What was recorded at once."""
+    """Files of one set-up."""
 
     daq: Annotated[tuple[Daq, ...], BeforeValidator(array_of_tables)] = ()
     images: Annotated[tuple[Images, ...], BeforeValidator(array_of_tables)] = ()
@@ -363,7 +419,7 @@ class SetUpFiles(ManifestBlock):
 
     @property
     def files(self) -> list[Path]:
-        """Files that these tables name."""
+        """Files named in these tables."""
         files = []
         for daq in self.daq:
             files += [daq.file, *(entry.response for entry in daq.channel if entry.response)]
@@ -373,15 +429,15 @@ class SetUpFiles(ManifestBlock):
 
 
 class Take(SetUpFiles):
-    """What was recorded at once, where a recording holds several measurements one after another."""
+    """A sequential set-up of a recording."""
 
     daq: Annotated[tuple[Daq, ...], BeforeValidator(array_of_tables), Field(min_length=1)]
 
 
 class RecordingFile(SetUpFiles):
-    """recording.toml as it stands: one excitation and the files recorded under it.
+    """recording.toml: one excitation and the files recorded under it.
 
-    `environment`: what of the rig's surroundings was otherwise that day.
+    `environment`: keys that differ from those of the rig.
     """
 
     format: Version

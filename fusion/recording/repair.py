@@ -1,4 +1,7 @@
-"""Mistakes of a table that other mistakes hide: each is replaced by something valid until the whole table is valid."""
+"""Errors of a table that other errors mask.
+
+Each error is replaced by a valid value until the whole table is valid.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ from fusion.recording.toml import describe_problem, key_path, models_in
 from fusion.recording.values import Context, ManifestBlock
 
 AnyBlock = TypeVar("AnyBlock", bound=ManifestBlock)
-Place = list[int | str]
+KeyPath = list[int | str]
 PLACEHOLDER = "placeholder"
 MOST_REPAIRS, MOST_VALIDATIONS = 40, 400
 PLAIN: tuple[Any, ...] = (
@@ -33,32 +36,32 @@ PLAIN: tuple[Any, ...] = (
     [1.0] * 6,
     True,
 )
-"""Values that may take the place of a mistake, beside those that other tables have at the same key."""
+"""Values that may replace an erroneous one, in addition to those that other tables have at the same key."""
 
 
 class Repair(Generic[AnyBlock]):
-    """A table validated in spite of its mistakes.
+    """A table validated in spite of its errors.
 
-    `block`: None if no valid one was found; `wrong`: all mistakes, those first that the table shows as it is; `places`:
-    where values were replaced, `names`: of the blocks with a replaced value, which `block` says nothing of.
+    `block`: None if no valid one was found. `errors`: all of them, those of the unchanged table first.
+    `replaced_paths`: where values were replaced. `names`: of the blocks with a replaced value, which cannot be trusted.
     """
 
     def __init__(self, model: type[AnyBlock], values: dict[str, Any], path: Path, context: Context) -> None:
         self.block: AnyBlock | None = None
-        self.wrong: list[InputError] = []
-        self.places: list[Place] = []
+        self.errors: list[InputError] = []
+        self.replaced_paths: list[KeyPath] = []
         self.names: set[str] = set()
         self._model, self._context, self._path, self._left = model, context, path, MOST_VALIDATIONS
         self._whole, self._values = values, deepcopy(values)
         problems = self._problems(self._values)
         for _ in range(MOST_REPAIRS):
-            self.wrong += (mistake for mistake in map(self._mistake, problems) if self._new(mistake))
+            self.errors += (mistake for mistake in map(self._mistake, problems) if self._new(mistake))
             if not problems or self._left <= 0:
                 break
-            problems = self._repaired(problems[0])
+            problems = self._repair(problems[0])
 
     def _problems(self, values: dict[str, Any]) -> list[ErrorDetails]:
-        """Validate, and return what is wrong, unknown keys first."""
+        """Validate, and return the problems, unknown keys first."""
         self._left -= 1
         try:
             self.block = self._model.model_validate(values, context=self._context)
@@ -68,81 +71,83 @@ class Repair(Generic[AnyBlock]):
         return []
 
     def _mistake(self, problem: ErrorDetails) -> InputError:
-        expected, found = describe_problem(self._model, problem)
-        return InputError(self._path, key_path(self._whole, _place(problem)), found, expected)
+        declared, expected, found = describe_problem(self._model, problem)
+        return InputError(
+            declared, self._path, key_path(self._whole, _problem_path(problem)), found=found, expected=expected
+        )
 
     def _new(self, mistake: InputError) -> bool:
-        """Whether a mistake was not found before and is none of a table in which a value was replaced."""
-        tables = [key_path(self._whole, place[:-1]) for place in self.places]
-        inside = [key_path(self._whole, place) + "." for place in self.places]
-        known = any(mistake.key == other.key for other in self.wrong)
-        beside = any(mistake.key.rpartition(".")[0] == table for table in tables)
-        return not known and not beside and not mistake.key.startswith(tuple(inside))
+        """Whether an error was not found before, and no value of its table was replaced."""
+        tables = [key_path(self._whole, path[:-1]) for path in self.replaced_paths]
+        inside = [key_path(self._whole, path) + "." for path in self.replaced_paths]
+        found_before = any(mistake.key == other.key for other in self.errors)
+        in_changed_table = any(mistake.key.rpartition(".")[0] == table for table in tables)
+        return not found_before and not in_changed_table and not mistake.key.startswith(tuple(inside))
 
-    def _repaired(self, problem: ErrorDetails) -> list[ErrorDetails]:
-        """Replace what one problem is about, and return the problems that are left."""
-        place = _place(problem)
-        names = set(_names(self._values, place))
-        for candidate in self._candidates(problem, place):
+    def _repair(self, problem: ErrorDetails) -> list[ErrorDetails]:
+        """Replace the value of one problem, and return the remaining problems."""
+        path = _problem_path(problem)
+        names = set(_names(self._values, path))
+        for candidate in self._candidates(problem, path):
             if self._left <= 0:
                 break
             problems = self._problems(candidate)
-            if all(_place(other) != place for other in problems):
-                if _value_at(candidate, place) is not None:
-                    self._replaced(place, names)
+            if all(_problem_path(other) != path for other in problems):
+                if _value_at(candidate, path) is not None:
+                    self._replaced(path, names)
                 self._values = candidate
                 return problems
-        self._replaced(place, names)
-        self._values = _without(self._values, place[:-1]) if len(place) > 1 else self._values
+        self._replaced(path, names)
+        self._values = _without(self._values, path[:-1]) if len(path) > 1 else self._values
         return self._problems(self._values)
 
-    def _replaced(self, place: Place, names: set[str]) -> None:
-        """Remember that what a valid table says of a place is not what was meant."""
-        self.places.append(place)
+    def _replaced(self, path: KeyPath, names: set[str]) -> None:
+        """Record that a valid table has a replaced value at a path."""
+        self.replaced_paths.append(path)
         self.names |= names
 
-    def _candidates(self, problem: ErrorDetails, place: Place) -> Iterator[dict[str, Any]]:
-        """Yield the table without the key, with values of the same key elsewhere, words that are allowed, others."""
+    def _candidates(self, problem: ErrorDetails, path: KeyPath) -> Iterator[dict[str, Any]]:
+        """Yield tables without the key, or with another value: of the same key, an allowed word, a plain one."""
         if problem["type"] != "missing":
-            yield _without(self._values, place)
+            yield _without(self._values, path)
         if problem["type"] == "extra_forbidden":
             return
-        elsewhere = [value for value in _at_key(self._values, place[-1]) if value != problem["input"]]
-        words = [word for field in _fields(self._model, place) for word in get_args(field.annotation)]
-        for value in (*elsewhere, *(word for word in words if isinstance(word, str)), *PLAIN):
-            yield _with(self._values, place, value)
+        same_key = [value for value in _at_key(self._values, path[-1]) if value != problem["input"]]
+        words = [word for field in _fields(self._model, path) for word in get_args(field.annotation)]
+        for value in (*same_key, *(word for word in words if isinstance(word, str)), *PLAIN):
+            yield _with(self._values, path, value)
 
 
-def _place(problem: ErrorDetails) -> Place:
-    """Where a problem lies, by the key that a validator of a whole table names."""
-    own = problem.get("ctx", {}).get("key")
-    return [*problem["loc"], *(own.split(".") if own else ())]
+def _problem_path(problem: ErrorDetails) -> KeyPath:
+    """Return the key path of a problem, with the key that a validator of a whole table names."""
+    inner = problem.get("ctx", {}).get("key")
+    return [*problem["loc"], *(inner.split(".") if inner else ())]
 
 
-def _fields(model: type[BaseModel], place: Place) -> Iterator[Any]:
-    """Yield the field at a place below a model."""
-    for number, step in enumerate(place):
+def _fields(model: type[BaseModel], path: KeyPath) -> Iterator[Any]:
+    """Yield the field at a path below a model."""
+    for number, step in enumerate(path):
         field = model.model_fields.get(step) if isinstance(step, str) else None
-        if field is not None and number == len(place) - 1:
+        if field is not None and number == len(path) - 1:
             yield field
         below = next(models_in(field.annotation), None) if field is not None else None
         model = below or model
 
 
-def _names(values: Any, place: Place) -> Iterator[str]:
-    """Yield the names of the blocks around a place: their own, else their keys."""
-    for step in place[:-1]:
+def _names(values: Any, path: KeyPath) -> Iterator[str]:
+    """Yield the names of the blocks around a path, or their keys."""
+    for step in path[:-1]:
         values = _value_at(values, [step])
         if isinstance(values, dict):
-            own = [values[key] for key in ("name", "stereo") if isinstance(values.get(key), str)]
+            names = [values[key] for key in ("name", "stereo") if isinstance(values.get(key), str)]
             plain = not all(isinstance(value, dict) for value in values.values())
-            yield from own or ([step] if isinstance(step, str) and plain else [])
+            yield from names or ([step] if isinstance(step, str) and plain else [])
 
 
-def _value_at(values: Any, place: Place) -> Any:
-    """Return what stands at a place, None where nothing does."""
+def _value_at(values: Any, path: KeyPath) -> Any:
+    """Return the value at a path, None if there is none."""
     try:
-        for step in place:
+        for step in path:
             values = values[step]
     except (LookupError, TypeError):
         return None
@@ -150,39 +155,39 @@ def _value_at(values: Any, place: Place) -> Any:
 
 
 def _at_key(value: Any, key: int | str) -> Iterator[Any]:
-    """Yield the values that tables anywhere have at a key."""
+    """Yield the values of all tables at a key."""
     for item in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
         yield from _at_key(item, key)
     if isinstance(value, dict) and key in value:
         yield value[key]
 
 
-def _with(values: dict[str, Any], place: Place, value: Any) -> dict[str, Any]:
-    """Return the table with another value at a place, unchanged where there is no table around it."""
+def _with(values: dict[str, Any], path: KeyPath, value: Any) -> dict[str, Any]:
+    """Return the table with another value at a path, unchanged if there is no table around it."""
     changed = inner = deepcopy(values)
     try:
-        for step in place[:-1]:
+        for step in path[:-1]:
             inner = inner[step]  # type: ignore[index]
-        inner[place[-1]] = value  # type: ignore[index]
+        inner[path[-1]] = value  # type: ignore[index]
     except (LookupError, TypeError):
         return changed
     return changed
 
 
-def _without(values: dict[str, Any], place: Place) -> dict[str, Any]:
-    """Return the table without what stands at a place."""
+def _without(values: dict[str, Any], path: KeyPath) -> dict[str, Any]:
+    """Return the table without the value at a path."""
     changed = inner = deepcopy(values)
     try:
-        for step in place[:-1]:
+        for step in path[:-1]:
             inner = inner[step]  # type: ignore[index]
-        del inner[place[-1]]  # type: ignore[arg-type]
+        del inner[path[-1]]  # type: ignore[arg-type]
     except (LookupError, TypeError):
         return changed
     return changed
 
 
 def is_doubtful(contradiction: InputError, doubtful: Mapping[Path, set[str]]) -> bool:
-    """Whether a contradiction may follow from a placeholder: it names such a block, or is at a key of one."""
+    """Whether a contradiction may follow from a placeholder: it names such a block, or a key of one."""
     every = set().union(*doubtful.values())
-    told, key = (set(re.split(r"[^\w-]+", text)) for text in (contradiction.sentence, contradiction.key))
-    return bool((every | {PLACEHOLDER}) & told or doubtful.get(contradiction.file, set()) & key)
+    words, key = (set(re.split(r"[^\w-]+", text)) for text in (contradiction.sentence, contradiction.key))
+    return bool((every | {PLACEHOLDER}) & words or doubtful.get(contradiction.file, set()) & key)

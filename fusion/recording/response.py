@@ -17,6 +17,18 @@ from fusion.errors import InputError, as_input_error
 from fusion.recording.dcc import SUFFIX, CalibrationCertificate, read_dcc
 from fusion.recording.dcc_curves import HERTZ, PLAIN_SIGN, CertifiedCurve, curve_named, leading_phase
 from fusion.recording.dsi import parse_unit
+from fusion.recording.recording_notices import (
+    AMBIGUOUS_PHASE_SIGN,
+    INVALID_RESPONSE_VALUE,
+    KEY_NOT_APPLICABLE,
+    MISSING_KEY,
+    MISSING_RESPONSE_COLUMN,
+    PHASE_NOT_IN_RADIANS,
+    RESPONSE_RANGE_TOO_SMALL,
+    RESPONSE_UNIT_CONTRADICTION,
+    UNREADABLE_RESPONSE_FILE,
+    VALUE_OUT_OF_RANGE,
+)
 from fusion.recording.toml import read_rows, read_toml, validate
 from fusion.recording.values import (
     ManifestBlock,
@@ -60,7 +72,7 @@ SAME_HZ = 1e-6  # relative, within which frequencies of a table are one
 def _roots(value: object) -> tuple[tuple[float, ...], ...]:
     count = len(value) if isinstance(value, list | tuple) else 0
     if count > MOST_ROOTS:
-        raise refusal(f"at most {MOST_ROOTS} pairs", f"{count}")
+        raise refusal(f"at most {MOST_ROOTS} pairs", f"{count}", declared=VALUE_OUT_OF_RANGE)
     return rows_of(count, 2)(value)
 
 
@@ -101,11 +113,13 @@ class ChainElement(ManifestBlock):
         for key in foreign:
             if key in self.model_fields_set:
                 kind = "an element without filter" if self.filter is None else f'filter = "{self.filter}"'
-                raise refusal(f"no such key for {kind}", "one", key=key)
+                raise refusal(f"no such key for {kind}", "one", key=key, declared=KEY_NOT_APPLICABLE)
         needed = {None: (), "resonance": ("corner", "damping")}.get(self.filter, ("order", "corner"))
         for key in needed:
             if getattr(self, key) is None:
-                raise refusal(f'this key, required for filter = "{self.filter}"', "nothing", key=key)
+                raise refusal(
+                    f'this key, required for filter = "{self.filter}"', "no such key", key=key, declared=MISSING_KEY
+                )
         if self.filter == "resonance" and self.order not in (None, 2):
             raise refusal("order 2 of a resonance", f"{self.order}", key="order")
         try:
@@ -154,7 +168,7 @@ def read_response(
     column it belongs to), or those that `columns` names. Raises `InputError` naming file and key or column.
     """
     if path.suffix.lower() == ELEMENTS:
-        with as_input_error(path, "element"):
+        with as_input_error(path, "element", UNREADABLE_RESPONSE_FILE):
             return cascade_responses([element.response(frequency_hz) for element in read_chain(path).element])
     if path.suffix.lower() == SUFFIX:
         certificate = read_dcc(path)
@@ -166,7 +180,9 @@ def read_response(
     outside = [f for f in frequency_hz if not low * (1.0 - CLOCKS) <= f <= high * (1.0 + CLOCKS)]
     if outside:
         expected = f"a range that contains {outside[0]:g} Hz"
-        raise InputError(path, "frequency_hz", found=f"{low:g} to {high:g} Hz", expected=expected)
+        raise InputError(
+            RESPONSE_RANGE_TOO_SMALL, path, "frequency_hz", found=f"{low:g} to {high:g} Hz", expected=expected
+        )
     return table_response(table, np.clip(frequency_hz, low, high))
 
 
@@ -238,13 +254,17 @@ def read_table(path: Path, columns: ResponseColumns | None = None) -> ResponseTa
     names: tuple[str, ...] = COLUMNS if columns is None else columns.names
     values = _typed_columns(path) if columns is None else _named_columns(path, columns)
     if np.any(values[1] <= 0.0):
-        raise InputError(path, names[1], found=f"{values[1].min():g}", expected="positive values")
+        raise InputError(
+            INVALID_RESPONSE_VALUE, path, names[1], found=f"{values[1].min():g}", expected="positive values"
+        )
     for name, u in zip(names[3:], values[3:], strict=True):
         if np.any(u < 0.0):
-            raise InputError(path, name, found=f"{u.min():g}", expected="no negative values")
+            raise InputError(INVALID_RESPONSE_VALUE, path, name, found=f"{u.min():g}", expected="no negative values")
     values = values if columns is None else _without_repeats(values)
     if len(values[0]) == 0 or np.any(np.diff(values[0]) <= 0.0):
-        raise InputError(path, names[0], found="values that do not ascend", expected="ascending frequencies")
+        raise InputError(
+            INVALID_RESPONSE_VALUE, path, names[0], found="values that do not ascend", expected="ascending frequencies"
+        )
     if columns is None or columns.phase_unit != "deg":
         _refuse_degrees(path, names[2], values[2])
     return ResponseTable(*values)
@@ -267,7 +287,13 @@ def _refuse_degrees(path: Path, name: str, phase_rad: FloatArray) -> None:
     steps = np.abs(np.diff(phase_rad))
     if not -0.75 * TURN <= phase_rad[0] <= TURN or (np.any(np.abs(phase_rad) > TURN) and np.any(steps > np.pi)):
         found = f"{phase_rad[np.argmax(np.abs(phase_rad))]:g}"
-        raise InputError(path, name, found, "radians, within one turn or without jumps (degrees need response_columns)")
+        raise InputError(
+            PHASE_NOT_IN_RADIANS,
+            path,
+            name,
+            found=found,
+            expected="radians, within one turn or without jumps (degrees need response_columns)",
+        )
 
 
 def _typed_columns(path: Path) -> list[FloatArray]:
@@ -276,14 +302,20 @@ def _typed_columns(path: Path) -> list[FloatArray]:
     missing = [name for name in COLUMNS if name not in names]
     if missing:
         found = f"columns {describe(', '.join(map(str, names)), plain=True) or 'none'}"
-        raise InputError(path, missing[0], found=found, expected="this column")
+        raise InputError(MISSING_RESPONSE_COLUMN, path, missing[0], found=found, expected="this column")
     columns = []
     for name in COLUMNS:
         values = [_number(row[name]) for row in rows]
         for line, value in enumerate(values):
             if not isfinite(value) or wrong_size(value):
                 found = f'"{describe(rows[line][name] or "", plain=True)}" in line {line + 2}'
-                raise InputError(path, name, found=found, expected=wrong_size(value) or "one finite number per row")
+                raise InputError(
+                    INVALID_RESPONSE_VALUE,
+                    path,
+                    name,
+                    found=found,
+                    expected=wrong_size(value) or "one finite number per row",
+                )
         columns.append(np.array(values))
     return columns
 
@@ -301,17 +333,25 @@ def _named_columns(path: Path, columns: ResponseColumns) -> list[FloatArray]:
     from shaker.io import read_channels
 
     names = columns.names
-    with as_input_error(path, "response_columns"):
+    with as_input_error(path, "response_columns", UNREADABLE_RESPONSE_FILE):
         read = read_channels(path, list(dict.fromkeys(names)), 1.0)
     values = [read[name].samples for name in names]
     if len({len(column) for column in values}) > 1:
         found = ", ".join(f"{len(column)} of {name}" for name, column in zip(names, values, strict=True))
-        raise InputError(path, "response_columns", found=found, expected="as many numbers of each")
+        raise InputError(
+            INVALID_RESPONSE_VALUE, path, "response_columns", found=found, expected="as many numbers of each"
+        )
     for name, column in zip(names, values, strict=True):
         for row, value in enumerate(column.tolist()):
             if not np.isfinite(value) or wrong_size(value):
                 found = f"{value:g} in row {row + 1}"
-                raise InputError(path, name, found=found, expected=wrong_size(value) or "one finite number per row")
+                raise InputError(
+                    INVALID_RESPONSE_VALUE,
+                    path,
+                    name,
+                    found=found,
+                    expected=wrong_size(value) or "one finite number per row",
+                )
     units = [read[name].unit.strip() for name in names]
     frequency_hz, magnitude, phase, u_magnitude, u_phase = values
     factor = _magnitude_factor(path, columns, units)
@@ -323,7 +363,9 @@ def _named_columns(path: Path, columns: ResponseColumns) -> list[FloatArray]:
     try:
         phase = leading_phase(turn * phase, u_turn * u_phase, columns.phase.lower().replace("_", " "))
     except ValueError as error:
-        raise InputError(path, "response_columns.phase", str(error), PLAIN_SIGN) from error
+        raise InputError(
+            AMBIGUOUS_PHASE_SIGN, path, "response_columns.phase", found=str(error), expected=PLAIN_SIGN
+        ) from error
     u = factor / columns.k * u_magnitude, u_turn / columns.k * u_phase
     return [_hertz_factor(path, names[0], units[0]) * frequency_hz, factor * magnitude, phase, *u]
 
@@ -336,7 +378,7 @@ def _hertz_factor(path: Path, name: str, unit: str) -> float:
         found = parse_unit(unit)
         if found.dimension == HERTZ and found.angle in (0, 1):
             return found.factor / (TURN if found.angle else 1.0)
-    raise InputError(path, name, unit, "frequencies in Hz, as its unit")
+    raise InputError(RESPONSE_UNIT_CONTRADICTION, path, name, found=unit, expected="frequencies in Hz, as its unit")
 
 
 def _angle_factor(path: Path, columns: ResponseColumns, name: str, unit: str) -> float:
@@ -346,11 +388,23 @@ def _angle_factor(path: Path, columns: ResponseColumns, name: str, unit: str) ->
         with suppress(ValueError):
             own = parse_unit(unit).factor if parse_unit(unit).angle == 1 else None
         if own is None:
-            raise InputError(path, name, unit, "rad or deg as its unit")
+            raise InputError(RESPONSE_UNIT_CONTRADICTION, path, name, found=unit, expected="rad or deg as its unit")
     if stated is None and own is None and re.search(r"deg|°", name.lower()):
-        raise InputError(path, "response_columns", "no phase_unit", f'one, as "{name}" looks like degrees')
+        raise InputError(
+            PHASE_NOT_IN_RADIANS,
+            path,
+            "response_columns",
+            found="no phase_unit",
+            expected=f'one, as "{name}" looks like degrees',
+        )
     if stated is not None and own is not None and ANGLES[stated] != own:
-        raise InputError(path, name, f"{unit} in the file", f"{stated}, as response_columns.phase_unit says")
+        raise InputError(
+            RESPONSE_UNIT_CONTRADICTION,
+            path,
+            name,
+            found=f"{unit} in the file",
+            expected=f"{stated}, as response_columns.phase_unit says",
+        )
     return own if own is not None else ANGLES[stated or "rad"]
 
 
@@ -358,17 +412,37 @@ def _magnitude_factor(path: Path, columns: ResponseColumns, units: Sequence[str]
     """Return the factor to SI of the magnitudes; what the file says of them must not contradict what the user says."""
     _, magnitude, _, u_magnitude, _ = units
     if columns.u_magnitude_unit == "%" and u_magnitude not in ("", "%"):
-        raise InputError(path, columns.u_magnitude, f"{u_magnitude} in the file", "% as u_magnitude_unit says")
+        raise InputError(
+            RESPONSE_UNIT_CONTRADICTION,
+            path,
+            columns.u_magnitude,
+            found=f"{u_magnitude} in the file",
+            expected="% as u_magnitude_unit says",
+        )
     if u_magnitude not in ("", "%", magnitude) and magnitude and not _same_unit(u_magnitude, magnitude):
-        raise InputError(path, columns.u_magnitude, u_magnitude, f"% or {magnitude}, the unit of the magnitude")
+        raise InputError(
+            RESPONSE_UNIT_CONTRADICTION,
+            path,
+            columns.u_magnitude,
+            found=u_magnitude,
+            expected=f"% or {magnitude}, the unit of the magnitude",
+        )
     if magnitude.lower() in ("db", "decibel"):
-        raise InputError(path, columns.magnitude, magnitude, "magnitudes, not their levels")
+        raise InputError(
+            RESPONSE_UNIT_CONTRADICTION,
+            path,
+            columns.magnitude,
+            found=magnitude,
+            expected="magnitudes, not their levels",
+        )
     if columns.magnitude_unit is None:
         return 1.0
     stated = parse_unit(columns.magnitude_unit)
     if magnitude and _same_unit(magnitude, columns.magnitude_unit) is False:
         expected = f"{columns.magnitude_unit}, as response_columns.magnitude_unit says"
-        raise InputError(path, columns.magnitude, f"{magnitude} in the file", expected)
+        raise InputError(
+            RESPONSE_UNIT_CONTRADICTION, path, columns.magnitude, found=f"{magnitude} in the file", expected=expected
+        )
     return stated.factor
 
 

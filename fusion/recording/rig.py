@@ -1,4 +1,4 @@
-"""The models of rig.toml, key by key: the sensor under test, what is mounted, the stereo pairs, the surroundings."""
+"""Models of rig.toml: sensor under test, load and parts, stereo pairs, heads, environment."""
 
 from __future__ import annotations
 
@@ -14,6 +14,15 @@ from fusion.estimation.measurement_model import UnobservedMotion
 from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.acknowledged import Acknowledgement
 from fusion.recording.environment import Environment
+from fusion.recording.recording_notices import (
+    CONTRADICTING_VALUES,
+    IMPOSSIBLE_MASS_PROPERTIES,
+    KEY_NOT_APPLICABLE,
+    MISSING_KEY,
+    UNKNOWN_NAME,
+    VALUE_OUT_OF_RANGE,
+    WRONG_VALUE_TYPE,
+)
 from fusion.recording.values import (
     DENSITY,
     FAR,
@@ -74,12 +83,11 @@ OTHER_UNITS = {"force": "N", "voltage": "V"}
 CONVENTIONAL_AIR_DENSITY = 1.2  # kg/m^3, OIML D 28
 CONVENTIONAL_WEIGHT_DENSITY = 8000.0  # kg/m^3, OIML D 28
 DENSEST_KGM3 = 22_600.0  # osmium
-FARTHEST_M = 5.0  # radius of gyration of anything on a shaker
-"""A temperature in °C; one in kelvin lies beyond."""
+FARTHEST_M = 5.0  # radius of gyration of a body on a shaker
 
 
 def _outputs(value: object) -> tuple[str, ...]:
-    """Names of the outputs of the sensor: one to six different texts."""
+    """Return the names of the sensor's outputs: one to six different texts."""
     names = texts(value)
     if not 1 <= len(names) <= 6:
         raise refusal("one to six different names", f"{len(names)}")
@@ -87,33 +95,38 @@ def _outputs(value: object) -> tuple[str, ...]:
 
 
 def _sensitivity_rows(value: object) -> tuple[tuple[float, ...], ...]:
-    """Rows of six numbers; their number is checked against the channels."""
+    """Return rows of six numbers; the model compares their number with the channels."""
     if not isinstance(value, list | tuple):
-        raise refusal("one row of 6 numbers per channel", describe(value))
+        raise refusal("one row of 6 numbers per channel", describe(value), declared=WRONG_VALUE_TYPE)
     return tuple(vector(6)(row) for row in value)
 
 
 def _refuse_impossible(mass: float, inertia: Matrix3, mass_key: str, inertia_key: str) -> None:
-    """Refuse mass and inertia that no body has together: a mass in g, an inertia in g mm².
+    """Refuse mass and inertia that no body can have.
 
-    Of all bodies of a mass and a largest density a ball has the least inertia, 0.4·m·r² about every axis; half of it is
-    let pass, for values of few digits. All zeros stand for a point mass.
+    A mass in g, or an inertia in g mm², is a usual cause. Of all bodies of a mass and a largest density, a ball has
+    the smallest inertia, 0.4·m·r² about every axis. Half of it passes, for values of few digits. All zeros represent
+    a point mass.
     """
     largest = float(np.linalg.eigvalsh(np.array(inertia)).max())
     if largest <= 0.0 or mass <= 0.0:
         return
     gyration = float(np.sqrt(largest / mass))
     if gyration > FARTHEST_M:
-        told = f"up to {largest:g} kg m^2 of {mass:g} kg, as if {gyration:.3g} m away"
-        raise refusal("moments of inertia in kg m^2 of this mass", told, key=inertia_key)
-    least = 0.4 * mass * (3.0 * mass / (4.0 * np.pi * DENSEST_KGM3)) ** (2.0 / 3.0)
-    if largest < 0.5 * least:
-        told = f"{mass:g} kg with moments of inertia up to {largest:g} kg m^2, which is denser than any metal"
-        raise refusal("a mass in kg with moments of inertia in kg m^2", told, key=mass_key)
+        found = f"up to {largest:g} kg m^2 of {mass:g} kg, a radius of gyration of {gyration:.3g} m"
+        raise refusal(
+            "moments of inertia in kg m^2 of this mass", found, key=inertia_key, declared=IMPOSSIBLE_MASS_PROPERTIES
+        )
+    smallest = 0.4 * mass * (3.0 * mass / (4.0 * np.pi * DENSEST_KGM3)) ** (2.0 / 3.0)
+    if largest < 0.5 * smallest:
+        found = f"{mass:g} kg with moments of inertia up to {largest:g} kg m^2, denser than any metal"
+        raise refusal(
+            "a mass in kg with moments of inertia in kg m^2", found, key=mass_key, declared=IMPOSSIBLE_MASS_PROPERTIES
+        )
 
 
 class Sensor(ManifestBlock):
-    """The sensor under test: its outputs, their sense, and the mass that moves above its elastic element."""
+    """The sensor under test: outputs, sense, and the internal mass above its elastic element."""
 
     name: Text
     serial: str = ""
@@ -140,14 +153,24 @@ class Sensor(ManifestBlock):
     def _one_row_per_channel(self) -> Self:
         rows = self.static_sensitivity
         if rows is not None and len(rows) != len(self.channels):
-            raise refusal(f"{len(self.channels)} rows, one per channel", f"{len(rows)} rows", key="static_sensitivity")
+            raise refusal(
+                f"{len(self.channels)} rows, one per channel",
+                f"{len(rows)} rows",
+                key="static_sensitivity",
+                declared=CONTRADICTING_VALUES,
+            )
         _refuse_impossible(self.internal_mass, self.internal_inertia, "internal_mass", "internal_inertia")
         if self.cross_talk is not None and self.capacity is None:
-            raise refusal("the six rated loads that cross_talk is relative to", "nothing", key="capacity")
+            raise refusal(
+                "the six rated loads that cross_talk is relative to",
+                "no such key",
+                key="capacity",
+                declared=MISSING_KEY,
+            )
         return self
 
     def moving(self, component: int) -> tuple[float, float]:
-        """Return what moves with the load along a component, mass or moment of inertia, and its u."""
+        """Return the internal mass or moment of inertia of a component, and its u."""
         if component < 3:
             return self.internal_mass, self.internal_mass_uncertainty
         axis = component - 3
@@ -155,7 +178,7 @@ class Sensor(ManifestBlock):
 
 
 class MountedBody(ManifestBlock):
-    """A rigid thing with mass: what the load and every further part have in common.
+    """A rigid body with mass: the common keys of the load and of further parts.
 
     `inertia` (3, 3): about the centre of mass, products −∫xy dm.
     """
@@ -171,13 +194,18 @@ class MountedBody(ManifestBlock):
     @model_validator(mode="after")
     def _conventional_mass_has_density(self) -> Self:
         if self.mass_kind == "conventional" and self.density is None:
-            raise refusal('the density in kg/m^3 that mass_kind = "conventional" needs', "nothing", key="density")
+            raise refusal(
+                'the density in kg/m^3 that mass_kind = "conventional" needs',
+                "no such key",
+                key="density",
+                declared=MISSING_KEY,
+            )
         _refuse_impossible(self.mass, getattr(self, "inertia", ZERO33), "mass", "inertia")
         return self
 
     @property
     def true_mass(self) -> float:
-        """True mass, kg: m_c·(1 − 1.2/8000)/(1 − 1.2/ρ) of a conventional mass (OIML D 28, 5.4)."""
+        """True mass, kg: m_c·(1 − 1.2/8000)/(1 − 1.2/ρ) if m_c is conventional (OIML D 28, 5.4)."""
         if self.mass_kind == "true" or self.density is None:
             return self.mass
         reference = 1 - CONVENTIONAL_AIR_DENSITY / CONVENTIONAL_WEIGHT_DENSITY
@@ -185,27 +213,33 @@ class MountedBody(ManifestBlock):
 
 
 def _displacements(value: object) -> dict[str, tuple[float, ...]]:
-    """What a mode does at places by name: 3 numbers of displacement, or 6 with the rotation."""
+    """Return displacements of a mode by name: 3 numbers, or 6 with the rotation."""
     if not isinstance(value, dict) or not value:
-        raise refusal("a table of 3 or 6 numbers by the names of channels and stereo pairs", describe(value))
+        raise refusal(
+            "a table of 3 or 6 numbers by the names of channels and stereo pairs",
+            describe(value),
+            declared=WRONG_VALUE_TYPE,
+        )
     return {
         name: vector(6 if isinstance(row, list | tuple) and len(row) == 6 else 3)(row) for name, row in value.items()
     }
 
 
 def _refuse_as_large(block: ManifestBlock, keys: Sequence[str]) -> None:
-    """Refuse a value whose standard uncertainty is as large as itself: a standard uncertainty less must be possible."""
+    """Refuse a value that is not larger than its standard uncertainty."""
     for key in keys:
         value, u = getattr(block, key), getattr(block, f"{key}_uncertainty")
         if value is not None and u > 0.0 and u >= value:
-            raise refusal(f"less than the {key} of {value:g}", f"{u:g}", key=f"{key}_uncertainty")
+            raise refusal(
+                f"less than the {key} of {value:g}", f"{u:g}", key=f"{key}_uncertainty", declared=VALUE_OUT_OF_RANGE
+            )
 
 
 class ElasticMode(ManifestBlock):
-    """A natural mode of the load with its foot held, as a finite element program tells it.
+    """A natural mode of the load on a fixed foot, from a finite element program.
 
-    `participation` (6,): force and moment at the sensor origin for a unit acceleration of the mode; `displacement` of
-    places by name; both for a mode of `modal_mass`.
+    `participation` (6,): force and moment at the sensor origin for a unit acceleration of the mode. `displacement`: of
+    channels and stereo pairs by name. Both are for a mode of `modal_mass`.
     """
 
     frequency: Annotated[Positive, HERTZ]
@@ -217,31 +251,31 @@ class ElasticMode(ManifestBlock):
     surface: ExistingFile | None = None
 
     @model_validator(mode="after")
-    def _frequency_is_known(self) -> Self:
+    def _frequency_exceeds_its_uncertainty(self) -> Self:
         _refuse_as_large(self, ("frequency",))
         return self
 
 
 DRAWN = ("foot", "axis", "poisson_ratio", "axial_frequency", "bending_frequency")
-OWN_OF_SHAPE = {
+KEYS_OF_SHAPE = {
     "rod": ("young_modulus", "density", "diameter", "length", "name", *DRAWN, "inner_diameter", "tip_mass"),
     "plate": ("young_modulus", "density", "diameter", "thickness", "clamped_diameter", *DRAWN),
     "modes": ("mode",),
 }
-"""Keys of `[[load.elastic]]` by shape, the five that it needs first."""
+"""Keys of `[[load.elastic]]` by shape; the first five are required."""
 
 
 POSITIVE = (
     *("length", "diameter", "thickness", "clamped_diameter", "young_modulus", "density"),
     *("tip_mass", "axial_frequency", "bending_frequency"),
 )
-"""Numbers of a drawing that mean nothing at or below 0."""
+"""Numbers of a drawing that must exceed 0."""
 
 
 class Elastic(ManifestBlock):
-    """What bends or stretches of the load: a rod or a plate by drawing, or a table of modes.
+    """An elastic part of the load: rod, plate, or table of modes.
 
-    Without any uncertainty it is only named: nothing is corrected, and the whole effect is uncertain.
+    Without any uncertainty there is no correction, and the whole effect is uncertain.
     """
 
     name: Text
@@ -283,9 +317,11 @@ class Elastic(ManifestBlock):
             return self
         stated = (getattr(self, key) for key in type(self).model_fields if key.endswith("_uncertainty"))
         if not any(stated) and not any(mode.frequency_uncertainty for mode in self.mode):
-            raise refusal("an uncertainty, such as frequencies_uncertainty = 0.1", "none", key="measured_by")
+            raise refusal(
+                "an uncertainty, such as frequencies_uncertainty = 0.1", "none", key="measured_by", declared=MISSING_KEY
+            )
         if self.shape == "modes" and not any(mode.surface for mode in self.mode):
-            raise refusal("the surface of at least one mode, which pictures show", "none", key="measured_by")
+            raise refusal("the surface of at least one mode", "none", key="measured_by", declared=MISSING_KEY)
         return self
 
     @model_validator(mode="after")
@@ -299,36 +335,44 @@ class Elastic(ManifestBlock):
             "participation_uncertainty",
             "measured_by",
         }
-        own = OWN_OF_SHAPE[self.shape]
-        known = {*of_modes, *(name for key in own for name in (key, f"{key}_uncertainty"))}
-        refuse_foreign(self, known, f'shape = "{self.shape}"')
+        keys = KEYS_OF_SHAPE[self.shape]
+        applicable = {*of_modes, *(name for key in keys for name in (key, f"{key}_uncertainty"))}
+        refuse_foreign(self, applicable, f'shape = "{self.shape}"')
         if self.shape == "modes":
             if not self.mode:
-                raise refusal("at least one [[load.elastic.mode]]", "nothing", key="mode")
-            places = set(self.mode[0].displacement)
+                raise refusal("at least one [[load.elastic.mode]]", "no such key", key="mode", declared=MISSING_KEY)
+            names = set(self.mode[0].displacement)
             for number, mode in enumerate(self.mode, 1):
-                if set(mode.displacement) != places:
-                    told = f"{', '.join(sorted(mode.displacement))} in mode {number}"
-                    raise refusal(f"the places {', '.join(sorted(places))} of mode 1", told, key="mode")
+                if set(mode.displacement) != names:
+                    found = f"{', '.join(sorted(mode.displacement))} in mode {number}"
+                    raise refusal(
+                        f"the names {', '.join(sorted(names))} of mode 1",
+                        found,
+                        key="mode",
+                        declared=CONTRADICTING_VALUES,
+                    )
             return self
-        refuse_missing(self, own[:5], f'shape = "{self.shape}"')
+        refuse_missing(self, keys[:5], f'shape = "{self.shape}"')
         _refuse_as_large(self, POSITIVE)
         key = "inner_diameter" if self.shape == "rod" else "clamped_diameter"
         inner, outer, u = getattr(self, key) or 0.0, self.diameter or 0.0, getattr(self, f"{key}_uncertainty")
         if max(inner + u, inner + self.diameter_uncertainty) >= outer:
             raise refusal(
-                f"less than the diameter of {outer:g} m, by more than either uncertainty", f"{inner:g}", key=key
+                f"less than the diameter of {outer:g} m, by more than either uncertainty",
+                f"{inner:g}",
+                key=key,
+                declared=CONTRADICTING_VALUES,
             )
         return self
 
 
 class RigLoad(MountedBody):
-    """Everything mounted above the sensor, without the sensor's own part.
+    """All bodies above the sensor, without the sensor's internal mass.
 
-    `elastic_frequency`: at which the load resonates on its joint with the lower side held, Hz, component by component;
-    without an uncertainty it is only named: nothing is corrected, and the whole effect is uncertain. `elastic`: what
-    bends of the load itself; `first_frequency`: at which it first resonates with its foot held, where no more is known.
-    `cable_stiffness`: of what ties the load to the room, N/m along each axis.
+    `elastic_frequency`: resonance of the load on its joint with a fixed lower side, Hz, per component. Without an
+    uncertainty there is no correction, and the whole effect is uncertain. `elastic`: elastic parts of the load.
+    `first_frequency`: first resonance on a fixed foot, if no modes are available. `cable_stiffness`: of connections to
+    the surroundings, N/m along each axis.
     """
 
     inertia: Inertia
@@ -349,16 +393,19 @@ class RigLoad(MountedBody):
         refuse_repeated([part.name for part in self.elastic], "elastic parts", "elastic")
         if self.cable_stiffness is None and any(self.cable_stiffness_uncertainty):
             raise refusal(
-                "the stiffness that this uncertainty belongs to (0 if need be)", "nothing", key="cable_stiffness"
+                "the stiffness that this uncertainty belongs to (0 if there is none)",
+                "no such key",
+                key="cable_stiffness",
+                declared=MISSING_KEY,
             )
         if self.elastic and self.first_frequency is not None:
             expected = "either the modes of [[load.elastic]] or a first frequency that bounds them"
-            raise refusal(expected, "both", key="first_frequency")
+            raise refusal(expected, "both", key="first_frequency", declared=CONTRADICTING_VALUES)
         return self
 
 
 class RigPart(MountedBody):
-    """A further part of the load or of the base; without inertia it is a point mass."""
+    """A further part of the load or of the base; a point mass without inertia."""
 
     name: Text
     body: BodyName
@@ -367,13 +414,13 @@ class RigPart(MountedBody):
 
 
 class Stereo(ManifestBlock):
-    """A stereo pair: x_sensor = rotation · x_left_camera + translation at rest, and when its frames are exposed.
+    """A stereo pair: x_sensor = rotation · x_left_camera + translation at rest, and its exposure.
 
-    `row_time`: s from row to row of the left and the right camera, negative where the last row is read first; 0 where
-    all are exposed at once.
+    `row_time`: s from row to row of the left and the right camera, negative if the last row is read first; 0 for a
+    global shutter.
 
-    `body` "room": what it sees stands still, so that it tells how its `support` moves, with all cameras on that. A pair
-    with a `surface` is one camera alone, its left one, all rows of which are exposed at once.
+    `body` "room": a stationary object, which shows the motion of the `support` of the cameras. A pair with a `surface`
+    is a single camera, the left one, with a global shutter.
     """
 
     body: Literal["load", "base", "room"]
@@ -393,23 +440,25 @@ class Stereo(ManifestBlock):
     row_time_uncertainty: Annotated[NotNegative, ROWS] = 0.0
 
     def readout_s(self, rows: int) -> float:
-        """Return how much later the last of some rows is exposed than the first one read."""
+        """Return the delay from the first to the last of some rows, s."""
         return max(map(abs, self.row_time)) * (rows - 1)
 
     @model_validator(mode="after")
-    def _one_way_to_depth(self) -> Self:
+    def _depth_is_stated_once(self) -> Self:
         if self.surface is not None and self.pose_by_calibration is not None:
-            raise refusal("no such key of a camera alone, which states a surface", "one", key="pose_by_calibration")
+            expected = "no such key for a single camera with a surface"
+            raise refusal(expected, "one", key="pose_by_calibration", declared=KEY_NOT_APPLICABLE)
         if self.surface is not None and any(self.row_time):
-            raise refusal("0 of a camera alone, which states a surface", f"{self.row_time[0]:g} s", key="row_time")
+            expected, found = "0 for a single camera with a surface", f"{self.row_time[0]:g} s"
+            raise refusal(expected, found, key="row_time", declared=CONTRADICTING_VALUES)
         return self
 
 
 class InstrumentHead(ManifestBlock):
-    """A laser head whose beams leave it together, or the body of a triaxial accelerometer: what all its channels share.
+    """A laser head, or the body of a triaxial accelerometer: common properties of its channels.
 
-    `mirror`: from where the beams leave, sensor frame; `standoff`: its distance from the points where only that is
-    known. `rotation_uncertainty` rad about the sensor axes, `point_uncertainty` m: of all its channels at once.
+    `mirror`: origin of the beams, sensor frame. `standoff`: its distance from the points, if the mirror is not stated.
+    `rotation_uncertainty` rad about the sensor axes, `point_uncertainty` m: common to all its channels.
     """
 
     mirror: FreeVector | None = None
@@ -419,24 +468,29 @@ class InstrumentHead(ManifestBlock):
     point_uncertainty: Uncertainty3 = ZERO3
 
     @model_validator(mode="after")
-    def _one_place_of_the_mirror(self) -> Self:
+    def _mirror_is_stated_once(self) -> Self:
         if self.mirror is not None and self.standoff is not None:
-            raise refusal("no such key where the mirror is stated", f"{self.standoff:g}", key="standoff")
+            raise refusal(
+                "no such key in addition to the mirror",
+                f"{self.standoff:g}",
+                key="standoff",
+                declared=KEY_NOT_APPLICABLE,
+            )
         if self.mirror is None and any(self.mirror_uncertainty):
-            raise refusal("the mirror whose uncertainty is stated", "nothing", key="mirror")
+            raise refusal("the mirror whose uncertainty is stated", "no such key", key="mirror", declared=MISSING_KEY)
         return self
 
 
 @dataclass(frozen=True)
 class NamedHead:
-    """A head of the rig as a channel names it."""
+    """A head of the rig, with its name."""
 
     name: str
     stated: InstrumentHead
 
 
 class Shaker(ManifestBlock):
-    """How far the shaker moves in components that nobody measures, at most: amplitudes over that of the driven motion.
+    """Limits of shaker motion in components that are not measured, over the driven amplitude.
 
     `rocking_motion`: rotations times 0.1 m.
     """
@@ -446,14 +500,14 @@ class Shaker(ManifestBlock):
 
     @property
     def unobserved_motion(self) -> UnobservedMotion:
-        """Return the limits as the fusion takes them."""
+        """The limits for the fusion."""
         return UnobservedMotion(self.transverse_motion, self.rocking_motion)
 
 
 class ModelChange(ManifestBlock):
-    """By how much a model may be otherwise: relative standard uncertainties of three unknowns.
+    """Relative standard uncertainties of changes of a model.
 
-    Of the frequencies of all modes together, of their damping ratios, of the static gain.
+    They apply to the frequencies of all modes together, to their damping ratios, to the static gain.
     """
 
     frequency_uncertainty: NotNegative = 0.0
@@ -462,8 +516,10 @@ class ModelChange(ManifestBlock):
 
 
 class TemperatureChange(ManifestBlock):
-    """One unknown difference of temperature, K, and what 1 K of it changes, relative; `gain`: by default the sensor's
-    `temperature_coefficient`."""
+    """One unknown temperature difference, K, and relative changes per K.
+
+    `gain_coefficient`: the sensor's `temperature_coefficient` by default.
+    """
 
     difference_uncertainty: NotNegative
     frequency_coefficient: Number = 0.0
@@ -472,7 +528,7 @@ class TemperatureChange(ManifestBlock):
 
 
 class ModelChanges(ManifestBlock):
-    """What the records behind a model of the sensor cannot show, as the user knows it from elsewhere."""
+    """Changes of a sensor model that its recordings cannot show."""
 
     mounting: ModelChange | None = None
     load: ModelChange | None = None
@@ -481,13 +537,13 @@ class ModelChanges(ManifestBlock):
 
 
 class RigAdministration(ManifestBlock):
-    """What a calibration certificate needs beside the results."""
+    """Statements for a calibration certificate."""
 
     laboratory: Text | None = None
 
 
 class Rig(ManifestBlock):
-    """rig.toml: what does not change from run to run."""
+    """rig.toml: the properties that do not change between recordings."""
 
     format: Version
     name: Text
@@ -510,12 +566,12 @@ class Rig(ManifestBlock):
 
     @model_validator(mode="after")
     def _modes_are_measured_on_the_load(self) -> Self:
-        seen = [name for name, pair in self.stereo.items() if pair.body == "load" and pair.surface is None]
+        pairs = [name for name, pair in self.stereo.items() if pair.body == "load" and pair.surface is None]
         for part in self.load.elastic if self.load is not None else ():
             for name in part.measured_by:
-                if name not in seen:
-                    expected = f"a stereo pair of two cameras that sees the load ({', '.join(seen) or 'none does'})"
-                    raise refusal(expected, name, key=f"load.elastic.{part.name}.measured_by")
+                if name not in pairs:
+                    expected = f"a stereo pair of two cameras at the load ({', '.join(pairs) or 'none'})"
+                    raise refusal(expected, name, key=f"load.elastic.{part.name}.measured_by", declared=UNKNOWN_NAME)
         return self
 
     def unit_of(self, channel: ChannelEntry) -> str:
@@ -526,12 +582,12 @@ class Rig(ManifestBlock):
 
     @property
     def surroundings(self) -> Environment:
-        """Return the environment, of which nothing is known where the rig does not state it."""
+        """The environment; empty if the rig does not state it."""
         return self.environment or Environment()
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """Files that rig.toml names."""
+        """Files named in rig.toml."""
         calibrations = [pair.calibration for pair in self.stereo.values()]
         parts = self.load.elastic if self.load is not None else ()
         surfaces = [mode.surface for part in parts for mode in part.mode]

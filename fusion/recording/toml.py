@@ -1,6 +1,6 @@
-"""TOML text to checked models: every mistake becomes one `InputError` that names file and key.
+"""TOML text to checked models: every error becomes one `InputError` that names file and key.
 
-Inputs may be stated as certificates do, a table with U and k in the place of a number.
+Inputs may be stated as in certificates: a table with U and k instead of a number.
 """
 
 from __future__ import annotations
@@ -23,6 +23,21 @@ from pydantic import BaseModel, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
 from fusion.errors import InputError
+from fusion.recording.recording_notices import (
+    FILE_TOO_LARGE,
+    INVALID_SYNTAX,
+    INVALID_UNCERTAINTY_STATEMENT,
+    INVALID_VALUE,
+    KEY_NOT_APPLICABLE,
+    MISSING_FILE,
+    MISSING_KEY,
+    UNFILLED_VALUE,
+    UNKNOWN_KEY,
+    UNREADABLE_FILE,
+    VALUE_OUT_OF_RANGE,
+    WRONG_ENCODING,
+    WRONG_VALUE_TYPE,
+)
 from fusion.recording.values import (
     Context,
     ManifestBlock,
@@ -33,26 +48,33 @@ from fusion.recording.values import (
     wrong_size,
     wrong_text,
 )
+from shakercal._common.notices import DeclaredNotice
 
-LARGEST_TOML = 4_000_000  # bytes; no manifest is anywhere near
-LONG_LINE = 5000  # characters, from which on nesting takes the reader of TOML time
-UTF16 = (b"\xff\xfe", b"\xfe\xff")  # how Windows begins such a file
-DEEPEST = 32  # tables and lists in one another; manifests have five
+LARGEST_TOML = 4_000_000  # bytes; manifests have some 10 000
+LONG_LINE = 5000  # characters; the TOML reader is slow for deep nesting in longer lines
+UTF16 = (b"\xff\xfe", b"\xfe\xff")  # byte order marks
+DEEPEST = 32  # nested tables and lists; manifests have five
 AnyBlock = TypeVar("AnyBlock", bound=ManifestBlock)
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file; syntax errors tell the line, a value beyond all sense its key."""
+    """Return the values of a TOML file; syntax errors name the line, impossible values their key."""
     text = read_text(path, LARGEST_TOML, "a manifest")
     deep = next((number for number, line in enumerate(text.splitlines(), 1) if _nested(line) > DEEPEST), None)
     if deep is not None:
-        raise InputError(path, f"line {deep}", "more", f"at most {DEEPEST} tables or lists in one another")
+        raise InputError(
+            INVALID_SYNTAX,
+            path,
+            f"line {deep}",
+            found="more",
+            expected=f"at most {DEEPEST} tables or lists in one another",
+        )
     try:
         values = tomllib.loads(text)
     except RecursionError as error:
-        raise InputError(path, "", "brackets without end", "TOML") from error
+        raise InputError(INVALID_SYNTAX, path, found="brackets without end", expected="TOML") from error
     except ValueError as error:
-        raise InputError(path, "", describe(str(error), plain=True), "TOML") from error
+        raise InputError(INVALID_SYNTAX, path, found=describe(str(error), plain=True), expected="TOML") from error
     check_values(values, path)
     return values
 
@@ -60,40 +82,42 @@ def read_toml(path: Path) -> dict[str, Any]:
 def read_rows(
     path: Path, largest: int, expected: str = "a table in UTF-8 text"
 ) -> tuple[tuple[str, ...], list[dict[str, str]]]:
-    """Return the columns and rows of a table of at most `largest` bytes; `InputError` for what is none."""
+    """Return columns and rows of a table of at most `largest` bytes; `InputError` for other files."""
     try:
         reader = csv.DictReader(read_text(path, largest, "a table").splitlines())
         return tuple(reader.fieldnames or ()), list(reader)
     except csv.Error as error:
-        raise InputError(path, "", found=str(error), expected=expected) from error
+        raise InputError(INVALID_SYNTAX, path, found=str(error), expected=expected) from error
 
 
 def read_text(path: Path, largest: int, what: str) -> str:
-    """Return the text of a file of at most `largest` bytes; `InputError` for what is no file, too large or no text."""
+    """Return the text of a file of at most `largest` bytes; `InputError` if it is not readable text."""
     try:
         size = path.stat()
         if not stat.S_ISREG(size.st_mode):
             found = "a folder" if stat.S_ISDIR(size.st_mode) else "a device or pipe"
-            raise InputError(path, "", found, "a file that can be read")
+            raise InputError(UNREADABLE_FILE, path, found=found, expected="a file that can be read")
         if size.st_size > largest:
-            raise InputError(path, "", f"{size.st_size} bytes", f"{what} of at most {largest} bytes")
+            raise InputError(
+                FILE_TOO_LARGE, path, found=f"{size.st_size} bytes", expected=f"{what} of at most {largest} bytes"
+            )
         content = path.read_bytes()
         if content.startswith(UTF16):
-            raise InputError(path, "", "UTF-16", "UTF-8 text; save it as UTF-8")
+            raise InputError(WRONG_ENCODING, path, found="UTF-16", expected="UTF-8 text; save it as UTF-8")
         return content.decode("utf-8-sig")
     except FileNotFoundError as error:
-        raise InputError(path, "", "no such file", "an existing file") from error
+        raise InputError(MISSING_FILE, path, found="no such file", expected="an existing file") from error
     except UnicodeDecodeError as error:
         line = content[: error.start].count(b"\n") + 1
         found = f"a letter of another encoding in line {line}, such as code page 1252"
-        raise InputError(path, "", found, "UTF-8 text; save it as UTF-8") from error
+        raise InputError(WRONG_ENCODING, path, found=found, expected="UTF-8 text; save it as UTF-8") from error
     except (OSError, ValueError) as error:  # a ValueError: NUL in the name
         found = getattr(error, "strerror", None) or str(error)
-        raise InputError(path, "", found, "a file that can be read") from error
+        raise InputError(UNREADABLE_FILE, path, found=found, expected="a file that can be read") from error
 
 
 def _nested(line: str) -> int:
-    """How deep a long line of TOML goes, by its brackets and by the dots of the name before its value."""
+    """Return the nesting depth of a long line of TOML, by its brackets and the dots of its key."""
     if len(line) < LONG_LINE:
         return 0
     name = line.partition("=")[0]
@@ -102,32 +126,44 @@ def _nested(line: str) -> int:
 
 
 def check_values(values: Any, path: Path) -> None:
-    """Raise `InputError` at the first value of a file that nobody can mean, whatever its key.
+    """Raise `InputError` at the first impossible value of a file, independent of its key.
 
-    Numbers beyond `SMALLEST` and `LARGEST` in size, control characters, texts without end, tables without a floor.
+    Such values are numbers outside `SMALLEST` to `LARGEST`, control characters, very long texts, deeply nested tables.
     """
     waiting: list[tuple[Any, list[int | str]]] = [(values, [])]
     while waiting:
-        value, place = waiting.pop()
+        value, key_steps = waiting.pop()
         if isinstance(value, dict | list):
-            if len(place) > DEEPEST:
+            if len(key_steps) > DEEPEST:
                 raise InputError(
-                    path, key_path(values, place[:3]), "more", f"at most {DEEPEST} tables or lists in one another"
+                    INVALID_SYNTAX,
+                    path,
+                    key_path(values, key_steps[:3]),
+                    found="more",
+                    expected=f"at most {DEEPEST} tables or lists in one another",
                 )
             steps = value.items() if isinstance(value, dict) else enumerate(value)
             for step, item in steps:
                 wrong = wrong_text(step) if isinstance(step, str) else None
                 if wrong is not None:
-                    raise InputError(path, key_path(values, place), f"the name {describe(step, plain=True)}", wrong)
-                waiting.append((item, [*place, step]))
+                    raise InputError(
+                        INVALID_VALUE,
+                        path,
+                        key_path(values, key_steps),
+                        found=f"the name {describe(step, plain=True)}",
+                        expected=wrong,
+                    )
+                waiting.append((item, [*key_steps, step]))
             continue
         wrong = wrong_text(value) if isinstance(value, str) else wrong_size(value)
         if wrong is not None:
-            raise InputError(path, key_path(values, place), describe(value), wrong)
+            raise InputError(
+                VALUE_OUT_OF_RANGE, path, key_path(values, key_steps), found=describe(value), expected=wrong
+            )
 
 
 def validate(model: type[AnyBlock], text: dict[str, Any], path: Path, context: Context | None = None) -> AnyBlock:
-    """Check TOML values against a model; its problems become one `InputError`."""
+    """Return TOML values as a model; all problems become one `InputError`."""
     values, _ = expand_statements(text, path)
     return checked_table(model, values, path, context=context)
 
@@ -139,23 +175,24 @@ def checked_table(
     location: tuple[dict[str, Any], list[int | str]] | None = None,
     context: Context | None = None,
 ) -> AnyBlock:
-    """Check a table against a model; `within`: the whole file and the place of the table in it, where it is a part."""
+    """Return a table as a model; `location`: the whole file and the key path of the table in it."""
     try:
         return model.model_validate(values, context=context)
     except ValidationError as error:
         whole, start = location or (values, [])
 
-        def told(problem: ErrorDetails) -> InputError:
-            place, own = [*start, *problem["loc"]], problem.get("ctx", {}).get("key")
-            expected, found = describe_problem(model, problem)
-            return InputError(path, key_path(whole, [*place, *own.split(".")] if own else place), found, expected)
+        def located(problem: ErrorDetails) -> InputError:
+            steps, inner = [*start, *problem["loc"]], problem.get("ctx", {}).get("key")
+            declared, expected, found = describe_problem(model, problem)
+            key = key_path(whole, [*steps, *inner.split(".")] if inner else steps)
+            return InputError(declared, path, key, found=found, expected=expected)
 
-        # An unknown key comes before the key that is missing in its stead.
+        # An unknown key is often the misspelt one that is missing: it is reported first.
         problems = sorted(error.errors(include_url=False), key=lambda problem: problem["type"] != "extra_forbidden")
-        raise InputError.together(map(told, problems)) from error
+        raise InputError.together(map(located, problems)) from error
 
 
-# Inputs as certificates state them: a table in the place of a value, or of its standard uncertainty.
+# Inputs as in certificates: a table instead of a value, or of its standard uncertainty.
 
 RELATIVE = (
     "scale",
@@ -167,25 +204,25 @@ RELATIVE = (
     "frequencies",
     "participation",
 )
-"""Values whose standard uncertainty is stated relative to them."""
+"""Values with a relative standard uncertainty."""
 RELATIVE_ALONE = ("frequency", "damping_ratio")
-"""The same where the value itself stands nowhere: of the poles of a chain's element, of a model's modes."""
+"""The same if the table has no such value: for the poles of a chain's element and the modes of a model."""
 UNCERTAINTY_OF = {"step_amplitude": "step_uncertainty"}
-"""Keys of standard uncertainties that are not NAME_uncertainty."""
+"""Keys of standard uncertainties other than NAME_uncertainty."""
 DIVISORS = {"uniform": 3.0**0.5, "triangular": 6.0**0.5, "arcsine": 2.0**0.5}
 """Half-width over standard uncertainty (JCGM 101, 6.4.2, 6.4.5 and 6.4.6)."""
 
 
 def _is_relative(name: str, table: dict[str, Any]) -> bool:
-    """Whether the standard uncertainty of a value of a table is relative to it.
+    """Whether the standard uncertainty of a value is relative.
 
-    `frequency_uncertainty` of a chain's element is, of all its poles; that of a mode is in Hz, as its `frequency`.
+    `frequency_uncertainty` of a chain's element is relative; that of a mode is in Hz, as its `frequency`.
     """
     return name in RELATIVE or (name in RELATIVE_ALONE and name not in table)
 
 
 class UncertaintyStatement(ManifestBlock):
-    """An input as a certificate states it: U, absolute or relative, with its k, or the half-width of a distribution."""
+    """An input as in a certificate: U, absolute or relative, with k, or the half-width of a distribution."""
 
     value: Any = None
     U: Any = None
@@ -199,29 +236,48 @@ class UncertaintyStatement(ManifestBlock):
     valid_until: Date | None = None
 
     @model_validator(mode="after")
-    def _says_enough(self) -> Self:
+    def _is_complete(self) -> Self:
         if (self.U is None) == (self.U_relative is None):
-            raise refusal("either U or U_relative", "neither" if self.U is None else "both", key="U")
+            raise refusal(
+                "either U or U_relative",
+                "neither" if self.U is None else "both",
+                key="U",
+                declared=INVALID_UNCERTAINTY_STATEMENT,
+            )
         numbers = self.U if isinstance(self.U, list | tuple) else [0.0 if self.U is None else self.U]
         if not all(is_number(number) and number >= 0 for number in numbers):
-            raise refusal("a number or numbers, none negative", describe(self.U), key="U")
+            raise refusal(
+                "a number or numbers, none negative", describe(self.U), key="U", declared=INVALID_UNCERTAINTY_STATEMENT
+            )
         if self.distribution == "normal" and self.k is None:
-            raise refusal("the coverage factor k that belongs to U (1 for a standard uncertainty)", "nothing", key="k")
+            raise refusal(
+                "the coverage factor k that belongs to U (1 for a standard uncertainty)",
+                "no such key",
+                key="k",
+                declared=INVALID_UNCERTAINTY_STATEMENT,
+            )
         if self.distribution != "normal" and (self.k or self.dof) is not None:
             key = "dof" if self.k is None else "k"
-            raise refusal(f"no such key: U of a {self.distribution} distribution is its half-width", "one", key=key)
+            raise refusal(
+                f"no such key: U of a {self.distribution} distribution is its half-width",
+                "one",
+                key=key,
+                declared=INVALID_UNCERTAINTY_STATEMENT,
+            )
         if self.date is not None and self.valid_until is not None and self.valid_until < self.date:
             raise refusal(
-                f"a day after {self.date}, the date of the certificate", f"{self.valid_until}", key="valid_until"
+                f"a day after {self.date}, the date of the certificate",
+                f"{self.valid_until}",
+                key="valid_until",
+                declared=INVALID_UNCERTAINTY_STATEMENT,
             )
         return self
 
     def standard_uncertainty(self, value: Any, *, relative: bool) -> Any:
-        """Return u in the unit of a value, or `relative` to it; None where the value does not allow that.
+        """Return u in the unit of a value, or `relative` to it; None if the value does not allow that.
 
-        U/k, or the half-width over its divisor. U without a value of its own is in the unit of the key it stands at.
-        Where U has `dof` degrees of freedom, u = U/k·t(dof)/1.96, so that an interval of 1.96·u is the one of 95 % that
-        these mean.
+        It is U/k, or the half-width over its divisor. U without a value is in the unit of its key. If U has `dof`
+        degrees of freedom, u = U/k·t(dof)/1.96, so that ±1.96·u is the interval of 95 %.
         """
         divisor = DIVISORS.get(self.distribution, self.k or 1.0)
         if self.dof is not None:
@@ -238,9 +294,9 @@ class UncertaintyStatement(ManifestBlock):
 
 @dataclass(frozen=True)
 class UncertainInput:
-    """An input of a `file` with its standard uncertainty `u` as it is used, `relative` or in the unit of the value.
+    """An input of a `file` with its standard uncertainty `u`, `relative` or in the unit of the value.
 
-    `value`: None where the key has no value of its own; `stated`: as on a certificate, None where u stands as it is.
+    `value`: None if the key has none. `stated`: the statement of a certificate, None if u is stated itself.
     """
 
     file: Path
@@ -252,10 +308,10 @@ class UncertainInput:
 
     @property
     def source(self) -> str:
-        """Return certificate, laboratory and dates in words."""
-        own = self.stated or UncertaintyStatement(U=0.0, k=1.0)
-        dates = (str(own.date or ""), "" if own.valid_until is None else f"valid until {own.valid_until}")
-        return ", ".join(filter(None, (own.certificate, own.laboratory, *dates)))
+        """Return certificate, laboratory and dates as text."""
+        stated = self.stated or UncertaintyStatement(U=0.0, k=1.0)
+        dates = (str(stated.date or ""), "" if stated.valid_until is None else f"valid until {stated.valid_until}")
+        return ", ".join(filter(None, (stated.certificate, stated.laboratory, *dates)))
 
 
 def _has_numbers(item: Any) -> bool:
@@ -266,17 +322,17 @@ def _has_numbers(item: Any) -> bool:
 
 
 def uncertain_inputs(text: dict[str, Any], path: Path) -> tuple[UncertainInput, ...]:
-    """Return every input of a file for which an uncertainty other than 0 is stated, in the order of the file."""
+    """Return every input of a file with an uncertainty other than 0, in the order of the file."""
     values, statements = expand_statements(text, path)
     by_key = {statement.key.removesuffix("_uncertainty"): statement for statement in statements}
 
-    def walked(value: Any, place: list[int | str]) -> Iterator[UncertainInput]:
+    def walked(value: Any, key_steps: list[int | str]) -> Iterator[UncertainInput]:
         for step, item in value.items() if isinstance(value, dict) else enumerate(value):
             name = str(step).removesuffix("_uncertainty")
             if isinstance(item, dict | list) and not _has_numbers(item):
-                yield from walked(item, [*place, step])
+                yield from walked(item, [*key_steps, step])
             elif isinstance(value, dict) and name != step and np.any(item):
-                key = key_path(values, [*place, name])
+                key = key_path(values, [*key_steps, name])
                 plain = UncertainInput(path, key, value.get(name), item, _is_relative(name, value))
                 yield by_key.get(key, plain)
 
@@ -284,98 +340,125 @@ def uncertain_inputs(text: dict[str, Any], path: Path) -> tuple[UncertainInput, 
 
 
 def expand_statements(text: dict[str, Any], path: Path) -> tuple[dict[str, Any], tuple[UncertainInput, ...]]:
-    """Return TOML values with every stated input replaced by its value and standard uncertainty, and the statements.
+    """Return TOML values with value and standard uncertainty instead of statements, and the statements.
 
-    A table with U in the place of a value gives the value and its `_uncertainty` key; in the place of an `_uncertainty`
-    key only that. Raises `InputError` for one that says too little or too much.
+    A table with U at a key gives the value and its `_uncertainty` key; a table at an `_uncertainty` key gives only
+    that. Raises `InputError` for an incomplete or contradicting one.
     """
     statements: list[UncertainInput] = []
 
-    def expanded(value: Any, place: list[int | str]) -> Any:
+    def expanded(value: Any, path_steps: list[int | str]) -> Any:
         if isinstance(value, list):
-            return [expanded(item, [*place, number]) for number, item in enumerate(value)]
+            return [expanded(item, [*path_steps, number]) for number, item in enumerate(value)]
         if not isinstance(value, dict):
             return value
         out: dict[str, Any] = {}
         for key, item in value.items():
-            here = [*place, key]
-            # A table of tables, such as stereo pairs, may have one that is named U.
+            steps = [*path_steps, key]
+            # A table of tables, such as stereo pairs, may have one with the name U.
             if not isinstance(item, dict) or all(isinstance(item.get(u, {}), dict) for u in ("U", "U_relative")):
-                out[key] = expanded(item, here)
+                out[key] = expanded(item, steps)
                 continue
-            own, name = checked_table(UncertaintyStatement, item, path, (text, here)), key.removesuffix("_uncertainty")
+            statement, name = (
+                checked_table(UncertaintyStatement, item, path, (text, steps)),
+                key.removesuffix("_uncertainty"),
+            )
             target, relative = UNCERTAINTY_OF.get(name, f"{name}_uncertainty"), _is_relative(name, value)
-            if (own.value is None) == (name == key):
-                wanted = "the value that this U belongs to" if name == key else "no value: it stands at its own key"
-                raise InputError(path, key_path(text, [*here, "value"]), describe(own.value), wanted)
+            if (statement.value is None) == (name == key):
+                expected = "the value that this U belongs to" if name == key else "no value: it has a key"
+                raise InputError(
+                    INVALID_UNCERTAINTY_STATEMENT,
+                    path,
+                    key_path(text, [*steps, "value"]),
+                    found=describe(statement.value),
+                    expected=expected,
+                )
             if name == key and target in value:
                 raise InputError(
-                    path, key_path(text, [*place, target]), "one", f"no such key, since {key} states its U"
+                    KEY_NOT_APPLICABLE,
+                    path,
+                    key_path(text, [*path_steps, target]),
+                    found="one",
+                    expected=f"no such key, since {key} states its U",
                 )
-            u = own.standard_uncertainty(value.get(name) if own.value is None else own.value, relative=relative)
+            u = statement.standard_uncertainty(
+                value.get(name) if statement.value is None else statement.value, relative=relative
+            )
             if u is None:
-                given, wanted = ("U", "U_relative") if relative else ("U_relative", "U")
-                found = describe(getattr(own, given))
-                raise InputError(path, key_path(text, [*here, given]), found, f"{wanted} for a value such as this")
-            statements.append(UncertainInput(path, key_path(text, here), own.value, u, relative, own))
-            out |= {target: u} if own.value is None else {key: own.value, target: u}
+                given, needed = ("U", "U_relative") if relative else ("U_relative", "U")
+                found = describe(getattr(statement, given))
+                raise InputError(
+                    INVALID_UNCERTAINTY_STATEMENT,
+                    path,
+                    key_path(text, [*steps, given]),
+                    found=found,
+                    expected=f"{needed} for a value such as this",
+                )
+            statements.append(UncertainInput(path, key_path(text, steps), statement.value, u, relative, statement))
+            out |= {target: u} if statement.value is None else {key: statement.value, target: u}
         return out
 
     return expanded(text, []), tuple(statements)
 
 
 UNFILLED = "?"
-"""What stands in a drafted manifest in the place of a value that only the laboratory knows."""
+"""Placeholder in a drafted manifest for a value that the laboratory must state."""
 
 
 def find_unfilled(text: dict[str, Any], path: Path) -> list[InputError]:
-    """Return a mistake for every value of a file that is still to be filled in, in the order of the file.
+    """Return an error for every placeholder of a file, in the order of the file.
 
-    What is expected there is what the comment behind the value says.
+    The expected value is described by the comment after the placeholder.
     """
-    places: list[list[int | str]] = []
+    unfilled_paths: list[list[int | str]] = []
 
-    def walk(value: Any, place: list[int | str]) -> None:
+    def walk(value: Any, key_steps: list[int | str]) -> None:
         for step, item in value.items() if isinstance(value, dict) else enumerate(value):
             if isinstance(item, dict | list):
-                walk(item, [*place, step])
+                walk(item, [*key_steps, step])
             elif item == UNFILLED:
-                places.append([*place, step])
+                unfilled_paths.append([*key_steps, step])
 
     walk(text, [])
-    marks = (line.partition("#") for line in read_text(path, LARGEST_TOML, "a manifest").splitlines() if places)
+    marks = (line.partition("#") for line in read_text(path, LARGEST_TOML, "a manifest").splitlines() if unfilled_paths)
     comments = [comment.strip() for value, _, comment in marks for _ in range(value.count(f'"{UNFILLED}"'))]
-    told = comments if len(comments) == len(places) else [""] * len(places)
+    descriptions = comments if len(comments) == len(unfilled_paths) else [""] * len(unfilled_paths)
     return [
-        InputError(path, key_path(text, place), f'"{UNFILLED}", not filled in yet', comment or "a value")
-        for place, comment in zip(places, told, strict=True)
+        InputError(
+            UNFILLED_VALUE,
+            path,
+            key_path(text, key_steps),
+            found=f'"{UNFILLED}", not filled in yet',
+            expected=comment or "a value",
+        )
+        for key_steps, comment in zip(unfilled_paths, descriptions, strict=True)
     ]
 
 
 def quote_key(name: str) -> str:
-    """A name as part of a key path, in quotes unless TOML takes it bare."""
+    """Return a name as part of a key path, in quotes unless it is a bare key."""
     return name if re.fullmatch(r"[A-Za-z0-9_-]{1,60}", name) else f'"{describe(name, plain=True)}"'
 
 
-def key_path(text: dict[str, Any], place: list[int | str]) -> str:
-    """Key path for people: blocks of an array by their name, else counted from 1: `daq.bridge.channel.Fz.scale`."""
-    told = ""
+def key_path(text: dict[str, Any], key_steps: list[int | str]) -> str:
+    """Return a key path with blocks by name, or counted from 1: `daq.bridge.channel.Fz.scale`."""
+    shown = ""
     value: Any = text
-    for step in place:
+    for step in key_steps:
         inside = isinstance(value, list | tuple) if isinstance(step, int) else isinstance(value, dict)
-        known = inside and (step < len(value) if isinstance(step, int) else step in value)
-        child = value[step] if known else None
+        present = inside and (step < len(value) if isinstance(step, int) else step in value)
+        child = value[step] if present else None
         name = step if isinstance(step, str) else _block_name(value, child)
         if isinstance(step, int) and not name:
-            told += f"[{step + 1}]"
+            shown += f"[{step + 1}]"
         else:
-            told += f".{quote_key(name)}" if told else quote_key(name)
+            shown += f".{quote_key(name)}" if shown else quote_key(name)
         value = child
-    return told
+    return shown
 
 
 def _block_name(siblings: Any, block: Any) -> str:
-    """What identifies a block among its siblings, empty if nothing does."""
+    """Return the name that identifies a block among its siblings, empty if there is none."""
     for key in ("name", "stereo") if isinstance(block, dict) else ():
         names = [item.get(key) for item in siblings if isinstance(item, dict)]
         if isinstance(block.get(key), str) and names.count(block[key]) == 1:
@@ -383,15 +466,25 @@ def _block_name(siblings: Any, block: Any) -> str:
     return ""
 
 
-def describe_problem(model: type[ManifestBlock], problem: ErrorDetails) -> tuple[str, str]:
-    """What was expected and what was found, for any error of pydantic's."""
+VALIDATION_ERRORS = {
+    "greater_than": VALUE_OUT_OF_RANGE,
+    "greater_than_equal": VALUE_OUT_OF_RANGE,
+    "less_than_equal": VALUE_OUT_OF_RANGE,
+    "less_than": VALUE_OUT_OF_RANGE,
+    "literal_error": INVALID_VALUE,
+}
+"""Declarations by pydantic's type of error; all others are wrong types."""
+
+
+def describe_problem(model: type[ManifestBlock], problem: ErrorDetails) -> tuple[DeclaredNotice, str, str]:
+    """Return the declaration, the expected and the found value of any error of pydantic."""
     kind, context = problem["type"], problem.get("ctx", {})
     if kind == "refused":
-        return str(context["expected"]), str(context["found"])
+        return context["declared"], str(context["expected"]), str(context["found"])
     if kind == "missing":
-        return "this key, which is required", "nothing"
+        return MISSING_KEY, "this key, which is required", "no such key"
     if kind == "extra_forbidden":
-        return _known_keys(model, problem["loc"]), "an unknown key"
+        return UNKNOWN_KEY, _available_keys(model, problem["loc"]), "an unknown key"
     expected = {
         "float_type": "a number",
         "finite_number": "a finite number",
@@ -408,22 +501,23 @@ def describe_problem(model: type[ManifestBlock], problem: ErrorDetails) -> tuple
         "model_type": "a table",
         "dict_type": "a table",
     }.get(kind)
-    return expected.format(**context) if expected else problem["msg"], describe(problem["input"])
+    declared = VALIDATION_ERRORS.get(kind, WRONG_VALUE_TYPE)
+    return declared, expected.format(**context) if expected else problem["msg"], describe(problem["input"])
 
 
-def _known_keys(model: type[BaseModel], place: tuple[int | str, ...]) -> str:
-    """Which key of the table at a place below a model was probably meant, else all its keys."""
-    for step in place[:-1]:
+def _available_keys(model: type[BaseModel], path: tuple[int | str, ...]) -> str:
+    """Return the key of the table at a key path that was probably meant, else all its keys."""
+    for step in path[:-1]:
         field = model.model_fields.get(step) if isinstance(step, str) else None
         below = next(models_in(field.annotation), None) if field is not None else None
         model = below or model
-    known = list(model.model_fields)
-    close = get_close_matches(str(place[-1]), known, n=1)
-    return f'a known key, probably "{close[0]}"' if close else "one of the keys " + ", ".join(known)
+    available = list(model.model_fields)
+    close = get_close_matches(str(path[-1]), available, n=1)
+    return f'a key of this table, probably "{close[0]}"' if close else "one of the keys " + ", ".join(available)
 
 
 def models_in(annotation: Any) -> Iterator[type[BaseModel]]:
-    """The models that an annotation such as tuple[Daq, ...] names."""
+    """Yield the models that an annotation such as tuple[Daq, ...] names."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
     for argument in get_args(annotation):
@@ -447,10 +541,10 @@ def to_toml(table: Mapping[str, Any], path: str = "") -> str:
 
 
 def _is_table(value: Any) -> bool:
-    """Say whether a value needs a header of its own."""
+    """Whether a value needs a header."""
     return isinstance(value, Mapping) or (isinstance(value, list) and bool(value) and isinstance(value[0], Mapping))
 
 
 def _shown(value: Any) -> str:
-    """Return a plain value as TOML has it."""
+    """Return a plain value as TOML text."""
     return value.isoformat() if isinstance(value, Date) else json.dumps(value, ensure_ascii=False)

@@ -1,4 +1,4 @@
-"""Units of recorded channels: what a file states against what the manifest needs."""
+"""Units of recorded channels: units of files compared with those that the manifest requires."""
 
 from __future__ import annotations
 
@@ -16,9 +16,19 @@ from fusion.errors import InputError
 from fusion.recording.dcc import SUFFIX, read_dcc
 from fusion.recording.dcc_curves import curve_named
 from fusion.recording.dsi import NONE, Dimension, parse_unit
+from fusion.recording.recording_notices import (
+    CERTIFIED_SCALE_UNIT,
+    CONVERTER_CODES,
+    OUTPUT_EXCEEDS_SUPPLY,
+    RESPONSE_WITHOUT_UNIT,
+    SCALE_CONTRADICTS_UNIT,
+    SCALE_REQUIRED,
+    UNIT_OF_ANOTHER_QUANTITY,
+    UNKNOWN_FILE_UNIT,
+)
 from fusion.recording.response import ELEMENTS, read_chain, read_table
 from fusion.recording.toml import quote_key
-from shakercal._common.notices import Notice
+from shakercal._common.notices import DeclaredNotice, Notice, Value
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -56,7 +66,7 @@ DIFFERENT = {
     "kgf": (FREE_FALL_MPS2, FORCE),
     "%": (1e-2, NONE),
 }
-"""Units in small letters that the D-SI lacks or means otherwise, in SI: the g of accelerometers is no gram."""
+"""Units in small letters that the D-SI lacks or defines differently, in SI: the g of accelerometers is no gram."""
 WORDS = {
     **dict.fromkeys(("volt", "volts"), "V"),
     **dict.fromkeys(("millivolt", "millivolts", "mv"), "mV"),
@@ -76,11 +86,11 @@ WORDS = {
     **dict.fromkeys(("percent", "pct"), "%"),
     "ips": "in/s",
 }
-"""Spellings in small letters of units that have another one."""
+"""Other spellings of units, in small letters."""
 RAW = ("count", "counts", "digit", "digits", "lsb", "adc", "code", "codes", "raw", "bit", "bits")
-"""Words in small letters for the integers of a converter, which are in no unit of a quantity."""
+"""Words in small letters for the integers of a converter, which have no unit of a quantity."""
 NOT_STATED = ("", "-", "none", "n/a", "na", "unit", "units", "unknown", "undefined")
-"""Texts in small letters that stand where a file states no unit."""
+"""Texts in small letters of files that state no unit."""
 SUPPLY = 1.0
 """V/V: an amplitude that no bridge has."""
 SAME = 1e-9
@@ -88,22 +98,22 @@ SAME = 1e-9
 CORRECTED = 0.1
 """Relative deviation of a scale from the factor between two units that a correction of a calibration may have."""
 PLAIN = (0.5, 2.0)
-"""Magnitudes of a response without unit that may be those of an amplifier or filter, and so no sensitivity."""
+"""Magnitudes of a response without unit that are those of an amplifier or filter, not of a sensitivity."""
 
 
 @dataclass(frozen=True)
 class RecordedUnit:
-    """A unit as a recorder writes it: `factor` to the SI unit of its `dimension`; `raw`: codes of a converter."""
+    """The unit of a recorder's file: `factor` to the SI unit of its `dimension`; `raw`: converter codes."""
 
     factor: float
     dimension: Dimension
     raw: bool = False
 
     def over(self, other: RecordedUnit) -> float | None:
-        """Return what values in this unit are multiplied by to be in another one; None where no factor does that."""
+        """Return the factor from this unit to another one, None if no factor converts them."""
         factor = self.factor / other.factor
-        alike = self.dimension == other.dimension and self.raw == other.raw
-        return (1.0 if abs(factor - 1.0) <= SAME else factor) if alike else None
+        convertible = self.dimension == other.dimension and self.raw == other.raw
+        return (1.0 if abs(factor - 1.0) <= SAME else factor) if convertible else None
 
     @property
     def mechanical(self) -> bool:
@@ -112,7 +122,7 @@ class RecordedUnit:
 
 
 def _spelt(text: str) -> str:
-    """Return a unit in plain ASCII, without brackets around it: `m/s^2` of `[m/s\u00b2]`, `um` of `\u00b5m`."""
+    """Return a unit in plain ASCII without brackets: `m/s^2` of `[m/s\u00b2]`, `um` of `\u00b5m`."""
     plain = text.strip()
     if len(plain) > 2 and plain[0] + plain[-1] in ("[]", "{}"):
         plain = plain[1:-1].strip()
@@ -129,7 +139,7 @@ def _capital(found: re.Match[str]) -> str:
 
 @cache
 def recorded_unit(text: str) -> RecordedUnit | None:
-    """Read the unit of a channel; None of a text that states none and of a spelling that is not known.
+    """Return the unit of a channel, None if the text states none or is not recognised.
 
     >>> from fusion.recording.units import recorded_unit
     >>> recorded_unit("mm/s").factor, recorded_unit("g").factor, recorded_unit("EU")
@@ -153,7 +163,7 @@ def recorded_unit(text: str) -> RecordedUnit | None:
     return None
 
 
-# What a manifest has to state where the unit of a file is not that of the quantity.
+# Scales that a manifest must state if the unit of a file is not that of the quantity.
 
 
 def in_stated_units(manifest: Manifest, daq: Daq, raw: Mapping[str, RawChannel]) -> dict[str, RawChannel]:
@@ -168,15 +178,15 @@ def in_stated_units(manifest: Manifest, daq: Daq, raw: Mapping[str, RawChannel])
             continue
         channel = channels[entry.name]
         found = recorded_unit(channel.unit)
-        wanted = None if found is None else _wanted(entry, manifest.rig)
-        if found is None or wanted is None:
+        required = None if found is None else _required_unit(entry, manifest.rig)
+        if found is None or required is None:
             continue
-        factor = found.over(wanted)
+        factor = found.over(required)
         if factor is None:
-            key, what = f"daq.{daq.name}.channel.{entry.name}.scale", manifest.rig.unit_of(entry)
-            named = f"the factor in {what} per {channel.unit}, the unit of {entry.stored_name} in {daq.file.name}"
-            named += " (1 if the response is the sensitivity)" if entry.response is not None else ""
-            missing.append(InputError(manifest.path, key, found="nothing", expected=named))
+            key, unit = f"daq.{daq.name}.channel.{entry.name}.scale", manifest.rig.unit_of(entry)
+            expected = f"the factor in {unit} per {channel.unit}, the unit of {entry.stored_name} in {daq.file.name}"
+            expected += " (1 if the response is the sensitivity)" if entry.response is not None else ""
+            missing.append(InputError(SCALE_REQUIRED, manifest.path, key, found="no such key", expected=expected))
         elif factor != 1.0:
             unit = manifest.rig.unit_of(entry)
             channels[entry.name] = replace(channel, samples=channel.samples * factor, unit=unit)
@@ -185,11 +195,11 @@ def in_stated_units(manifest: Manifest, daq: Daq, raw: Mapping[str, RawChannel])
     return channels
 
 
-def _wanted(entry: ChannelEntry, rig: Rig) -> RecordedUnit | None:
-    """Return the unit that samples times `scale` have to have, None where that is not known.
+def _required_unit(entry: ChannelEntry, rig: Rig) -> RecordedUnit | None:
+    """Return the required unit of samples times `scale`, None if it is undetermined.
 
-    A response whose unit is stated turns the quantity into what it is measured by. Of another one that is a sensitivity
-    by its size the unit is open.
+    A response with a stated unit converts the quantity into an electrical one. Without a unit, a response that is a
+    sensitivity by its size leaves it undetermined.
     """
     unit = recorded_unit(rig.unit_of(entry))
     if unit is None or entry.response is None:
@@ -207,9 +217,9 @@ def _wanted(entry: ChannelEntry, rig: Rig) -> RecordedUnit | None:
 
 
 def _usual_magnitude(path: Path, columns: ResponseColumns | None) -> float:
-    """Return the size of a response without unit: of a table the median, of a chain the product of its gains.
+    """Return the magnitude of a response without unit: the median of a table, or the product of a chain's gains.
 
-    0 of one that cannot be read, which commands that use it refuse.
+    0 if it cannot be read; the commands that use it refuse it.
     """
     with suppress(InputError):
         if path.suffix.lower() == ELEMENTS:
@@ -219,42 +229,47 @@ def _usual_magnitude(path: Path, columns: ResponseColumns | None) -> float:
 
 
 def unit_notices(manifest: Manifest, daq: Daq, raw: Mapping[str, RawChannel]) -> tuple[Notice, ...]:
-    """Return a question for every channel whose file states another unit than its `scale` lets expect."""
-    told = []
+    """Return a notice for every channel whose file states another unit than its `scale` implies."""
+    notices = []
     certified = {item.key for item in manifest.inputs if item.stated is not None and item.stated.certificate}
-    for entry in daq.channel:
-        where = f"daq.{quote_key(daq.name)}.channel.{quote_key(entry.name)}.scale"
-        of_certificate = any(key.endswith(where) for key in certified)
-        unit = raw[entry.name].unit
-        doubt = None if entry.quantity == "trigger" else _doubt(entry, unit, manifest.rig, of_certificate)
+    for entry in (entry for entry in daq.channel if entry.quantity != "trigger"):
+        key = f"daq.{quote_key(daq.name)}.channel.{quote_key(entry.name)}.scale"
+        of_certificate = any(other.endswith(key) for other in certified)
+        found = _unit_notice(entry, raw[entry.name].unit, manifest.rig, of_certificate)
+        declared, values = (None, {}) if found is None else found
         peak = abs(entry.scale) * float(np.ptp(np.nan_to_num(raw[entry.name].samples))) / 2.0
-        if doubt is None and entry.quantity == "output" and manifest.rig.unit_of(entry) == "V/V" and peak > SUPPLY:
-            doubt = f"the output swings by {peak:.3g} V/V, more than its supply: are scale and in_file right?"
-        if doubt is not None:
-            told.append(Notice("warning", f"{where}: {doubt}", manifest.path.name))
-    return tuple(told)
+        if declared is None and entry.quantity == "output" and manifest.rig.unit_of(entry) == "V/V" and peak > SUPPLY:
+            declared, values = OUTPUT_EXCEEDS_SUPPLY, {"amplitude": peak}
+        if declared is not None:
+            notices.append(Notice(declared, manifest.path.name, key=key, **values))
+    return tuple(notices)
 
 
-def _doubt(entry: ChannelEntry, stated: str, rig: Rig, of_certificate: bool) -> str | None:
-    """Return what is to be asked of the scale of a channel whose file states a unit."""
-    unit, quantity, text = recorded_unit(stated), rig.unit_of(entry), None
-    given, wanted = "scale" in entry.model_fields_set, None if unit is None else _wanted(entry, rig)
-    factor = None if unit is None or wanted is None else unit.over(wanted)
+def _unit_notice(
+    entry: ChannelEntry, stated: str, rig: Rig, of_certificate: bool
+) -> tuple[DeclaredNotice, dict[str, Value]] | None:
+    """Return a notice on the scale of a channel whose file states a unit, with its values."""
+    unit, quantity_unit = recorded_unit(stated), rig.unit_of(entry)
+    values: dict[str, Value] = {"unit": stated, "quantity_unit": quantity_unit}
+    scale_stated = "scale" in entry.model_fields_set
+    required = None if unit is None else _required_unit(entry, rig)
+    factor = None if unit is None or required is None else unit.over(required)
+    found: tuple[DeclaredNotice, dict[str, Value]] | None = None
     if unit is None:
-        if not given and _spelt(stated).lower() not in (*NOT_STATED, _spelt(quantity).lower()):
-            text = f"which is not known and taken for {quantity}: is it that, with a scale of 1?"
-    elif not given:
-        if wanted is None and entry.response is not None and unit.factor != 1.0:
-            text = f"and the response none: is it the sensitivity per {stated}, with a scale of 1?"
-    elif factor is not None and wanted is not None:
-        # Of volts and ratios the scale may be an amplifier's, unless it says that the file is in the unit itself.
-        off = abs(abs(entry.scale) / factor - 1.0) > CORRECTED
-        if off if wanted.mechanical else abs(entry.scale) == 1.0 != factor:
-            text = f"of which {factor:.6g} makes {quantity}: is {entry.scale:g} right?"
+        if not scale_stated and _spelt(stated).lower() not in (*NOT_STATED, _spelt(quantity_unit).lower()):
+            found = UNKNOWN_FILE_UNIT, values
+    elif not scale_stated:
+        if required is None and entry.response is not None and unit.factor != 1.0:
+            found = RESPONSE_WITHOUT_UNIT, {"unit": stated}
+    elif factor is not None and required is not None:
+        # The scale of volts and ratios may be an amplifier's, unless it is 1.
+        deviates = abs(abs(entry.scale) / factor - 1.0) > CORRECTED
+        if deviates if required.mechanical else abs(entry.scale) == 1.0 != factor:
+            found = SCALE_CONTRADICTS_UNIT, values | {"factor": factor, "scale": entry.scale}
     elif unit.raw and entry.scale == 1.0 and entry.response is None:
-        text = f"codes of a converter: is one of them 1 {quantity}?"
+        found = CONVERTER_CODES, values
     elif of_certificate and not unit.mechanical and unit.factor != 1.0:
-        text = f"and the scale is that of a certificate: is it per {stated}?"
-    elif wanted is not None and unit.mechanical and wanted.mechanical:
-        text = f"of which no factor makes {quantity}: is this channel {entry.quantity}?"
-    return None if text is None else f'the file states the unit "{stated}", {text}'
+        found = CERTIFIED_SCALE_UNIT, {"unit": stated}
+    elif required is not None and unit.mechanical and required.mechanical:
+        found = UNIT_OF_ANOTHER_QUANTITY, values | {"quantity": entry.quantity}
+    return found

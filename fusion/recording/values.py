@@ -1,7 +1,7 @@
-"""What the values of a TOML file may be, where the files that they name may lie.
+"""Types and validators of manifest values, and the resolution of paths.
 
-Each refusal says what was expected and what was found. TOML values are taken without any conversion but two: an integer
-is a number, and one number may stand for all elements of an uncertainty.
+Each refusal states the expected and the found value. TOML values are converted in two cases only: an integer is a
+number, and one number may represent all elements of an uncertainty.
 """
 
 from __future__ import annotations
@@ -22,19 +22,33 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from pydantic_core import PydanticCustomError
 
 from fusion.base import natural_key
+from fusion.recording.recording_notices import (
+    IMPOSSIBLE_MASS_PROPERTIES,
+    INVALID_VALUE,
+    KEY_NOT_APPLICABLE,
+    MISSING_FILE,
+    MISSING_KEY,
+    NAME_NOT_USABLE_IN_FILES,
+    PATH_NOT_ALLOWED,
+    REPEATED_NAME,
+    UNREADABLE_FILE,
+    VALUE_OUT_OF_RANGE,
+    WRONG_VALUE_TYPE,
+)
+from shakercal._common.notices import DeclaredNotice
 
 if TYPE_CHECKING:
     from fusion.recording.rig import InstrumentHead, Stereo
 
 
-# Paths that stand in a manifest: resolved against its folder, kept inside the campaign, globs ordered naturally.
+# Paths in a manifest: resolved against its folder, inside the campaign, globs in natural order.
 
 
 MAGIC = re.compile(r"[*?\[]")
 
 
 def _other_than_file(path: Path) -> str:
-    """Say what is at a path where no file is."""
+    """Return a description of a path that is not a file."""
     if path.is_dir():
         return f"a folder at {path}"
     return f"a device or pipe at {path}" if path.exists() else f"no file {path}"
@@ -42,9 +56,9 @@ def _other_than_file(path: Path) -> str:
 
 @dataclass(frozen=True)
 class PathScope:
-    """Where the paths of one manifest start (`folder`) and which folder they may not leave (`root`, resolved).
+    """Folder where the paths of a manifest start, and the resolved `root` that contains them.
 
-    The one gate of every path of every manifest. `of`: whose folder that is, in words.
+    Every path of every manifest is resolved by it. `of`: a description of the root.
     """
 
     folder: Path
@@ -53,74 +67,79 @@ class PathScope:
     of: str = "of rig.toml"
 
     def file(self, text: str) -> Path:
-        """Resolve the path of one existing file."""
+        """Return the resolved path of one existing file."""
         path = self._inside(self._followed(self._join(text), text), text)
         if not path.is_file():
-            raise refusal("an existing file", _other_than_file(path))
+            raise refusal("an existing file", _other_than_file(path), declared=MISSING_FILE)
         return path
 
     def files(self, text: str) -> tuple[Path, ...]:
-        """Resolve one path or a glob (`*`, `?`, `[…]`) to its existing files in natural order."""
+        """Return the existing files of a path or a glob (`*`, `?`, `[…]`), in order."""
         plain = self._join(text)
         if plain.is_file():
             return (self._inside(self._followed(plain, text), text),)
         if not MAGIC.search(text):
             return (self.file(text),)
         if "**" in text:
-            raise refusal("a pattern that stays in one folder", f"'{text}' with '**'")
+            raise refusal("a pattern that stays in one folder", f"'{text}' with '**'", declared=PATH_NOT_ALLOWED)
         matches = [path for path in self._expand(text) if path.is_file()]
         if not matches:
-            raise refusal("at least one file", f"nothing that matches {plain}")
+            raise refusal("at least one file", f"no file that matches {plain}", declared=MISSING_FILE)
         folders = {folder: self._followed(folder, text) for folder in {path.parent for path in matches}}
         real = (self._followed(p, text) if p.is_symlink() else folders[p.parent] / p.name for p in matches)
         return tuple(self._inside(path, text) for path in real)
 
     def _join(self, text: str) -> Path:
-        """Check the syntax of a path and put it behind the manifest's folder."""
+        """Check the syntax of a path and join it to the manifest's folder."""
         if not text.strip() or UNPRINTABLE.search(text):
-            raise refusal("a path", "an empty text" if not text.strip() else "a text with control characters")
+            raise refusal(
+                "a path",
+                "an empty text" if not text.strip() else "a text with control characters",
+                declared=INVALID_VALUE,
+            )
         if "\\" in text:
-            raise refusal("a path with '/' between its parts", f"'{text}'")
+            raise refusal("a path with '/' between its parts", f"'{text}'", declared=PATH_NOT_ALLOWED)
         absolute = PurePosixPath(text).is_absolute() or PureWindowsPath(text).drive != ""
         if absolute and not self.allow_outside:
-            raise refusal("a path relative to this file", f"'{text}'")
+            raise refusal("a path relative to this file", f"'{text}'", declared=PATH_NOT_ALLOWED)
         return self.folder / text
 
     def _followed(self, path: Path, text: str) -> Path:
-        """Follow links."""
+        """Return a path without links."""
         try:
             return path.resolve()
-        except RuntimeError as error:  # as versions of Python before 3.13 tell it
-            raise refusal("a path that can be read", f"links that lead in a circle at '{text}'") from error
+        except RuntimeError as error:  # raised by Python before 3.13
+            raise refusal("a path that can be read", f"circular links at '{text}'", declared=UNREADABLE_FILE) from error
 
     def _inside(self, path: Path, text: str) -> Path:
-        """Refuse a path without links that lies outside the campaign's folder."""
+        """Refuse a resolved path outside the campaign's folder."""
         if not self.allow_outside and not path.is_relative_to(self.root):
             raise refusal(
                 f"a path inside the folder {self.of} {self.root} (--allow-outside permits others)",
                 f"'{text}', which leads to {path}",
+                declared=PATH_NOT_ALLOWED,
             )
         return path
 
     def _expand(self, text: str) -> list[Path]:
-        """Match a glob part by part, case-sensitively, each folder's entries in natural order.
+        """Return the matches of a glob, case-sensitively, each folder's entries in natural order.
 
-        A pattern matches hidden entries only where it names the dot.
+        A pattern matches hidden entries only if it contains the dot.
         """
         anchor = PurePosixPath(text).anchor
-        places = [Path(anchor or self.folder)]
+        matches = [Path(anchor or self.folder)]
         for pattern in PurePosixPath(text).relative_to(anchor).parts:
             if not MAGIC.search(pattern):
-                places = [place / pattern for place in places if (place / pattern).exists()]
+                matches = [path / pattern for path in matches if (path / pattern).exists()]
                 continue
-            folders = [place.iterdir() for place in places if place.is_dir()]
+            folders = [path.iterdir() for path in matches if path.is_dir()]
             entries = [entry for below in folders for entry in sorted(below, key=lambda path: natural_key(path.name))]
             named = [entry for entry in entries if fnmatchcase(entry.name, pattern)]
-            places = [entry for entry in named if pattern.startswith(".") or not entry.name.startswith(".")]
-        return places
+            matches = [entry for entry in named if pattern.startswith(".") or not entry.name.startswith(".")]
+        return matches
 
 
-# What the values of a manifest may be; each refusal says what was expected and what was found.
+# Types and validators of manifest values.
 
 
 Vector3 = tuple[float, float, float]
@@ -140,7 +159,7 @@ ROUNDING_TOLERANCE = 0.01  # of the largest principal moment: tables of two or t
 
 @dataclass(frozen=True)
 class Context:
-    """What validation needs beside the text: where paths lead, and the stereo pairs and heads of the rig."""
+    """Context of a validation: scope of paths, stereo pairs and heads of the rig."""
 
     scope: PathScope
     stereo: dict[str, Stereo]
@@ -148,48 +167,50 @@ class Context:
 
 
 class ManifestBlock(BaseModel):
-    """A TOML table: its keys are the attributes, unknown ones are refused, nothing is converted, nothing changes.
+    """A TOML table with its keys as attributes: immutable, without conversion, unknown keys are refused.
 
-    Its validator is built when it is first used: a table within another needs none of its own.
+    Its validator is built at its first use: a table inside another one needs no validator.
     """
 
     model_config = ConfigDict(strict=True, frozen=True, extra="forbid", defer_build=True)
 
 
-def refusal(expected: str, found: str, key: str = "") -> PydanticCustomError:
-    """The error a validator raises; `key` names the offending key where the whole table was checked."""
-    return PydanticCustomError(
-        "refused", "expected {expected}, found {found}", {"expected": expected, "found": found, "key": key}
-    )
+def refusal(expected: str, found: str, key: str = "", declared: DeclaredNotice = INVALID_VALUE) -> PydanticCustomError:
+    """Return the error that a validator raises; `key`: within the table."""
+    context = {"expected": expected, "found": found, "key": key, "declared": declared}
+    return PydanticCustomError("refused", "expected {expected}, found {found}", context)
 
 
 SMALLEST, LARGEST = 1e-100, 1e30
-"""Sizes of numbers in SI units between which every input lies that is not 0; their products do not overflow."""
+"""Range of the size of numbers other than 0, in SI units: their products do not overflow."""
 LONGEST_TEXT = 4096
 LONGEST_FILE_NAME = 100  # bytes of a name in the name of a file
-MOST_ITEMS = 10_000  # blocks of one kind, names in a list
+MOST_ITEMS = 10_000  # blocks of one kind, names in a list; manifests have some 100
 UNPRINTABLE = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
-"""Control characters, line ends that are none of a text file, what turns the direction of writing; not tab and \n."""
+"""Control characters except tab and \n, line separators, characters that change the direction of writing."""
 
 
 def wrong_text(text: str) -> str | None:
-    """Say what a text should be that stands in a file: short, and without control characters; None if it is."""
+    """Return the expected form of a text of a file, None if it complies."""
     if len(text) > LONGEST_TEXT:
         return f"a text of at most {LONGEST_TEXT} characters"
     return "a text without control characters" if UNPRINTABLE.search(text.replace("\r\n", "\n")) else None
 
 
 def wrong_size(value: Any) -> str | None:
-    """Say what a number should be that overflows, or vanishes, where it is multiplied; None of all else."""
+    """Return the expected range of a number whose products overflow or vanish, else None."""
     if not isinstance(value, int | float) or isinstance(value, bool) or value in (0, np.inf, -np.inf):
         return None
     return f"0 or a size of {SMALLEST:g} to {LARGEST:g}" if abs(value) < SMALLEST or abs(value) > LARGEST else None
 
 
 def describe(value: Any, *, plain: bool = False) -> str:
-    """Say in a few words what was found in a TOML file, control characters by their number; `plain`: a text alone."""
+    """Return a short description of a TOML value; `plain`: of a text, the text itself.
+
+    Control characters are replaced by their numbers.
+    """
     if value is None or isinstance(value, bool):
-        return {None: "nothing", True: "true", False: "false"}[value]
+        return {None: "no value", True: "true", False: "false"}[value]
     if isinstance(value, str):
         short = value if len(value) <= 60 or (plain and len(value) <= 200) else value[:57] + "..."
         short = UNPRINTABLE.sub(lambda found: f"\\u{ord(found[0]):04x}", short)
@@ -204,34 +225,34 @@ def describe(value: Any, *, plain: bool = False) -> str:
 
 
 def is_number(value: Any) -> bool:
-    """Numbers are finite int and float; bool is none."""
+    """Whether a value is a finite int or float, not a bool."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
 
 
 def _numbers(value: Any, count: int, expected: str) -> tuple[float, ...]:
     if not isinstance(value, list | tuple):
-        raise refusal(expected, describe(value))
+        raise refusal(expected, describe(value), declared=WRONG_VALUE_TYPE)
     if len(value) != count:
-        raise refusal(expected, f"{len(value)} elements")
+        raise refusal(expected, f"{len(value)} elements", declared=WRONG_VALUE_TYPE)
     wrong = [(i, element) for i, element in enumerate(value, 1) if not is_number(element)]
     if wrong:
-        raise refusal(expected, f"{describe(wrong[0][1])} as element {wrong[0][0]}")
+        raise refusal(expected, f"{describe(wrong[0][1])} as element {wrong[0][0]}", declared=WRONG_VALUE_TYPE)
     return tuple(float(element) for element in value)
 
 
 def vector(count: int) -> Callable[[Any], tuple[float, ...]]:
-    """Validator of a list of `count` numbers."""
+    """Return a validator of a list of `count` numbers."""
     return lambda value: _numbers(value, count, f"{count} numbers")
 
 
 def rows_of(rows: int, columns: int, fewer: int | None = None) -> Callable[[Any], tuple[tuple[float, ...], ...]]:
-    """Validator of a list of `rows` lists of `columns` numbers, or of `fewer`, then with zeros for the others."""
+    """Return a validator of `rows` lists of `columns` numbers, or of `fewer`, padded with zeros."""
     expected = f"{rows} rows of {columns if fewer is None else f'{fewer} or {columns}'} numbers"
 
     def checked(value: Any) -> tuple[tuple[float, ...], ...]:
         if not isinstance(value, list | tuple) or len(value) != rows:
             found = f"{len(value)} rows" if isinstance(value, list | tuple) else describe(value)
-            raise refusal(expected, found)
+            raise refusal(expected, found, declared=WRONG_VALUE_TYPE)
         if fewer is not None and all(isinstance(row, list | tuple) and len(row) == fewer for row in value):
             value = [[*row, *[0.0] * (columns - fewer)] for row in value]
         return tuple(_numbers(row, columns, expected) for row in value)
@@ -243,25 +264,29 @@ _matrix3 = rows_of(3, 3)
 
 
 def box(value: Any) -> Box:
-    """Return a rectangle of whole pixels: left, top, width, height."""
+    """Return a rectangle in whole pixels: left, top, width, height."""
     whole = isinstance(value, list | tuple) and len(value) == 4 and all(type(part) is int for part in value)
     if not (whole and min(value) >= 0 and min(value[2:]) >= 1 and max(value) <= MOST_PIXELS):
-        raise refusal("[x, y, width, height] of the left picture in whole px, the latter two above 0", describe(value))
+        raise refusal(
+            "[x, y, width, height] of the left image in whole px, width and height above 0",
+            describe(value),
+            declared=WRONG_VALUE_TYPE,
+        )
     x, y, width, height = value
     return x, y, width, height
 
 
 def boxes(value: Any) -> tuple[Box, ...]:
-    """Return rectangles of whole pixels."""
+    """Return rectangles in whole pixels."""
     if not isinstance(value, list | tuple) or any(not isinstance(one, list | tuple) for one in value):
-        raise refusal("a list of [x, y, width, height]", describe(value))
+        raise refusal("a list of [x, y, width, height]", describe(value), declared=WRONG_VALUE_TYPE)
     if len(value) > MOST_BOXES:
-        raise refusal(f"at most {MOST_BOXES} rectangles", str(len(value)))
+        raise refusal(f"at most {MOST_BOXES} rectangles", str(len(value)), declared=VALUE_OUT_OF_RANGE)
     return tuple(map(box, value))
 
 
 def unit_vector(value: Any) -> tuple[float, ...]:
-    """Normalise a direction of 3 numbers; the zero vector has none."""
+    """Return a direction of 3 numbers as unit vector; the zero vector is refused."""
     elements = _numbers(value, 3, "3 numbers that give a direction")
     length = hypot(*elements)
     if length == 0.0:
@@ -272,63 +297,66 @@ def unit_vector(value: Any) -> tuple[float, ...]:
 
 
 def uncertainty_vector(count: int, each: str = "") -> Callable[[Any], tuple[float, ...]]:
-    """Validator of `count` standard uncertainties; one number holds for all, unless `each` tells what they are."""
+    """Return a validator of `count` standard uncertainties; `each`: their description.
+
+    Without it one number applies to all.
+    """
     expected = f"{count} numbers ({each}), none negative" if each else f"a number or {count} numbers, none negative"
 
     def check(value: Any) -> tuple[float, ...]:
         one_for_all = not each and is_number(value)
         elements = (float(value),) * count if one_for_all else _numbers(value, count, expected)
         if min(elements) < 0:
-            raise refusal(expected, f"{min(elements):g}")
+            raise refusal(expected, f"{min(elements):g}", declared=VALUE_OUT_OF_RANGE)
         return elements
 
     return check
 
 
 def each_of(count: int) -> Callable[[Any], tuple[float, ...]]:
-    """Validator of `count` numbers, or of one that holds for all."""
+    """Return a validator of `count` numbers, or of one that applies to all."""
     expected = f"a number or {count} numbers"
     return lambda value: (float(value),) * count if is_number(value) else _numbers(value, count, expected)
 
 
 def positive(check: Callable[[Any], tuple[float, ...]], expected: str) -> Callable[[Any], tuple[float, ...]]:
-    """Validator of numbers that another one takes, all above 0."""
+    """Return a validator of numbers above 0, based on another validator."""
 
     def above_zero(value: Any) -> tuple[float, ...]:
         numbers = check(value)
         if min(numbers) <= 0:
-            raise refusal(expected, f"{min(numbers):g}")
+            raise refusal(expected, f"{min(numbers):g}", declared=VALUE_OUT_OF_RANGE)
         return numbers
 
     return above_zero
 
 
 def exposure(value: Any) -> float | str:
-    """Check the length of an exposure in s, or a word: width of the trigger's pulses, or what the video file states."""
+    """Return an exposure time in s, or the word for trigger pulses or video files."""
     if value in (PULSE, FILE):
         return str(value)
     if not is_number(value) or value < 0:
-        words = f'"{PULSE}" for the width of the trigger\'s pulses, or "{FILE}" for what a video file states'
+        words = f'"{PULSE}" for the width of the trigger pulses, or "{FILE}" for the time in a video file'
         raise refusal(f"a number of at least 0, or {words}", describe(value))
     return float(value)
 
 
 def rotation(value: Any) -> tuple[tuple[float, ...], ...]:
-    """Check a rotation matrix: orthonormal to 1e-6, determinant +1."""
+    """Return a rotation matrix: orthonormal to 1e-6, determinant +1."""
     rows = _matrix3(value)
     array = np.array(rows)
     error = float(np.abs(array @ array.T - np.eye(3)).max())
     if error > ORTHONORMAL_TOLERANCE:
-        raise refusal("a rotation matrix, orthonormal to 1e-6", f"rows that depart from it by {error:.2g}")
+        raise refusal("a rotation matrix, orthonormal to 1e-6", f"rows that deviate by {error:.2g}")
     if np.linalg.det(array) < 0:
         raise refusal("a rotation matrix with determinant +1", "determinant -1, a mirror image")
     return rows
 
 
 def inertia(value: Any) -> tuple[tuple[float, ...], ...]:
-    """Check an inertia tensor that a body can have: symmetric, no principal moment above the sum of the others.
+    """Return a possible inertia tensor: symmetric, no principal moment above the sum of the others.
 
-    All zeros is a point mass. The slack of the sum allows for tables rounded to two or three digits.
+    All zeros is a point mass. The tolerance of the sum allows for tables rounded to two or three digits.
     """
     rows = _matrix3(value)
     array = np.array(rows)
@@ -336,125 +364,150 @@ def inertia(value: Any) -> tuple[tuple[float, ...], ...]:
     row, column = np.unravel_index(int(np.abs(array - array.T).argmax()), (3, 3))
     if abs(array[row, column] - array[column, row]) > SYMMETRY_TOLERANCE * largest:
         pair = f"{array[row, column]:g} in row {row + 1}, column {column + 1}"
-        raise refusal("a symmetric matrix", f"{pair} and {array[column, row]:g} opposite")
+        raise refusal(
+            "a symmetric matrix",
+            f"{pair} and {array[column, row]:g} in the opposite element",
+            declared=IMPOSSIBLE_MASS_PROPERTIES,
+        )
     low, middle, high = (float(moment) for moment in np.linalg.eigvalsh((array + array.T) / 2))
     if low < -SYMMETRY_TOLERANCE * largest:
-        raise refusal("an inertia with positive principal moments", f"the principal moment {low:g} kg m^2")
+        raise refusal(
+            "an inertia with positive principal moments",
+            f"the principal moment {low:g} kg m^2",
+            declared=IMPOSSIBLE_MASS_PROPERTIES,
+        )
     if high > low + middle + ROUNDING_TOLERANCE * high:
         moments = f"{low:g}, {middle:g} and {high:g} kg m^2"
-        raise refusal("principal moments of which none exceeds the sum of the others", moments)
+        raise refusal(
+            "principal moments of which none exceeds the sum of the others",
+            moments,
+            declared=IMPOSSIBLE_MASS_PROPERTIES,
+        )
     return rows
 
 
 def inertia_spread(value: Any) -> tuple[tuple[float, ...], ...]:
-    """Standard uncertainties of an inertia's elements: one number for all, or a symmetric matrix."""
+    """Return standard uncertainties of an inertia's elements: one number for all, or a symmetric matrix."""
     rows = ((float(value),) * 3,) * 3 if is_number(value) else _matrix3(value)
     array = np.array(rows)
     if array.min() < 0 or not np.allclose(array, array.T):
-        raise refusal("one number or a symmetric matrix of 3 rows of 3 numbers, none negative", "another matrix")
+        raise refusal(
+            "one number or a symmetric matrix of 3 rows of 3 numbers, none negative",
+            "another matrix",
+            declared=WRONG_VALUE_TYPE,
+        )
     return rows
 
 
 def _version(value: Any) -> int:
-    """Check the version of a file's format; `true` is no 1."""
+    """Return the version of a file's format; `true` is not 1."""
     if type(value) is not int or value != 1:
-        raise refusal("1, the version of the format", describe(value))
+        raise refusal("1, the version of the format", describe(value), declared=INVALID_VALUE)
     return value
 
 
 def texts(value: Any) -> tuple[str, ...]:
-    """Check a list of different, non-empty texts."""
+    """Return a list of different, non-empty texts."""
     if not isinstance(value, list | tuple) or not all(isinstance(item, str) and item for item in value):
-        raise refusal("a list of texts", describe(value))
+        raise refusal("a list of texts", describe(value), declared=WRONG_VALUE_TYPE)
     repeated = repeated_name(value)
     if repeated is not None:
-        raise refusal("different names", f'"{repeated}" twice')
+        raise refusal("different names", f'"{repeated}" twice', declared=REPEATED_NAME)
     return _counted(value)
 
 
 def _counted(value: Sequence[Any]) -> tuple[Any, ...]:
-    """A list as a tuple, refused where it has more items than anybody writes."""
+    """Return a list as a tuple, refused if it is too long."""
     if len(value) > MOST_ITEMS:
-        raise refusal(f"at most {MOST_ITEMS}", f"{len(value)}")
+        raise refusal(f"at most {MOST_ITEMS}", f"{len(value)}", declared=VALUE_OUT_OF_RANGE)
     return tuple(value)
 
 
 def array_of_tables(value: Any) -> Any:
-    """An array of tables as the tuple that the models hold."""
+    """Return an array of tables as a tuple."""
     if not isinstance(value, list | tuple):
-        raise refusal("blocks in double brackets, [[…]]", describe(value))
+        raise refusal("blocks in double brackets, [[…]]", describe(value), declared=WRONG_VALUE_TYPE)
     return _counted(value)
 
 
 def existing(resolve: Callable[[PathScope, str], Any], expected: str) -> Callable[[Any, ValidationInfo], Any]:
-    """Validator of paths, which `resolve` follows by the folders of the manifest under validation."""
+    """Return a validator of paths; `resolve` uses the scope of the manifest."""
 
     def check(value: Any, info: ValidationInfo) -> Any:
         if isinstance(value, Path | tuple):  # resolved before
             return value
         if not isinstance(value, str):
-            raise refusal(expected, describe(value))
+            raise refusal(expected, describe(value), declared=WRONG_VALUE_TYPE)
         if not isinstance(info.context, Context):
             raise refusal("a resolved path", "a text outside any manifest")
         try:
             return resolve(info.context.scope, value)
         except OSError as error:
             found = f"{error.strerror or error} ({describe(str(error.filename), plain=True)})"
-            raise refusal("a path that can be read", found) from error
+            raise refusal("a path that can be read", found, declared=UNREADABLE_FILE) from error
 
     return check
 
 
 def repeated_name(names: Sequence[str]) -> str | None:
-    """First name that stands twice, or None."""
+    """Return the first repeated name, or None."""
     seen: set[str] = set()
     return next((name for name in names if name in seen or seen.add(name)), None)  # type: ignore[func-returns-value]
 
 
 def refuse_missing(block: ManifestBlock, required: Sequence[str], why: str) -> None:
-    """Refuse a table that lacks a key its kind needs."""
+    """Refuse a table without a key that its kind requires."""
     for key in required:
         if getattr(block, key) is None:
-            raise refusal(f"this key, required for {why}", "nothing", key=key)
+            raise refusal(f"this key, required for {why}", "no such key", key=key, declared=MISSING_KEY)
 
 
-def refuse_foreign(block: ManifestBlock, known: Collection[str], why: str) -> None:
-    """Refuse a key that means nothing for the kind of a table."""
+def refuse_foreign(block: ManifestBlock, applicable: Collection[str], why: str) -> None:
+    """Refuse a key that has no meaning for the kind of a table."""
     for key in type(block).model_fields:
-        if key in block.model_fields_set and key not in known:
-            raise refusal(f"no such key for {why}", describe(getattr(block, key)), key=key)
+        if key in block.model_fields_set and key not in applicable:
+            raise refusal(f"no such key for {why}", describe(getattr(block, key)), key=key, declared=KEY_NOT_APPLICABLE)
 
 
 RESERVED = {"con", "prn", "aux", "nul", *(f"{port}{n}" for port in ("com", "lpt") for n in range(10))}
-"""Names of devices on Windows, whatever follows after a dot."""
+"""Names of devices on Windows, with any suffix after a dot."""
 
 
 def refuse_as_file_names(names: Collection[str], key: str) -> None:
-    """Refuse names that become part of the names of files, unless every file system takes them and tells them apart."""
+    """Refuse names for files that some file system does not accept or distinguish."""
     seen: dict[str, str] = {}
     for name in names:
         wrong = re.search(r'[\x00-\x1f\x7f/\\:*?"<>|]', name)
         if not name or wrong or name[-1] in ". " or name[0] in " -" or len(name.encode()) > LONGEST_FILE_NAME:
-            expected = f"a name that a file can bear, of at most {LONGEST_FILE_NAME} bytes, since motion-NAME.csv does"
-            raise refusal(expected, f'"{describe(name, plain=True)}"', key=key)
+            expected = (
+                f"a name of at most {LONGEST_FILE_NAME} bytes that is valid in a file name, such as motion-NAME.csv"
+            )
+            raise refusal(expected, f'"{describe(name, plain=True)}"', key=key, declared=NAME_NOT_USABLE_IN_FILES)
         if name.partition(".")[0].lower() in RESERVED:
-            raise refusal("a name that is no device's on Windows", f'"{name}"', key=key)
+            raise refusal(
+                "a name other than those of devices on Windows", f'"{name}"', key=key, declared=NAME_NOT_USABLE_IN_FILES
+            )
         twin = seen.setdefault(unicodedata.normalize("NFKC", name).casefold(), name)
         if twin != name:
-            raise refusal(f'a name that differs from "{twin}" by more than case', f'"{name}"', key=key)
+            raise refusal(
+                f'a name that differs from "{twin}" by more than case',
+                f'"{name}"',
+                key=key,
+                declared=NAME_NOT_USABLE_IN_FILES,
+            )
 
 
 def refuse_repeated(names: Sequence[str], what: str, key: str) -> None:
-    """Refuse blocks of which two have one name."""
+    """Refuse two blocks with the same name."""
     twice = repeated_name(names)
     if twice is not None:
-        raise refusal(f"{what} of different names", f'"{twice}" twice', key=key)
+        raise refusal(f"{what} of different names", f'"{twice}" twice', key=key, declared=REPEATED_NAME)
 
 
 def size_range(low: float, high: float, unit: str, **others: float) -> AfterValidator:
-    """Validator of a number, or of the size of each number of a list, in `unit`: 0, or from `low` to `high`.
+    """Return a validator of numbers in `unit`: 0, or of a size from `low` to `high`.
 
-    `others`: units in which users state it by mistake, in `unit`; one in which the number were usual is named.
+    `others`: factors of units that users confuse with it. The refusal names one in which the number would be valid.
     """
 
     def check(value: Any) -> Any:
@@ -462,9 +515,11 @@ def size_range(low: float, high: float, unit: str, **others: float) -> AfterVali
             size = abs(number)
             if size and not low <= size <= high:
                 usual = [f" ({number * one:g} {unit} if meant in {name})" for name, one in others.items()]
-                fits = [told for told, one in zip(usual, others.values(), strict=True) if low <= size * one <= high]
-                least = f"{low:g} to {high:g}" if size < low else f"at most {high:g}"
-                raise refusal(f"{least} {unit}".strip(), f"{number:g}{next(iter(fits), '')}")
+                fits = [text for text, one in zip(usual, others.values(), strict=True) if low <= size * one <= high]
+                limits = f"{low:g} to {high:g}" if size < low else f"at most {high:g}"
+                raise refusal(
+                    f"{limits} {unit}".strip(), f"{number:g}{next(iter(fits), '')}", declared=VALUE_OUT_OF_RANGE
+                )
         return value
 
     return AfterValidator(check)
@@ -481,7 +536,7 @@ SECONDS = size_range(0.0, 10.0, "s", ms=1e-3, µs=1e-6)
 ROWS = size_range(1e-10, 1e-3, "s", µs=1e-6, ns=1e-9)
 ROWS = size_range(1e-10, 1e-3, "s", µs=1e-6, ns=1e-9)
 HERTZ = size_range(1e-4, 1e8, "Hz")
-"""What keys can mean at all: sizes beyond are those of another unit."""
+"""Possible ranges of keys: sizes beyond suggest another unit."""
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Celsius = Annotated[float, Field(ge=-100, le=200, allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -516,10 +571,10 @@ ZERO33: Matrix3 = (ZERO3, ZERO3, ZERO3)
 
 
 class SurfacePlane(ManifestBlock):
-    """The plane in which the face before a camera alone lies at rest: a point of it, m, and its normal, sensor frame.
+    """The plane of the face before a single camera, at rest, in the sensor frame.
 
-    `distance_uncertainty` m along the normal, `tilt_uncertainty` rad about each of two axes across it: of the drawing
-    and the mounting, beside the uncertainty of the camera's pose.
+    `point`: m. `distance_uncertainty`: m along the normal. `tilt_uncertainty`: rad about each of two axes across it.
+    They describe drawing and mounting, in addition to the uncertainty of the camera's pose.
     """
 
     point: Position

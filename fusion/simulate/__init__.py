@@ -10,6 +10,7 @@ from typing import Any
 from fusion.base import ProgressCallback, no_progress
 from fusion.errors import InputError
 from fusion.report.atomic_files import write_together
+from fusion.simulate.simulation_notices import SIMULATION_FOLDER_IN_USE
 
 RECORDINGS = ("demo", "nitsche2018", "bending", "room", "single", "laboratory", "sweep", "matrix")
 """Presets of sines, which take the switches of `SimulationOptions`."""
@@ -87,7 +88,7 @@ def _check_out(out: Path) -> None:
     if other is not None:
         expected = "a new folder, or an earlier simulation as it was written"
         found = "a file" if other == out else f"{other.relative_to(out).as_posix()} in it"
-        raise InputError(out, "", found=found, expected=expected)
+        raise InputError(SIMULATION_FOLDER_IN_USE, out, found=found, expected=expected)
     check_folder(out, {}, force=True)
 
 

@@ -1,4 +1,4 @@
-"""The command line: what it prints where, its exit status, and that nothing half-made is left."""
+"""The command line: output, exit status, and no partial files after a failure."""
 
 from __future__ import annotations
 
@@ -21,11 +21,18 @@ from support import RefusedCommand, folder_contents
 
 from fusion import simulate as simulation
 from fusion.cli import _parser, commands, main
+from fusion.commands.command_notices import OUTPUT_EXISTS
 from fusion.commands.options import EXIT_DONE, EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED
-from fusion.errors import ComputeError
+from fusion.errors import INTERNAL_ERROR, SYSTEM_REFUSED, ComputeError
+from fusion.recording.recording_notices import INVALID_VALUE
 from fusion.report.terminal import MOST_NOTES, log_notices, progress_bar, wrapped
-from shakercal._common.notices import Notice, warnings_first
+from fusion.simulate.simulation_notices import SIMULATION_FOLDER_IN_USE
+from shakercal._common.notices import DeclaredNotice, Notice, warnings_first
 
+NO_FIT = DeclaredNotice("SC-997", "error", "{reason}")
+NOTE = DeclaredNotice("SC-996", "note", "a")
+LIGHT = DeclaredNotice("SC-995", "note", "load: light {number}")
+WARNING = DeclaredNotice("SC-994", "warning", "{text}")
 HEAVY = ("torch", "kornia", "cv2", "numba", "matplotlib", "scipy", "skimage", "h5py", "rich", "pydantic", "numpy")
 
 
@@ -40,10 +47,10 @@ def test_help_and_version_import_nothing_heavy(arguments):
         f"print('heavy:', [name for name in {HEAVY} if name in sys.modules])"
     )
     command = [sys.executable, "-c", program, *arguments.split()]
-    told = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert told.stdout.endswith("heavy: []\n")
+    output = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert output.stdout.endswith("heavy: []\n")
     if arguments == "--version":
-        assert (told.stdout.splitlines()[0], told.stderr) == (f"shakercal {version('shakercal')}", "")
+        assert (output.stdout.splitlines()[0], output.stderr) == (f"shakercal {version('shakercal')}", "")
 
 
 @pytest.mark.parametrize(
@@ -54,9 +61,9 @@ def test_help_and_version_import_nothing_heavy(arguments):
 def test_wrong_usage_is_status_2(line, capsys):
     with pytest.raises(SystemExit) as left:
         main(line.split())
-    told = capsys.readouterr()
-    assert (left.value.code, told.out) == (EXIT_INPUT, "")
-    assert told.err.startswith("usage: shakercal")
+    output = capsys.readouterr()
+    assert (left.value.code, output.out) == (EXIT_INPUT, "")
+    assert output.err.startswith("usage: shakercal")
 
 
 @pytest.mark.parametrize("made", commands(), ids=lambda made: made.name)
@@ -90,9 +97,9 @@ def test_bash_completes_commands_and_options(tmp_path):
 def test_run_prints_the_sensitivity_and_where_the_report_lies(make_campaign, evaluated, capsys):
     folder = make_campaign()
     assert main(["run", str(folder)]) == EXIT_DONE
-    told = capsys.readouterr()
-    assert re.search(r"106\.2503.*ratio Fz output / Fz load.*±.*V/V", told.out)
-    assert told.out.endswith(f"report (written): {folder / 'results' / 'report.html'}\n")
+    output = capsys.readouterr()
+    assert re.search(r"106\.2503.*ratio Fz output / Fz load.*±.*V/V", output.out)
+    assert output.out.endswith(f"report (written): {folder / 'results' / 'report.html'}\n")
     assert evaluated == [folder.name]
 
 
@@ -103,9 +110,9 @@ def test_run_prints_the_sensitivity_and_where_the_report_lies(make_campaign, eva
 def test_quiet_and_verbose(flags, warned, informed, make_campaign, capsys):
     folder = make_campaign()
     assert main(["run", str(folder), *flags]) == EXIT_DONE
-    told = capsys.readouterr().err
-    assert ("shakercal: top: 318.75 Hz is left out" in told) is warned
-    assert ("edge 90 of 211 is missing" in told) is informed
+    output = capsys.readouterr().err
+    assert ("shakercal: top: 318.75 Hz is left out" in output) is warned
+    assert ("edge 90 of 211 is missing" in output) is informed
     assert main(["run", str(folder), *flags]) == EXIT_DONE
     again = capsys.readouterr()
     assert ("318.75 Hz is left out" in again.err) is warned  # what is to be known of results stays so
@@ -123,9 +130,9 @@ def test_quiet_and_verbose(flags, warned, informed, make_campaign, capsys):
 def test_answers_for_programs_are_one_document(words, key, capsys, monkeypatch):
     monkeypatch.chdir(Path(__file__).resolve().parents[2])
     assert main(words.split()) == EXIT_DONE
-    told = json.loads(capsys.readouterr().out)
-    assert told["command"] == words.split()[0]
-    first = told[key][0]
+    output = json.loads(capsys.readouterr().out)
+    assert output["command"] == words.split()[0]
+    first = output[key][0]
     if key == "rows":
         assert any(isinstance(value, float) for value in first.values())
     else:
@@ -134,27 +141,24 @@ def test_answers_for_programs_are_one_document(words, key, capsys, monkeypatch):
         ]
 
 
-def test_what_is_said_of_several_places_in_one_text_is_one_notice():
-    said = [
-        Notice("note", "a", "Fx"),
-        Notice("warning", "b", "Fz"),
-        Notice("note", "a", "Fy"),
-        Notice("note", "a", "Fx"),
-    ]
-    assert warnings_first(said) == [Notice("warning", "b", "Fz"), Notice("note", "a", "Fx, Fy")]
+def test_a_notice_of_several_places_is_one_notice():
+    notices = [Notice(NOTE, "Fx"), Notice(WARNING, "Fz", text="b"), Notice(NOTE, "Fy"), Notice(NOTE, "Fx")]
+    assert warnings_first(notices) == [Notice(WARNING, "Fz", text="b"), Notice(NOTE, "Fx, Fy")]
 
 
 @pytest.mark.parametrize("level", [logging.INFO, logging.DEBUG])
 @pytest.mark.parametrize("notes", [1, MOST_NOTES + 1])
-def test_a_warning_is_whole_and_many_notes_are_counted_unless_all_is_asked_for(level, notes, caplog):
+def test_a_warning_is_whole_and_many_notes_are_counted_without_v(level, notes, caplog):
     long = "word " * 200
-    many = [(Notice("note", f"load: light {n}", "load"), "") for n in range(notes)]
+    many = [(Notice(LIGHT, "load", number=n), "") for n in range(notes)]
     with caplog.at_level(level, "shakercal"):
-        log_notices([(Notice("warning", long, "laser"), " (2 recordings)"), *many])
+        log_notices([(Notice(WARNING, "laser", text=long), " (2 recordings)"), *many])
     warning, *rest = caplog.messages
-    assert warning == f"laser: {long} (2 recordings)"
+    assert warning == f"{WARNING.code} laser: {long.strip()} (2 recordings)"
+    shown = [message for message in rest if message.startswith(LIGHT.code)]
     counted = level == logging.INFO and notes > MOST_NOTES
-    assert rest == ([f"{notes} notes on the page, or here with -v"] if counted else [note.text for note, _ in many])
+    assert shown == ([] if counted else [f"{LIGHT.code} {note.text}" for note, _ in many])
+    assert any(message.startswith(f"{notes} ") for message in rest) is counted
 
 
 class Screen(io.StringIO):
@@ -191,16 +195,16 @@ def test_libraries_are_heard_with_v_only(make_campaign, evaluated, monkeypatch, 
         with warnings.catch_warnings():
             warnings.simplefilter("always")
             warnings.warn("a warning of a library", stacklevel=2)
-        raise ComputeError("no line found")
+        raise ComputeError(NO_FIT, reason="no line")
 
     monkeypatch.setattr("fusion.campaign.run.evaluate_recording", warn)
     folder = make_campaign()
     assert main(["run", str(folder)]) == EXIT_FAILED
-    assert capsys.readouterr().err == "shakercal: no line found\n"
+    assert capsys.readouterr().err.startswith(f"shakercal: {NO_FIT.code} no line ")
     assert main(["run", str(folder), "-v"]) == EXIT_FAILED
-    told = capsys.readouterr().err
-    assert "a remark of a library" in told
-    assert "a warning of a library" in told
+    output = capsys.readouterr().err
+    assert "a remark of a library" in output
+    assert "a warning of a library" in output
     assert not evaluated
 
 
@@ -214,27 +218,30 @@ def _raise(error: BaseException, cause: BaseException | None = None) -> Callable
 @pytest.mark.usefixtures("evaluated")
 @pytest.mark.parametrize("place", ["fusion.campaign.run.evaluate_recording", "fusion.report.recording_report.write_h5"])
 @pytest.mark.parametrize(
-    ("error", "status", "sentence"),
+    ("error", "status", "begin"),
     [
-        (KeyboardInterrupt(), EXIT_INTERRUPTED, "interrupted; nothing half-written was left behind"),
-        (ComputeError("the lines\n cannot be fitted"), EXIT_FAILED, "the lines cannot be fitted"),
-        (OSError(28, "disk full"), EXIT_FAILED, "the system refused to read or write ([Errno 28] disk full)"),
-        (RuntimeError("a\n b"), EXIT_FAILED, "internal error (RuntimeError: a b); please report it, -v shows where"),
+        (KeyboardInterrupt(), EXIT_INTERRUPTED, "interrupted"),
+        (ComputeError(NO_FIT, reason="a\n b"), EXIT_FAILED, f"{NO_FIT.code} a b"),
+        (OSError(28, "disk full"), EXIT_FAILED, f"{SYSTEM_REFUSED.code} "),
+        (RuntimeError("a\n b"), EXIT_FAILED, f"{INTERNAL_ERROR.code} "),
     ],
 )
-def test_failures_are_one_sentence_and_leave_nothing(
-    place, error, status, sentence, make_campaign, monkeypatch, capsys
-):
+def test_failures_are_one_sentence_and_leave_nothing(place, error, status, begin, make_campaign, monkeypatch, capsys):
     folder = make_campaign()
     before = sorted(folder.parent.rglob("*"))
     monkeypatch.setattr(place, _raise(error))
     assert main(["run", str(folder), "-q"]) == status
-    told = capsys.readouterr()
-    lines = told.err.splitlines()
+    output = capsys.readouterr()
+    lines = output.err.splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith("shakercal: ")
     if isinstance(error, OSError) and place.endswith("write_h5"):
-        sentence = f"{folder / 'results'}: could not be written: disk full; what was there before is as it was"
-    assert lines == [f"shakercal: {sentence}"]
-    assert told.out == ""
+        assert str(folder / "results") in lines[0]
+        assert "disk full" in lines[0]
+    else:
+        assert lines[0].startswith(f"shakercal: {begin}")
+        assert not isinstance(error, RuntimeError) or "RuntimeError: a b" in lines[0]
+    assert output.out == ""
     assert sorted(folder.parent.rglob("*")) == before
 
 
@@ -242,36 +249,36 @@ def test_failures_are_one_sentence_and_leave_nothing(
 def test_failures_of_compiled_code_and_internal_errors(make_campaign, monkeypatch, refused, capsys):
     folder, place = make_campaign(), "fusion.campaign.run.evaluate_recording"
     monkeypatch.setattr(place, _raise(SystemError("returned a result with an exception set"), KeyboardInterrupt()))
-    told = refused("run", folder, status=EXIT_INTERRUPTED)
-    assert told == "shakercal: interrupted; nothing half-written was left behind"
+    assert refused("run", folder, status=EXIT_INTERRUPTED).startswith("shakercal: interrupted")
     monkeypatch.setattr(place, _raise(RuntimeError("a")))
     assert main(["run", str(folder), "-v"]) == EXIT_FAILED
     assert "Traceback" in capsys.readouterr().err
 
 
-def test_check_tells_what_can_be_observed(demo_recording, capsys):
+def test_check_reports_what_can_be_observed(demo_recording, capsys):
     assert main(["check", str(demo_recording / "Fz-0080")]) == EXIT_DONE
-    told = capsys.readouterr()
-    assert "can observe" in told.out
-    assert "load: stereo top: x y z rx ry rz" in told.out
-    assert "wrong" not in told.out
-    assert told.err == ""
+    output = capsys.readouterr()
+    assert "can observe" in output.out
+    assert "load: stereo top: x y z rx ry rz" in output.out
+    assert "wrong" not in output.out
+    assert output.err == ""
 
 
-def test_check_tells_what_is_wrong_and_goes_on_after_a_recording_that_cannot_be_read(make_campaign, capsys):
+def test_check_reports_errors_and_goes_on_after_a_recording_that_cannot_be_read(make_campaign, capsys):
     folder = make_campaign()
     before = sorted(folder.parent.rglob("*"))
     assert main(["check", str(folder)]) == EXIT_INPUT
-    told = capsys.readouterr().out
-    assert "wrong" in told
-    assert "vibrometer.h5" in told
+    output = capsys.readouterr().out
+    assert "wrong" in output
+    assert "vibrometer.h5" in output
     assert sorted(folder.parent.rglob("*")) == before
     (folder.parent / "Aa").mkdir()
     (folder.parent / "Aa" / "recording.toml").write_text("format = 3\n")
     assert main(["check", str(folder.parent)]) == EXIT_INPUT
     both = capsys.readouterr()
-    assert both.err.startswith(f"shakercal: {folder.parent / 'Aa' / 'recording.toml'}: rig: expected")
-    assert both.out == told
+    unread = folder.parent / "Aa" / "recording.toml"
+    assert both.err.startswith(f"shakercal: {INVALID_VALUE.code} {unread}: rig: ")
+    assert both.out == output
 
 
 class _Terminal(io.StringIO):
@@ -319,9 +326,9 @@ def simulated(made: Path, tmp_path: Path) -> Path:
 
 def _refused(arguments: list[object], folder: Path, refused: RefusedCommand) -> str:
     before = folder_contents(folder)
-    told = refused("simulate", *arguments)
+    output = refused("simulate", *arguments)
     assert folder_contents(folder) == before
-    return told
+    return output
 
 
 def _recording_of_his_own(folder: Path) -> None:
@@ -339,15 +346,16 @@ def test_force_never_deletes_what_a_user_made(own, simulated, refused):
         (simulated / own).write_text("work of a day")
     else:
         own(simulated)
-    told = _refused([simulated, "--force"], simulated.parent, refused)
-    assert told.startswith(f"shakercal: {simulated}: expected a new folder, or an earlier simulation as it was written")
+    output = _refused([simulated, "--force"], simulated.parent, refused)
+    assert output.startswith(f"shakercal: {SIMULATION_FOLDER_IN_USE.code} {simulated}: ")
 
 
 def test_simulate_refuses_what_is_there_and_replaces_no_file(simulated, tmp_path, refused):
-    told = _refused([simulated], simulated.parent, refused)
-    assert told.startswith(f"shakercal: {simulated}: expected a new folder (--force")
+    error = _refused([simulated], simulated.parent, refused)
+    assert error.startswith(f"shakercal: {OUTPUT_EXISTS.code} {simulated}: ")
     (tmp_path / "file").write_text("mine")
-    assert "found a file" in _refused([tmp_path / "file", "--force"], tmp_path, refused)
+    error = _refused([tmp_path / "file", "--force"], tmp_path, refused)
+    assert error.startswith(f"shakercal: {SIMULATION_FOLDER_IN_USE.code} {tmp_path / 'file'}: ")
     assert "file/below" in _refused([tmp_path / "file" / "below"], tmp_path, refused)
 
 
@@ -355,9 +363,9 @@ def test_simulate_refuses_what_is_there_and_replaces_no_file(simulated, tmp_path
 def test_force_replaces_an_earlier_simulation(simulated, capsys):
     before = folder_contents(simulated)
     assert main(["simulate", str(simulated), "--force", "--seed", "2"]) == EXIT_DONE
-    told = capsys.readouterr()
-    assert told.out == f"simulated recording: {simulated / 'Fz-0080'}\n"
-    assert told.err == ""
+    output = capsys.readouterr()
+    assert output.out == f"simulated recording: {simulated / 'Fz-0080'}\n"
+    assert output.err == ""
     after = folder_contents(simulated)
     assert list(after) == list(before)
     assert json.loads(after["Fz-0080/truth.json"]) != json.loads(before["Fz-0080/truth.json"])

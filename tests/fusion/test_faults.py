@@ -1,4 +1,4 @@
-"""Faults from outside: disks that are full, inputs that change, runs that are killed, terminals that lack signs."""
+"""External faults: full disks, changing inputs, killed runs, terminals without some characters."""
 
 from __future__ import annotations
 
@@ -26,8 +26,10 @@ from cluster_factory import environment, wait_until
 from support import without_pages
 
 from fusion.cli import main
+from fusion.commands.command_notices import ADDRESS_SPACE_TOO_SMALL
 from fusion.commands.options import EXIT_CLOSED, EXIT_DONE, EXIT_FAILED, EXIT_INPUT
 from fusion.errors import ComputeError, InputError
+from fusion.recording.recording_notices import PATH_NOT_UTF8
 from fusion.report import atomic_files
 from fusion.report.atomic_files import file_lock, remove_abandoned, write_atomically, write_files, write_together
 from fusion.report.folder import hash_files, hashing, read_provenance, sha256
@@ -90,9 +92,10 @@ def test_a_disk_that_refuses_any_write_leaves_everything_as_it_was(there, make_c
         if disk.count < number:
             break
         assert status == EXIT_FAILED
-        told = capsys.readouterr()
-        assert told.out == ""
-        assert f"{folder / 'results'}: could not be written: {os.strerror(code).lower()}" in told.err.splitlines()[-1]
+        output = capsys.readouterr()
+        assert output.out == ""
+        assert f"{folder / 'results'}: " in output.err.splitlines()[-1]
+        assert os.strerror(code).lower() in output.err.splitlines()[-1]
         assert _tree(folder.parent) == before
     assert number > 5
     assert status == EXIT_DONE
@@ -108,7 +111,7 @@ def test_a_simulation_on_a_full_disk_leaves_nothing(preset, tmp_path, monkeypatc
         refused = status != EXIT_DONE
         if refused:
             assert status == EXIT_FAILED
-            assert "could not be written: no space left on device" in capsys.readouterr().err
+            assert os.strerror(errno.ENOSPC).lower() in capsys.readouterr().err
             assert list(tmp_path.iterdir()) == []
         number += max(1, disk.count // 3)
     assert len(list((tmp_path / "new" / "out").iterdir())) >= 3
@@ -130,11 +133,13 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 
 
 @pytest.mark.usefixtures("evaluated")
-def test_a_disk_that_is_full_is_told_in_one_sentence(small_disk, make_campaign, capsys):
+def test_a_full_disk_is_reported_in_one_sentence(small_disk, make_campaign, capsys):
     folder = make_campaign()
     subprocess.run(["mount", "-o", "remount,size=100k", small_disk], check=True)
     assert main(["run", str(folder), "-o", str(small_disk / "results"), "-q"]) == EXIT_FAILED
-    assert "results: could not be written: no space left on device" in capsys.readouterr().err.splitlines()[-1]
+    sentence = capsys.readouterr().err.splitlines()[-1]
+    assert "results: " in sentence
+    assert os.strerror(errno.ENOSPC).lower() in sentence
     assert list(small_disk.iterdir()) == []
     # The mounted folder itself as the place of the results.
     assert main(["run", str(folder), "-o", str(small_disk), "-q"]) == EXIT_FAILED
@@ -177,11 +182,10 @@ def test_a_table_that_is_open_elsewhere_keeps_the_old_results_whole(notes, table
     monkeypatch.setattr(os, "replace", refuse)
     capsys.readouterr()
     assert main(["run", str(folder), "-q", "--force"]) == EXIT_FAILED
-    told = capsys.readouterr().err.splitlines()[-1]
-    assert told == (
-        f"shakercal: {results}: could not be written: permission denied ({table}), or is it open in another program?; "
-        "what was there before is as it was"
-    )
+    sentence = capsys.readouterr().err.splitlines()[-1]
+    assert f"{results}: " in sentence
+    assert os.strerror(errno.EACCES).lower() in sentence
+    assert f"({table})" in sentence
     assert _tree(folder.parent) == before
 
 
@@ -219,8 +223,8 @@ def test_every_failing_move_is_taken_back(tmp_path, monkeypatch):
     assert found == {name: text.encode() for name, text in {**new, "points/mine.txt": "mine"}.items()}
 
 
-def test_a_path_longer_than_windows_takes_is_told(tmp_path, monkeypatch):
-    """It says there that there is no such file, which is also what a folder says that another run has just removed."""
+def test_a_path_too_long_for_windows_is_reported(tmp_path, monkeypatch):
+    """Windows reports a missing file, as a folder does that another run has just removed."""
     place = tmp_path.joinpath(*["folder of a recording" * 3] * 5) / "results"
 
     def no_file(path: Any, *_: Any) -> int:
@@ -228,16 +232,13 @@ def test_a_path_longer_than_windows_takes_is_told(tmp_path, monkeypatch):
 
     with monkeypatch.context() as patch:
         patch.setattr(atomic_files.os, "open", no_file)
-        for path, told in (
-            (place, r".* takes no files; its path of \d+ characters may be longer"),
-            (Path("/tmp/a"), r"/tmp takes no files; what"),
-        ):
-            with pytest.raises(ComputeError, match=f"could not be written: {told}"), file_lock(path):
+        for path, pattern in ((place, r" \d{3} "), (Path("/tmp/a"), "/tmp ")):
+            with pytest.raises(ComputeError, match=pattern), file_lock(path):
                 pass
     assert not place.exists()
     assert not list(tmp_path.iterdir())
     name = "x" * 250  # which leaves no room for the names beside it
-    with pytest.raises(ComputeError, match="could not be written: file name too long"):
+    with pytest.raises(ComputeError, match=os.strerror(errno.ENAMETOOLONG).lower()):
         write_atomically(tmp_path / name, "text")
 
 
@@ -271,16 +272,16 @@ def test_a_file_that_changes_is_noticed_whatever_tells_it(tmp_path):
     ):
         inputs = hashed()
         change()
-        with pytest.raises(InputError, match=r"a\.h5: (changed|vanished) while it was read"):
+        with pytest.raises(InputError, match=r"a\.h5: (changed|vanished) "):
             inputs.check()
-    # Another file of the same size and time in its place is told by its content.
+    # Another file of the same size and time is recognised by its content.
     for content, refused in ((b"first", False), (b"other", True)):
         inputs = hashed()
         (tmp_path / "new").write_bytes(content)
         os.utime(tmp_path / "new", ns=(far, far))
         os.replace(tmp_path / "new", path)
         if refused:
-            with pytest.raises(InputError, match="changed while it was read"):
+            with pytest.raises(InputError, match=r"a\.h5: changed "):
                 inputs.check()
         else:
             inputs.check()
@@ -290,7 +291,7 @@ def test_a_file_that_changes_is_noticed_whatever_tells_it(tmp_path):
     inputs = hash_files([path], tmp_path)
     path.write_bytes(b"other")
     os.utime(path, ns=(when, when))
-    with pytest.raises(InputError, match="changed while it was read"):
+    with pytest.raises(InputError, match=r"a\.h5: changed "):
         inputs.check()
 
 
@@ -304,15 +305,15 @@ def test_a_file_that_changes_while_it_is_hashed_is_refused(tmp_path, monkeypatch
         return "digest"
 
     monkeypatch.setattr("fusion.report.folder.sha256", grown)
-    with pytest.raises(InputError, match="changed while it was read"):
+    with pytest.raises(InputError, match=r"a\.h5: changed "):
         hash_files([path], tmp_path)
 
 
 @pytest.mark.parametrize("change", ["rewritten", "vanished", "unreadable"])
-def test_what_happens_to_a_file_beside_its_hashing_is_told_before_what_was_found_in_it(
+def test_a_change_of_a_file_during_hashing_is_reported_before_errors_of_its_content(
     change, make_campaign, monkeypatch, capsys
 ):
-    """Files that are older than the times of files are told apart by are read while they are hashed."""
+    """Files older than the resolution of file times are read while they are hashed."""
     folder, far, begun = make_campaign(), time.time_ns() - 10**12, Event()
     for path in filter(Path.is_file, folder.parent.rglob("*")):
         os.utime(path, ns=(far, far))
@@ -336,14 +337,14 @@ def test_what_happens_to_a_file_beside_its_hashing_is_told_before_what_was_found
     monkeypatch.setattr("fusion.report.folder.sha256", late)
     monkeypatch.setattr("fusion.campaign.run.evaluate_recording", evaluate)
     assert main(["run", str(folder), "-q"]) == EXIT_INPUT
-    told = capsys.readouterr().err.splitlines()[-1]
+    sentence = capsys.readouterr().err.splitlines()[-1]
     verb = {
-        "rewritten": "changed while it was read",
-        "vanished": "vanished while it was read",
+        "rewritten": " changed ",
+        "vanished": " vanished ",
         "unreadable": "Permission denied",
     }
-    assert verb[change] in told
-    assert "vibrometer.h5" in told or change == "unreadable"
+    assert verb[change] in sentence
+    assert "vibrometer.h5" in sentence or change == "unreadable"
     assert not (folder / "results").exists()
 
 
@@ -373,8 +374,7 @@ def test_a_run_on_a_file_that_changes_writes_nothing(change, make_campaign, read
     without_pages(monkeypatch)
     assert main(["run", str(folder), "-q"]) == EXIT_INPUT
     verb = "vanished" if change == "vanished" else "changed"
-    sentence = f"shakercal: {file}: {verb} while it was read; start again when nothing writes it"
-    assert capsys.readouterr().err.splitlines()[-1] == sentence
+    assert f"{file}: {verb} " in capsys.readouterr().err.splitlines()[-1]
     assert not (folder / "results").exists()
 
 
@@ -388,7 +388,7 @@ def test_a_manifest_that_changes_between_reading_and_hashing_is_refused(make_cam
 
     monkeypatch.setattr("fusion.campaign.run.hashing", late)
     assert main(["run", str(folder), "-q"]) == EXIT_INPUT
-    assert "recording.toml: changed while it was read" in capsys.readouterr().err
+    assert "recording.toml: changed " in capsys.readouterr().err
     assert not evaluated
 
 
@@ -418,9 +418,9 @@ def test_every_file_that_a_run_opens_is_among_the_hashed(tmp_path):
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="no folder that takes no files")
 def test_an_output_is_named_where_the_system_takes_no_file(capsys):
     assert main(["simulate", "/proc/results", "--preset", "elastomer", "-q"]) == EXIT_FAILED
-    told = capsys.readouterr().err
-    assert told.startswith("shakercal: /proc/results: could not be written: ")
-    assert atomic_files.LOCK not in told
+    sentence = capsys.readouterr().err
+    assert "/proc/results: " in sentence
+    assert atomic_files.LOCK not in sentence
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of Linux")
@@ -432,7 +432,7 @@ def test_a_limited_address_space_ends_in_a_sentence(tmp_path):
     command = [sys.executable, "-c", program, "simulate", str(tmp_path / "out"), "--preset", "elastomer"]
     run = subprocess.run(command, env=environment(), capture_output=True, text=True, check=False)
     assert run.returncode == EXIT_FAILED
-    assert re.fullmatch(r"shakercal: [^\n]*900 MB[^\n]*\n", run.stderr)
+    assert re.fullmatch(rf"shakercal: {ADDRESS_SPACE_TOO_SMALL.code} [^\n]*900 MB[^\n]*\n", run.stderr)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -442,8 +442,8 @@ def test_a_folder_whose_name_is_no_text_is_refused(make_campaign, evaluated, cap
     folder.rename(os.fsdecode(os.fsencode(folder) + b"\xff"))
     for command in ("check", "run"):
         assert main([command, str(folder.parent), "-q"]) == EXIT_INPUT
-        told = capsys.readouterr()
-        assert "names are text in UTF-8" in told.err + told.out
+        output = capsys.readouterr()
+        assert PATH_NOT_UTF8.code in output.err + output.out
     assert not evaluated
 
 
@@ -452,9 +452,9 @@ def test_a_folder_whose_name_is_no_text_is_refused(make_campaign, evaluated, cap
 HOLD = """
 import sys, time
 from pathlib import Path
-from fusion.report.atomic_files import claimed, temporary
+from fusion.report.atomic_files import file_lock, temporary_path
 place = Path(sys.argv[1])
-with claimed(place), temporary(place) as made:
+with file_lock(place), temporary_path(place) as made:
     made.mkdir()
     (made / "half").write_text("")
     Path(sys.argv[2]).write_text("held")
@@ -468,10 +468,10 @@ def holder(tmp_path: Path) -> Iterator[Callable[[Path], subprocess.Popen[bytes]]
     started: list[subprocess.Popen[bytes]] = []
 
     def hold(place: Path) -> subprocess.Popen[bytes]:
-        told = tmp_path / f"held-{len(started)}"
-        started.append(subprocess.Popen([sys.executable, "-c", HOLD, place, told], env=environment()))
-        wait_until(lambda: told.exists() and bool(told.read_text()))
-        told.unlink()
+        ready = tmp_path / f"held-{len(started)}"
+        started.append(subprocess.Popen([sys.executable, "-c", HOLD, place, ready], env=environment()))
+        wait_until(lambda: ready.exists() and bool(ready.read_text()))
+        ready.unlink()
         return started[-1]
 
     yield hold
@@ -481,16 +481,15 @@ def holder(tmp_path: Path) -> Iterator[Callable[[Path], subprocess.Popen[bytes]]
 
 
 @pytest.mark.usefixtures("evaluated")
-def test_two_runs_on_one_folder_and_what_a_killed_one_leaves(holder, make_campaign, monkeypatch, capsys):
+def test_two_runs_on_one_folder_and_the_files_of_a_killed_one(holder, make_campaign, monkeypatch, capsys):
     without_pages(monkeypatch)
     folder = make_campaign()
     before = set(_tree(folder.parent))
     first = holder(folder / "results")
     assert main(["run", str(folder), "-q"]) == EXIT_FAILED
-    sentence = (
-        f"shakercal: {folder / 'results'}: another run is writing there; start this one again when that has ended"
-    )
-    assert capsys.readouterr().err == f"{sentence}\n"
+    error = capsys.readouterr().err
+    assert f"{folder / 'results'}: " in error
+    assert error.count("\n") == 1
     assert len([path for path in folder.iterdir() if path.suffix == ".part"]) == 1
     first.kill()
     first.wait()
@@ -499,7 +498,7 @@ def test_two_runs_on_one_folder_and_what_a_killed_one_leaves(holder, make_campai
     assert before < set(_tree(folder.parent))
 
 
-def test_only_what_a_process_left_that_is_gone_is_removed(holder, tmp_path):
+def test_only_files_of_ended_processes_are_removed(holder, tmp_path):
     living, gone = holder(tmp_path / "Fz-0100"), holder(tmp_path / "Fz-0200")
     gone.kill()
     gone.wait()
@@ -605,9 +604,9 @@ def test_nothing_in_a_name_steers_the_terminal(make_campaign, evaluated, capsys)
     folder.rename(named)
     assert main(["run", str(named.parent)]) == EXIT_DONE
     assert main(["run", str(named.parent), "-v"]) == EXIT_DONE  # tells whose results are there
-    told = capsys.readouterr()
-    assert "\x1b" not in told.out + told.err
-    assert "\\x1b[31mFz" in told.err
+    output = capsys.readouterr()
+    assert "\x1b" not in output.out + output.err
+    assert "\\x1b[31mFz" in output.err
     assert evaluated
 
 

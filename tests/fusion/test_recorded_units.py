@@ -1,4 +1,4 @@
-"""What a file states of its units is used or contradicted, never ignored."""
+"""Units of files are used or contradicted, never ignored."""
 
 from __future__ import annotations
 
@@ -10,11 +10,31 @@ from support import edit, evaluated
 from fusion.errors import InputError
 from fusion.planning.check import check
 from fusion.recording.load import load_manifest
+from fusion.recording.recording_notices import (
+    CERTIFIED_SCALE_UNIT,
+    CONVERTER_CODES,
+    RESPONSE_WITHOUT_UNIT,
+    SCALE_CONTRADICTS_UNIT,
+    SCALE_REQUIRED,
+    UNIT_OF_ANOTHER_QUANTITY,
+    UNKNOWN_FILE_UNIT,
+)
 from fusion.recording.units import recorded_unit
 
 A = ACCELERATION
 G = 9.80665
 VELOCITY = A / (2j * np.pi * LINE_HZ)
+UNIT_CODES = {
+    declared.code
+    for declared in (
+        CERTIFIED_SCALE_UNIT,
+        CONVERTER_CODES,
+        RESPONSE_WITHOUT_UNIT,
+        SCALE_CONTRADICTS_UNIT,
+        UNIT_OF_ANOTHER_QUANTITY,
+        UNKNOWN_FILE_UNIT,
+    )
+}
 
 
 @pytest.mark.parametrize(
@@ -65,7 +85,7 @@ def test_multiples_of_the_unit_are_converted(tmp_path, case):
     found = evaluated(run)
     assert abs(found.sensitivity.value[0, 0, 2] / SENSITIVITY - 1.0) < 1e-6
     assert abs(found.load.value[0, 2] / (MASS_KG * A) - 1.0) < 1e-6
-    assert not [n for n in found.notices if "unit" in n.text and "file" in n.text]
+    assert not {n.code for n in found.notices} & UNIT_CODES
     assert check(load_manifest(run)).problems == ()
 
 
@@ -86,9 +106,9 @@ def test_another_unit_needs_a_scale(tmp_path, case):
     run = write_bench(tmp_path, {"acc": Bench(A, "m/s^2"), "Fz": FORCE_OUTPUT, **channels})
     with pytest.raises(InputError) as refused:
         evaluated(run)
-    assert refused.value.file.name == "recording.toml"
-    assert (refused.value.key, refused.value.found) == (f"daq.daq.channel.{name}.scale", "nothing")
-    assert factor in refused.value.expected
+    assert (refused.value.code, refused.value.file.name) == (SCALE_REQUIRED.code, "recording.toml")
+    assert refused.value.key == f"daq.daq.channel.{name}.scale"
+    assert factor in refused.value.values["expected"]
     assert any(f"channel.{name}.scale" in problem for problem in check(load_manifest(run)).problems)
 
 
@@ -99,35 +119,51 @@ def test_all_missing_scales_are_named_at_once(tmp_path):
     assert [error.key.split(".")[-2] for error in refused.value.each] == ["acc", "Fz"]
 
 
-DOUBTED = {
-    "unknown": ({"acc": Bench(A, "EU")}, ('"EU"', "not known")),
-    "free fall as if it were si": ({"acc": Bench(A / G, "g", keys={"scale": 1.0})}, ('"g"', "9.80665")),
-    "si times two": ({"acc": Bench(A, "m/s^2", keys={"scale": 2.0})}, ('"m/s^2"', "1 makes", "2 right")),
-    "velocity as acceleration": ({"acc": Bench(A, "m/s", keys={"scale": 1.0})}, ('"m/s"', "no factor")),
-    "mV/V as V/V": ({"Fz": Bench(FORCE_OUTPUT.phasor, "mV/V", "output", {"scale": 1.0})}, ('"mV/V"', "0.001")),
+SUSPICIOUS = {
+    "unknown": ({"acc": Bench(A, "EU")}, UNKNOWN_FILE_UNIT, {"unit": "EU"}),
+    "free fall as if it were si": (
+        {"acc": Bench(A / G, "g", keys={"scale": 1.0})},
+        SCALE_CONTRADICTS_UNIT,
+        {"unit": "g", "factor": G, "scale": 1.0},
+    ),
+    "si times two": (
+        {"acc": Bench(A, "m/s^2", keys={"scale": 2.0})},
+        SCALE_CONTRADICTS_UNIT,
+        {"unit": "m/s^2", "factor": 1.0, "scale": 2.0},
+    ),
+    "velocity as acceleration": (
+        {"acc": Bench(A, "m/s", keys={"scale": 1.0})},
+        UNIT_OF_ANOTHER_QUANTITY,
+        {"unit": "m/s", "quantity": "acceleration"},
+    ),
+    "mV/V as V/V": (
+        {"Fz": Bench(FORCE_OUTPUT.phasor, "mV/V", "output", {"scale": 1.0})},
+        SCALE_CONTRADICTS_UNIT,
+        {"unit": "mV/V", "factor": 1e-3},
+    ),
 }
 
 
-@pytest.mark.parametrize("case", DOUBTED)
-def test_a_scale_that_contradicts_the_file_is_asked_about(tmp_path, case):
-    channels, said = DOUBTED[case]
+@pytest.mark.parametrize("case", SUSPICIOUS)
+def test_a_scale_that_contradicts_the_file_is_a_warning(tmp_path, case):
+    channels, declared, values = SUSPICIOUS[case]
     run = write_bench(tmp_path, {"acc": Bench(A, "m/s^2"), "Fz": FORCE_OUTPUT, **channels})
-    (doubt,) = (n for n in evaluated(run).notices if "the file states" in n.text)
-    assert doubt.severity == "warning"
-    assert all(word in doubt.text for word in said)
-    assert any(doubt.text in remark for remark in check(load_manifest(run)).remarks)
+    (notice,) = (n for n in evaluated(run).notices if n.code in UNIT_CODES)
+    assert (notice.code, notice.severity) == (declared.code, "warning")
+    for name, value in values.items():
+        assert notice.values[name] == (value if isinstance(value, str) else pytest.approx(value, rel=1e-12))
+    assert any(notice.text in remark for remark in check(load_manifest(run)).remarks)
 
 
-def test_a_scale_of_a_certificate_is_asked_about_if_the_file_is_in_millivolts(tmp_path):
+def test_a_scale_of_a_certificate_is_a_warning_if_the_file_is_in_millivolts(tmp_path):
     run = write_bench(tmp_path, {"acc": Bench(A, "mV", keys={"scale": 1.0}), "Fz": FORCE_OUTPUT})
     edit(run / "recording.toml", "scale = 1.0", 'scale = { value = 1.0, U = 1e-3, k = 2, certificate = "A-1" }')
-    (doubt,) = (n for n in evaluated(run).notices if "the file states" in n.text)
-    assert '"mV"' in doubt.text
-    assert "certificate" in doubt.text
+    (notice,) = (n for n in evaluated(run).notices if n.code in UNIT_CODES)
+    assert (notice.code, notice.values["unit"]) == (CERTIFIED_SCALE_UNIT.code, "mV")
 
 
 RESPONSES = [
-    # median magnitude, its unit, unit of the file, whether a scale is asked for
+    # median magnitude, its unit, unit of the file, whether a scale is required
     (10.0e-3, "V/(m/s^2)", "V", False),
     (10.0, "mV/(m/s^2)", "V", False),
     (10.0e-3, None, "V", False),
@@ -137,8 +173,8 @@ RESPONSES = [
 ]
 
 
-@pytest.mark.parametrize(("magnitude", "unit", "stated", "asked"), RESPONSES)
-def test_a_response_in_V_per_unit_of_the_quantity_is_the_scale(tmp_path, magnitude, unit, stated, asked):
+@pytest.mark.parametrize(("magnitude", "unit", "stated", "refused"), RESPONSES)
+def test_a_response_in_V_per_unit_of_the_quantity_is_the_scale(tmp_path, magnitude, unit, stated, refused):
     columns = {key: key for key in ("frequency", "magnitude", "phase", "u_magnitude", "u_phase")}
     keys = {"response": "acc.csv"}
     text = block_with(columns | ({} if unit is None else {"magnitude_unit": unit}))
@@ -148,7 +184,7 @@ def test_a_response_in_V_per_unit_of_the_quantity_is_the_scale(tmp_path, magnitu
     path.write_text(path.read_text().replace('response = "acc.csv"\n', f'response = "acc.csv"\n{text}\n'))
     rows = [f"{hertz},{magnitude},0,{1e-3 * magnitude},0" for hertz in (10, 50, 100, 200, 1000, 2000)]
     (run / "acc.csv").write_text(",".join(columns) + "\n" + "\n".join(rows) + "\n")
-    if asked:
+    if refused:
         with pytest.raises(InputError, match=r"acc\.scale"):
             evaluated(run)
     else:

@@ -15,6 +15,19 @@ from fusion.errors import InputError
 from fusion.recording.load import load_manifest
 from fusion.recording.manifest import ResponseColumns
 from fusion.recording.plausibility import plausibility_notices
+from fusion.recording.plausibility_notices import LARGE_RESPONSE_UNCERTAINTY, RESPONSE_PHASE_MAY_BE_DEGREES
+from fusion.recording.recording_notices import (
+    AMBIGUOUS_PHASE_SIGN,
+    INVALID_RESPONSE_VALUE,
+    INVALID_VALUE,
+    KEY_NOT_APPLICABLE,
+    MISSING_KEY,
+    PHASE_NOT_IN_RADIANS,
+    RESPONSE_RANGE_TOO_SMALL,
+    RESPONSE_UNIT_CONTRADICTION,
+    UNREADABLE_RESPONSE_FILE,
+    VALUE_OUT_OF_RANGE,
+)
 from fusion.recording.response import read_response, read_table
 
 DEMO = Path(__file__).parents[2] / "sample_images" / "demo"
@@ -96,30 +109,33 @@ def test_datasets_of_an_hdf5_file_are_columns(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "old", "new", "told"),
+    ("change", "old", "new", "key", "code"),
     [
-        ("table", ";S;", ";A;", "S"),
-        ("table", "10,2", "-10,2", "positive values"),
-        ("table", ";0,5;", ";-0,5;", "no negative values"),
-        ("table", "10,2", "x", "line 3: expected numbers"),
-        ("table", ";0,4", ";", "U(phi): expected one finite number per row, found nan in row 1"),
-        ("table", ";160;", ";1e200;", "160"),
-        ("manifest", '"mV/(m/s^2)"', '"mV per g"', "response_columns.magnitude_unit: expected a unit"),
-        ("manifest", '"deg"', '"grad"', "response_columns.phase_unit"),
-        ("manifest", "k = 2.0", "k = 0.0", "response_columns.k"),
-        ("manifest", 'phase = "phi", ', "", "response_columns.phase: expected this key"),
-        ("manifest", "calibration.csv", "recording.toml", "no such key without a table as response"),
+        ("table", ";S;", ";A;", "response_columns", UNREADABLE_RESPONSE_FILE),
+        ("table", "10,2", "-10,2", "S", INVALID_RESPONSE_VALUE),
+        ("table", ";0,5;", ";-0,5;", "U(S)", INVALID_RESPONSE_VALUE),
+        ("table", "10,2", "x", "response_columns", UNREADABLE_RESPONSE_FILE),
+        ("table", ";0,4", ";", "U(phi)", INVALID_RESPONSE_VALUE),
+        ("table", ";160;", ";1e200;", "f", INVALID_RESPONSE_VALUE),
+        ("manifest", '"mV/(m/s^2)"', '"mV per g"', "response_columns.magnitude_unit", INVALID_VALUE),
+        ("manifest", '"deg"', '"grad"', "response_columns.phase_unit", INVALID_VALUE),
+        ("manifest", "k = 2.0", "k = 0.0", "response_columns.k", VALUE_OUT_OF_RANGE),
+        ("manifest", 'phase = "phi", ', "", "response_columns.phase", MISSING_KEY),
+        ("manifest", "calibration.csv", "recording.toml", "response_columns", KEY_NOT_APPLICABLE),
     ],
 )
-def test_a_table_that_cannot_be_read_is_one_sentence(tmp_path, capsys, change, old, new, told):
+def test_a_table_that_cannot_be_read_is_one_sentence(tmp_path, capsys, change, old, new, key, code):
     recording = with_response(tmp_path, f'response = "calibration.csv"\n{KEY}')
     german_table(recording)
-    edit(recording / ("calibration.csv" if change == "table" else "recording.toml"), old, new)
+    file = recording / ("calibration.csv" if change == "table" else "recording.toml")
+    edit(file, old, new)
     assert main(["check", str(recording)]) == 2
-    said = capsys.readouterr()
-    assert told in said.out + said.err
-    assert ("calibration.csv" if change == "table" else "recording.toml") in said.out + said.err
-    assert "Traceback" not in said.err
+    printed = capsys.readouterr()
+    lines = [line for line in (printed.out + printed.err).splitlines() if code.code in line]
+    assert len(lines) == 1, printed
+    assert f"{key}: " in lines[0]
+    assert file.name in lines[0]
+    assert "Traceback" not in printed.err
 
 
 PLAIN = {"frequency": "f", "magnitude": "S", "phase": "phi", "u_magnitude": "uS", "u_phase": "uphi"}
@@ -143,18 +159,18 @@ def written(folder: Path, names, units, rows) -> Path:
         (("rad/s", "", "mrad", "", "mrad"), {}, 200.0, 0.2),
         (None, {"phase_unit": "deg"}, 11.459156, 0.2),
         (None, {"phase": "phase lag"}, 0.2, -0.2),
-        (("Hz", "V", "deg", "V", "deg"), {"phase_unit": "rad"}, 11.0, "phi: .*rad, as response_columns.phase_unit"),
-        (("Hz", "V", "rad", "V", "rad"), {"phase_unit": "deg"}, 11.0, "phi: .*deg, as response_columns.phase_unit"),
-        (("Hz", "mV", "rad", "mV", "rad"), {"magnitude_unit": "V"}, 0.2, "S: .*V, as .*found mV in the file"),
-        (("Hz", "V", "rad", "V", "rad"), {"u_magnitude_unit": "%"}, 0.2, "uS: .*u_magnitude_unit"),
-        (("Hz", "V", "rad", "mV", "rad"), {}, 0.2, "uS: expected % or V"),
-        (("Hz", "dB", "rad", "dB", "rad"), {}, 0.2, "S: expected magnitudes, not their levels"),
-        (("s", "V", "rad", "V", "rad"), {}, 0.2, "f: expected frequencies in Hz"),
-        (("Hz", "V", "gon", "V", "gon"), {}, 0.2, "phi: expected rad or deg"),
-        (None, {"phase": "phase delay"}, 0.2, "sign is plain"),
-        (None, {"phase": "phase_lag"}, -0.2, "sign is plain"),
-        (None, {"phase": "phi (deg.)"}, 11.0, "phi"),
-        (None, {}, 180.0, "phi: expected radians, .* found 180"),
+        (("Hz", "V", "deg", "V", "deg"), {"phase_unit": "rad"}, 11.0, ("phi", RESPONSE_UNIT_CONTRADICTION)),
+        (("Hz", "V", "rad", "V", "rad"), {"phase_unit": "deg"}, 11.0, ("phi", RESPONSE_UNIT_CONTRADICTION)),
+        (("Hz", "mV", "rad", "mV", "rad"), {"magnitude_unit": "V"}, 0.2, ("S", RESPONSE_UNIT_CONTRADICTION)),
+        (("Hz", "V", "rad", "V", "rad"), {"u_magnitude_unit": "%"}, 0.2, ("uS", RESPONSE_UNIT_CONTRADICTION)),
+        (("Hz", "V", "rad", "mV", "rad"), {}, 0.2, ("uS", RESPONSE_UNIT_CONTRADICTION)),
+        (("Hz", "dB", "rad", "dB", "rad"), {}, 0.2, ("S", RESPONSE_UNIT_CONTRADICTION)),
+        (("s", "V", "rad", "V", "rad"), {}, 0.2, ("f", RESPONSE_UNIT_CONTRADICTION)),
+        (("Hz", "V", "gon", "V", "gon"), {}, 0.2, ("phi", RESPONSE_UNIT_CONTRADICTION)),
+        (None, {"phase": "phase delay"}, 0.2, ("response_columns.phase", AMBIGUOUS_PHASE_SIGN)),
+        (None, {"phase": "phase_lag"}, -0.2, ("response_columns.phase", AMBIGUOUS_PHASE_SIGN)),
+        (None, {"phase": "phi (deg.)"}, 11.0, ("phi (deg.)", RESPONSE_UNIT_CONTRADICTION)),
+        (None, {}, 180.0, ("phi", PHASE_NOT_IN_RADIANS)),
     ],
 )
 def test_units_and_signs_that_a_table_states_are_used_or_contradicted(tmp_path, units, keys, phase, expected):
@@ -163,9 +179,11 @@ def test_units_and_signs_that_a_table_states_are_used_or_contradicted(tmp_path, 
     share = 100.0 if units and units[3] == "%" else 2.0
     rows = [(factor * hertz, 2.0, phase, 0.002 * share, 0.001) for hertz in (50.0, 100.0, 200.0)]
     path = written(tmp_path, columns.names, units, rows)
-    if isinstance(expected, str):
-        with pytest.raises(InputError, match=expected):
+    if isinstance(expected, tuple):
+        key, declared = expected
+        with pytest.raises(InputError) as caught:
             read_response(path, np.array([100.0]), None, columns)
+        assert (caught.value.key, caught.value.code) == (key, declared.code)
     else:
         found = read_response(path, np.array([100.0]), None, columns)
         assert found.value[0] == pytest.approx(2.0 * np.exp(1j * expected), rel=1e-6)
@@ -173,25 +191,27 @@ def test_units_and_signs_that_a_table_states_are_used_or_contradicted(tmp_path, 
 
 
 @pytest.mark.parametrize(
-    ("phases", "told"),
+    ("phases", "found"),
     [
         ((-0.1, -1.0, -3.0, 3.0), ""),  # wrapped
         ((-0.1, -3.0, -6.0, -9.0), ""),  # followed
         ((0.1, 3.0, 6.1, 3.0), ""),
-        ((180.0, 179.5, 179.0, 178.0), "found 180"),
-        ((-0.3, -2.0, -10.0, -40.0), "found -40"),
-        ((-7.0, -9.0, -11.0, -13.0), "found -13"),
-        ((-5.7, -5.7, -5.7, -5.7), "found -5.7"),
+        ((180.0, 179.5, 179.0, 178.0), "180"),
+        ((-0.3, -2.0, -10.0, -40.0), "-40"),
+        ((-7.0, -9.0, -11.0, -13.0), "-13"),
+        ((-5.7, -5.7, -5.7, -5.7), "-5.7"),
         ((6.2, 0.1, 0.2, 0.3), ""),
         ((-3.3, -3.6, -4.0, -5.0), ""),  # of opposite sign, followed
     ],
 )
-def test_a_column_of_radians_cannot_hold_degrees(tmp_path, phases, told):
+def test_a_column_of_radians_cannot_be_in_degrees(tmp_path, phases, found):
     rows = [(hertz, 1.0, phase, 0.001, 0.001) for hertz, phase in zip((10, 20, 30, 40), phases, strict=True)]
     path = written(tmp_path, TYPED, None, rows)
-    if told:
-        with pytest.raises(InputError, match=f"phase_rad: expected radians.*{told}"):
+    if found:
+        with pytest.raises(InputError) as caught:
             read_table(path)
+        error = caught.value
+        assert (error.code, error.key, error.values["found"]) == (PHASE_NOT_IN_RADIANS.code, "phase_rad", found)
     else:
         assert read_table(path).phase_rad.tolist() == list(phases)
 
@@ -206,29 +226,37 @@ def test_a_line_at_the_end_of_a_table_is_in_it_whatever_the_clock_says(tmp_path)
 
 
 @pytest.mark.parametrize(
-    ("hertz", "told"), [((10, 20, 20), "ascending"), ((10, 30, 20), "ascending"), ((10, 20, 30), "contains 40 Hz")]
+    ("hertz", "declared"),
+    [
+        ((10, 20, 20), INVALID_RESPONSE_VALUE),
+        ((10, 30, 20), INVALID_RESPONSE_VALUE),
+        ((10, 20, 30), RESPONSE_RANGE_TOO_SMALL),
+    ],
 )
-def test_frequencies_ascend_and_reach_the_line(tmp_path, hertz, told):
+def test_frequencies_ascend_and_reach_the_line(tmp_path, hertz, declared):
     path = written(tmp_path, TYPED, None, [(one, 1.0, 0.0, 0.001, 0.001) for one in hertz])
-    with pytest.raises(InputError, match=f"frequency_hz: .*{told}"):
+    with pytest.raises(InputError) as caught:
         read_response(path, np.array([40.0]))
+    assert (caught.value.code, caught.value.key) == (declared.code, "frequency_hz")
 
 
-def test_an_uncertainty_in_per_cent_is_asked_about(tmp_path):
+def test_an_uncertainty_in_per_cent_is_a_warning(tmp_path):
     recording = with_response(tmp_path, 'response = "t.csv"')
     written(recording, TYPED, None, [(one, 1.0, 0.0, 0.5, 0.001) for one in (10, 80, 300)])
-    (doubt,) = (n for n in plausibility_notices(load_manifest(recording)) if "response" in n.text)
-    assert "50.0% at 80 Hz: stated in per cent?" in doubt.text
+    (notice,) = plausibility_notices(load_manifest(recording))
+    assert notice.code == LARGE_RESPONSE_UNCERTAINTY.code
+    assert (notice.values["u"], notice.values["frequency_hz"]) == pytest.approx((0.5, 80.0))
 
 
 @pytest.mark.parametrize(
-    ("magnitudes", "phase", "asked"), [((1, 1, 1), -2.0, 1), ((1, 0.9, 0.5), -2.0, 0), ((1, 1, 1), 3.1, 0)]
+    ("magnitudes", "phase", "count"), [((1, 1, 1), -2.0, 1), ((1, 0.9, 0.5), -2.0, 0), ((1, 1, 1), 3.1, 0)]
 )
-def test_phases_that_may_be_degrees_are_asked_about(tmp_path, magnitudes, phase, asked):
+def test_phases_that_may_be_degrees_are_a_warning(tmp_path, magnitudes, phase, count):
     recording = with_response(tmp_path, 'response = "t.csv"')
     rows = [(one, size, phase, 0.001, 0.001) for one, size in zip((10, 80, 300), magnitudes, strict=True)]
     written(recording, TYPED, None, rows)
-    assert sum("in degrees?" in notice.text for notice in plausibility_notices(load_manifest(recording))) == asked
+    codes = [notice.code for notice in plausibility_notices(load_manifest(recording))]
+    assert codes.count(RESPONSE_PHASE_MAY_BE_DEGREES.code) == count
 
 
 def with_response(folder: Path, text: str) -> Path:

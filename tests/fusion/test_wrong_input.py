@@ -22,6 +22,20 @@ from fusion.cli import main
 from fusion.commands.options import EXIT_INPUT
 from fusion.errors import ComputeError, InputError
 from fusion.recording.load import load_manifest
+from fusion.recording.recording_notices import (
+    CONSTANT_CHANNEL,
+    INVALID_RESPONSE_VALUE,
+    INVALID_VALUE,
+    MISSING_RESPONSE_COLUMN,
+    NO_RECORDING,
+    NON_FINITE_SAMPLES,
+    RESPONSE_RANGE_TOO_SMALL,
+    UNKNOWN_KEY,
+    UNREADABLE_DAQ_FILE,
+    VALUE_OUT_OF_RANGE,
+    WRONG_ENCODING,
+    WRONG_EXCITATION_KIND,
+)
 from fusion.sensitivity.recording_evaluation import evaluate_recording
 from fusion.simulate import simulate
 from photogram.measure import follow
@@ -151,105 +165,110 @@ ENDS_AT_90_HZ = b"frequency_hz,magnitude,phase_rad,u_magnitude,u_phase_rad\n0,1,
 TRIGGER = "camera_trigger"
 BUT_TWO = [f"top-{side}/{frame:04d}.tif" for side in ("left", "right") for frame in range(2, 24)]
 
-# The file to be named: what is broken: how, and what else the sentence must hold. Of mistakes that the manifest alone
-# shows, which stand in test_wrong_manifest.py, there is one for each of its files.
+# File to be named: case: change, and parts of the sentence: key, files, numbers, code. Mistakes of the manifest alone
+# are tested in test_wrong_manifest.py.
 WRONG: dict[str, dict[str, tuple[Break, *tuple[str, ...]]]] = {
     RECORDING: {
-        "truncated TIFF": (_cut("top-left/0011.tif", 0.5), "images.top.left", " top-left/0011.tif: truncated"),
+        "truncated TIFF": (_cut("top-left/0011.tif", 0.5), "images.top.left", " top-left/0011.tif: "),
         "TIFF without its end": (
-            _cut("base-right/0000.tif", 0.001), "images.base.right", " base-right/0000.tif: not a readable TIFF file",
+            _cut("base-right/0000.tif", 0.001), "images.base.right", " base-right/0000.tif: ",
         ),
         "damaged first image": (
-            _bytes("base-left/0000.tif", b"no image"), "images.base.left", " base-left/0000.tif: not a readable TIFF",
+            _bytes("base-left/0000.tif", b"no image"), "images.base.left", " base-left/0000.tif: ",
         ),
         "image of another size": (
             _pixels("top-right/0005.tif", lambda image: image[:, :300]),
-            "images.top.right", " top-right/0005.tif: expected 304 x 240 px, found 300 x 240",
+            "images.top.right", " top-right/0005.tif: ", "304 x 240", "300 x 240",
         ),
         "colour image": (
             _pixels("top-right/0005.tif", lambda image: np.stack([image] * 3, axis=-1)),
-            "images.top.right", " top-right/0005.tif: expected a grey image",
+            "images.top.right", " top-right/0005.tif: ",
         ),
         "grey values above the bit depth": (
             _pixels("top-left/0000.tif", lambda image: image * 16),
-            "images.top.left", " top-left/0000.tif: expected grey values up to 1023",
+            "images.top.left", " top-left/0000.tif: ", "1023",
         ),
         "saturated image": (
             _pixels("top-right/0000.tif", _saturate),
-            "images.top.right", " top-right/0000.tif: expected an image that is not saturated", "%",
+            "images.top.right", " top-right/0000.tif: ", "%",
         ),
-        "two frames": (_drop(*BUT_TWO), "images.top", "at least 3", "found 2"),
+        "two frames": (_drop(*BUT_TWO), "images.top", "3", "2"),
         "fewer edges than frames": (
             _each(*(_channel(file, TRIGGER, _twenty_edges) for file in (VIBROMETER, BRIDGE))),
-            "images.top.trigger", "at least 24 edges in camera_trigger for 24 frames, found 20",
+            "images.top.trigger", "24", "20", "camera_trigger",
         ),
         "more edges than frames": (
-            _drop("top-left/0023.tif", "top-right/0023.tif"), "images.top.first_edge", "23 frames", "24 edges",
+            _drop("top-left/0023.tif", "top-right/0023.tif"), "images.top.first_edge", "23", "24",
         ),
         "clock without shared trigger": (
             _content(RECORDING, _without_last_channel),
-            "daq.bridge.channel", "a trigger channel of the same name as in block vibrometer",
+            "daq.bridge.channel", "vibrometer",
         ),
         "trigger of another period": (
             _channel(BRIDGE, TRIGGER, lambda samples: np.repeat(samples, 2)[: len(samples)]),
-            "daq.bridge.channel.camera_trigger", "expected the trigger period of the base clock",
+            "daq.bridge.channel.camera_trigger",
         ),
         "unknown key": (
             _text(RECORDING, "scale_uncertainty", "scale_uncertanty"),
-            "daq.vibrometer.channel.velocity_1.scale_uncertanty", 'probably "scale_uncertainty"',
+            "daq.vibrometer.channel.velocity_1.scale_uncertanty", '"scale_uncertainty"', UNKNOWN_KEY.code,
         ),
         "channel absent from the file": (
             _text(RECORDING, 'name = "velocity_3"', 'name = "velocity_9"'),
-            "daq.vibrometer.file", " vibrometer.h5: expected a channel", '"velocity_9"', '"velocity_3"',
+            "daq.vibrometer.file", " vibrometer.h5: ", UNREADABLE_DAQ_FILE.code, '"velocity_9"', '"velocity_3"',
         ),
         "corrupt HDF5": (
-            _bytes(BRIDGE, b"no HDF5" * 99), "daq.bridge.file", " bridge.h5: expected a readable .h5 file",
+            _bytes(BRIDGE, b"no HDF5" * 99), "daq.bridge.file", " bridge.h5: ", UNREADABLE_DAQ_FILE.code,
         ),
-        "truncated HDF5": (_cut(BRIDGE, 0.5), "daq.bridge.file", " bridge.h5: expected a readable .h5 file"),
-        "corrupt TDMS": (UNREADABLE_TDMS, "daq.bridge.file", " bridge.tdms: expected"),
+        "truncated HDF5": (_cut(BRIDGE, 0.5), "daq.bridge.file", " bridge.h5: ", UNREADABLE_DAQ_FILE.code),
+        "corrupt TDMS": (UNREADABLE_TDMS, "daq.bridge.file", " bridge.tdms: ", UNREADABLE_DAQ_FILE.code),
         "excitation of another command": (
-            _each(_text(RECORDING, '"sine"', '"chirp"'), _text(RECORDING, *CHIRP)), "excitation.kind", "sine", "chirp",
+            _each(_text(RECORDING, '"sine"', '"chirp"'), _text(RECORDING, *CHIRP)),
+            "excitation.kind", "sine", "chirp", WRONG_EXCITATION_KIND.code,
         ),
         "frequency not present": (
             _text(RECORDING, "frequencies = [80.0]", "frequencies = [95.0]"),
-            "excitation.frequencies", "expected 95 Hz to stand out of the spectrum", "vibrometer.h5",
+            "excitation.frequencies", "95 Hz", "vibrometer.h5",
         ),
     },
-    RIG: {"zero mass": (_text(RIG, "mass = 2.4063", "mass = 0.0"), "load.mass", "above 0")},
+    RIG: {"zero mass": (_text(RIG, "mass = 2.4063", "mass = 0.0"), "load.mass", VALUE_OUT_OF_RANGE.code)},
     VIBROMETER: {
         "trigger without pulses": (
-            _channel(VIBROMETER, TRIGGER, np.zeros_like), "camera_trigger: expected a level that the signal crosses",
+            _channel(VIBROMETER, TRIGGER, np.zeros_like), "camera_trigger: ",
         ),
         "channel that never changes": (
             _channel(VIBROMETER, "velocity_2", np.zeros_like),
-            "velocity_2: expected samples that change, found 0 throughout",
+            "velocity_2: ", CONSTANT_CHANNEL.code,
         ),
     },
     BRIDGE: {
         "NaN in a trigger": (
-            _channel(BRIDGE, "camera_trigger", _with_nan), "camera_trigger: expected finite samples", "sample 777",
+            _channel(BRIDGE, "camera_trigger", _with_nan), "camera_trigger: ", "777", NON_FINITE_SAMPLES.code,
         ),
         "NaN in most of a channel": (
-            _channel(BRIDGE, "Fz", _mostly_nan), "Fz: expected at least 25 % of the samples", "15000 of 19000 samples",
+            _channel(BRIDGE, "Fz", _mostly_nan), "Fz: ", "25 %", "15000 of 19000",
         ),
         "channel of a few samples": (
-            _channel(BRIDGE, "Fz", lambda samples: samples[:5]), "Fz: expected more than", "complete samples, found 5",
+            _channel(BRIDGE, "Fz", lambda samples: samples[:5]), "Fz: ", "5",
         ),
     },
     CALIBRATION: {
         "another image size": (_text(CALIBRATION, "304", "640"), "image_size", "[304, 240]", "[640, 240]"),
-        "no rotation": (_content(CALIBRATION, _stretched_rotation), ": rotation: expected an orthonormal"),
+        "no rotation": (_content(CALIBRATION, _stretched_rotation), ": rotation: "),
         "no JSON": (_bytes(CALIBRATION, b'{"format": 1,'), "JSON"),
         "nested without end": (_bytes(CALIBRATION, b"[" * 100_000), "JSON"),
     },
     RESPONSE: {
-        "without a column": (_text(RESPONSE, "phase_rad", "phase"), "phase_rad", "this column"),
-        "with a text": (_text(RESPONSE, "\n0.0,", "\nzero,"), "frequency_hz", '"zero" in line 2'),
-        "with NaN": (_text(RESPONSE, "\n0.0,", "\nnan,"), "frequency_hz", '"nan" in line 2'),
-        "too few columns": (_bytes(RESPONSE, b"frequency_hz\n0\n"), "magnitude", "this column"),
-        "no text": (_bytes(RESPONSE, bytes(range(256))), "UTF-8"),
+        "without a column": (_text(RESPONSE, "phase_rad", "phase"), "phase_rad", MISSING_RESPONSE_COLUMN.code),
+        "with a text": (
+            _text(RESPONSE, "\n0.0,", "\nzero,"), "frequency_hz", '"zero"', "line 2", INVALID_RESPONSE_VALUE.code,
+        ),
+        "with NaN": (
+            _text(RESPONSE, "\n0.0,", "\nnan,"), "frequency_hz", '"nan"', "line 2", INVALID_RESPONSE_VALUE.code,
+        ),
+        "too few columns": (_bytes(RESPONSE, b"frequency_hz\n0\n"), "magnitude", MISSING_RESPONSE_COLUMN.code),
+        "no text": (_bytes(RESPONSE, bytes(range(256))), WRONG_ENCODING.code),
         "ends below a line": (
-            _bytes(RESPONSE, ENDS_AT_90_HZ), "frequency_hz", "a range that contains 160 Hz", "0 to 90 Hz",
+            _bytes(RESPONSE, ENDS_AT_90_HZ), "frequency_hz", "160 Hz", "0 to 90 Hz", RESPONSE_RANGE_TOO_SMALL.code,
         ),
     },
 }  # fmt: skip
@@ -263,52 +282,45 @@ def no_tracking(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def untouched(refused: RefusedCommand, tmp_path: Path) -> RefusedCommand:
-    """Run a command that refuses its input and touches nothing, and return the one sentence that it says."""
+    """Run a command that refuses its input and changes no file, and return its sentence."""
 
     def state() -> list[tuple[Path, int, int, int]]:
-        # A lock that was held and given free changes nothing of a folder but its time.
+        # A released lock changes only the time of its folder.
         every = [(p, p.lstat()) for p in sorted(tmp_path.rglob("*"))]
         return [(p, s.st_size, 0 if p.is_dir() else s.st_mtime_ns, s.st_ino) for p, s in every]
 
     def run(*arguments: object, status: int = EXIT_INPUT) -> str:
         before = state()
-        told = refused(*arguments, status=status)
+        sentence = refused(*arguments, status=status)
         assert state() == before
-        return told
+        return sentence
 
     return run
 
 
 @pytest.mark.usefixtures("no_tracking")
-@pytest.mark.parametrize(("file", "what"), [(file, what) for file, cases in WRONG.items() for what in cases])
-def test_one_sentence_names_file_and_key(file, what, campaign, untouched):
-    break_it, *parts = WRONG[file][what]
+@pytest.mark.parametrize(("file", "case"), [(file, case) for file, cases in WRONG.items() for case in cases])
+def test_one_sentence_names_file_and_key(file, case, campaign, untouched):
+    break_it, *parts = WRONG[file][case]
     break_it(campaign)
-    told = untouched("run", campaign / NAME, "-o", campaign.parent / "out")
-    assert told.startswith(f"shakercal: {campaign / file}: ")
+    sentence = untouched("run", campaign / NAME, "-o", campaign.parent / "out")
+    assert re.match(rf"shakercal: SC-\d{{3}} {re.escape(str(campaign / file))}: ", sentence)
     for part in parts:
-        assert part in told
-    assert told.count("expected") <= 1
-    assert told.count(str(campaign / file)) == 1
+        assert part in sentence
+    assert sentence.count(str(campaign / file)) == 1
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("file", "what"), [(file, what) for file, cases in WRONG.items() for what in cases])
-def test_check_refuses_what_a_run_refuses(file, what, campaign, capsys):
-    WRONG[file][what][0](campaign)
+@pytest.mark.parametrize(("file", "case"), [(file, case) for file, cases in WRONG.items() for case in cases])
+def test_check_refuses_what_a_run_refuses(file, case, campaign, capsys):
+    WRONG[file][case][0](campaign)
     assert main(["check", str(campaign / NAME)]) == EXIT_INPUT
-    told = capsys.readouterr()
-    assert Path(file).name in told.out + told.err
+    printed = capsys.readouterr()
+    assert Path(file).name in printed.out + printed.err
 
 
-@pytest.mark.parametrize(
-    ("change", "sentence"),
-    [
-        (_saturate, "expected an image that is not saturated"),
-        (lambda image: image * 16, "expected grey values up to 1023"),
-    ],
-)
-def test_images_that_are_wrong_later_in_the_series(change, sentence, campaign, untouched, monkeypatch):
+@pytest.mark.parametrize(("change", "part"), [(_saturate, "%"), (lambda image: image * 16, "1023")])
+def test_images_that_are_wrong_later_in_the_series(change, part, campaign, untouched, monkeypatch):
     """Pixels are seen when the tracker reads them, hence a tracker that does nothing else."""
 
     def read_all(images: tuple[Any, Any], *_: object, **__: object) -> None:
@@ -318,11 +330,12 @@ def test_images_that_are_wrong_later_in_the_series(change, sentence, campaign, u
 
     monkeypatch.setattr(follow, "prepare_body", read_all)
     _pixels("top-right/0002.tif", change)(campaign)
-    told = untouched("run", campaign / NAME)
-    assert told.startswith(f"shakercal: {campaign / RECORDING}: images.top: top-right/0002.tif: {sentence}")
+    sentence = untouched("run", campaign / NAME)
+    assert f" {campaign / RECORDING}: images.top: top-right/0002.tif: " in sentence
+    assert part in sentence
 
 
-# What concerns one stereo pair alone does not end the run: the pair is left out by name.
+# An error of a single stereo pair does not end the run: the pair is excluded by name.
 
 BLIND = [_pixels(f"{pair}-right/0000.tif", lambda image: np.full_like(image, 300)) for pair in ("top", "base")]
 WITHOUT_IMAGES = _content(RECORDING, lambda content: content[: content.index(b"[[images]]")])
@@ -330,16 +343,16 @@ MOTION_CHANNEL = rb'\[\[daq\.channel\]\]\n(?:(?!\n\[)[\s\S])*?quantity = "(?:vel
 WITHOUT_MOTION = _content(RECORDING, lambda content: re.sub(MOTION_CHANNEL, b"", content))
 
 
-def _left_out(found, words):
-    told = {notice.where: notice for notice in found.notices if "is left out" in notice.text}
-    assert set(told) == {"top", "base"}
-    for name, notice in told.items():
-        assert notice.severity == "warning"
-        assert re.match(f"stereo pair {name} is left out: {words}", notice.text)
+def _left_out(found, pattern):
+    """Assert that both pairs are excluded by a warning whose text has a pattern."""
+    notices = {n.where: n for n in found.notices if n.where in ("top", "base") and n.severity == "warning"}
+    assert set(notices) == {"top", "base"}
+    for notice in notices.values():
+        assert re.search(pattern, notice.text)
     assert found.stereo == ()
 
 
-def test_pairs_without_a_body_are_left_out_and_the_others_evaluated(campaign):
+def test_pairs_without_a_body_are_excluded_and_the_others_evaluated(campaign):
     """As if their pictures had not been recorded, to the last bit; by an executor too."""
     _each(*BLIND)(campaign)
     manifest = load_manifest(campaign / NAME)
@@ -347,34 +360,32 @@ def test_pairs_without_a_body_are_left_out_and_the_others_evaluated(campaign):
     WITHOUT_IMAGES(campaign)
     alone = evaluate_recording(load_manifest(campaign / NAME))
     for each in found:
-        _left_out(each, r"expected an image of a speckled body, found none in \w+-right/0000.tif: overexposed")
+        _left_out(each, r"\w+-right/0000\.tif")
         np.testing.assert_array_equal(each.load.value, alone.load.value)
         np.testing.assert_array_equal(each.load.uncertainty.covariance, alone.load.uncertainty.covariance)
 
 
 def test_where_nothing_else_measures_a_motion_a_pair_without_a_body_is_wrong_input(campaign, untouched):
     _each(*BLIND, WITHOUT_MOTION)(campaign)
-    told = untouched("run", campaign / NAME)
-    assert told.startswith(f"shakercal: {campaign / RECORDING}: images.top: expected an image of a speckled body")
+    assert f" {campaign / RECORDING}: images.top: " in untouched("run", campaign / NAME)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", ["foil that repeats", "body lost after the first frame"])
-def test_a_pair_that_says_not_where_its_body_is_is_left_out_by_name(case, campaign, tmp_path):
+def test_a_pair_without_a_position_of_its_body_is_excluded_by_name(case, campaign, tmp_path):
     if case == "foil that repeats":
-        words = r"expected one place for the body, found two that fit as well, 0\.\d+ m and 0\.\d+ m .* pattern repeats"
-        _left_out(evaluated(simulate(tmp_path / "foil", "demo", 3, violate=("foil-repeats",))), words)
+        _left_out(evaluated(simulate(tmp_path / "foil", "demo", 3, violate=("foil-repeats",))), r"0\.\d+ m.*0\.\d+ m")
         return
     for pair in ("top", "base"):
         for frame in range(1, 24):
             _pixels(f"{pair}-right/{frame:04d}.tif", lambda image: np.full_like(image, 300))(campaign)
-    _left_out(evaluated(campaign / NAME), "expected at least 3 different frames, found 2 of 24")
+    _left_out(evaluated(campaign / NAME), "3.*2.*24")
 
 
 def test_no_recording(tmp_path, untouched):
     absent = tmp_path / "absent"
-    assert untouched("run", absent).startswith(f"shakercal: {absent}: expected a recording folder")
-    assert untouched("run", tmp_path).startswith(f"shakercal: {tmp_path}: expected recording.toml in this folder")
+    assert untouched("run", absent).startswith(f"shakercal: {NO_RECORDING.code} {absent}: ")
+    assert untouched("run", tmp_path).startswith(f"shakercal: {NO_RECORDING.code} {tmp_path}: ")
 
 
 @pytest.mark.usefixtures("no_tracking")
@@ -382,27 +393,23 @@ def test_results_never_go_among_other_files(campaign, untouched):
     out, file = campaign.parent / "out", campaign.parent / "out" / "thesis.txt"
     out.mkdir()
     file.write_text("mine")
-    told = untouched("run", campaign / NAME, "-o", out)
-    assert told.startswith(f"shakercal: {out}: expected an empty folder for the results (--force")
-    for place in (file, file / "results"):
-        told = untouched("run", campaign / NAME, "-o", place)
-        assert told.startswith(f"shakercal: {place}: expected a")
-        assert "found a file" in told
+    for path in (out, file, file / "results"):
+        assert f" {path}: " in untouched("run", campaign / NAME, "-o", path)
 
 
-SAMPLE = InputError(Path("rig.toml"), "stereo.top.rotation", found="2", expected="a rotation")
+SAMPLE = InputError(INVALID_VALUE, Path("rig.toml"), "stereo.top.rotation", found="2", expected="a rotation")
 
 
 def test_the_sentence_names_file_key_expectation_and_finding():
-    assert str(SAMPLE) == "rig.toml: stereo.top.rotation: expected a rotation, found 2"
-    told = str(InputError("a.tif", "", found="3\n  bytes", expected="an image"))
-    assert told == "a.tif: expected an image, found 3 bytes"
-    assert "(1 more problem in this file)" in str(InputError("rig.toml", "b", "c", "d", [SAMPLE]))
-    others = [SAMPLE, InputError("recording.toml", "b", "c", "d")]
-    assert "(2 more problems, also in recording.toml)" in str(InputError("rig.toml", "b", "c", "d", others))
+    assert str(SAMPLE) == f"{INVALID_VALUE.code} rig.toml: stereo.top.rotation: expected a rotation, found 2"
+    error = InputError(INVALID_VALUE, "a.tif", found="3\n  bytes", expected="an image")
+    assert str(error) == f"{INVALID_VALUE.code} a.tif: expected an image, found 3 bytes"
+    other = InputError(INVALID_VALUE, "recording.toml", "b", found="c", expected="d")
+    assert "(1 more " in str(InputError.together([SAMPLE, SAMPLE]))
+    assert re.search(r"\(2 more .*recording\.toml\)", str(InputError.together([SAMPLE, SAMPLE, other])))
 
 
-@pytest.mark.parametrize("error", [SAMPLE, ComputeError("no line found")])
+@pytest.mark.parametrize("error", [SAMPLE, ComputeError(UNREADABLE_DAQ_FILE, reason="no line")])
 def test_errors_can_be_sent_between_processes(error):
     back = pickle.loads(pickle.dumps(error))
     assert type(back) is type(error)
@@ -410,7 +417,7 @@ def test_errors_can_be_sent_between_processes(error):
 
 
 @pytest.mark.parametrize(
-    ("error", "told"),
+    ("error", "reason"),
     [
         (lambda at: ValueError(f"{at}/top/0003.tif: truncated"), "top/0003.tif: truncated"),
         (lambda at: ValueError(f"{at}/recording.toml: rotation: expected a, found b"), "rotation: expected a, found b"),
@@ -420,6 +427,7 @@ def test_errors_can_be_sent_between_processes(error):
         (lambda _: OSError("closed"), "closed"),
     ],
 )
-def test_what_a_reader_says_is_told_once(error, told, tmp_path):
+def test_the_reason_of_a_reader_is_reported_once(error, reason, tmp_path):
     file = tmp_path / "recording.toml"
-    assert str(InputError.from_exception(error(tmp_path), file, "images.top")) == f"{file}: images.top: {told}"
+    refused = InputError.from_exception(error(tmp_path), file, "images.top")
+    assert str(refused) == f"{refused.code} {file}: images.top: {reason}"
