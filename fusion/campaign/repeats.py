@@ -32,12 +32,14 @@ from shakercal._common.notices import Notice
 SAME_FREQUENCY = 1e-4
 """Relative difference of frequencies within which a sensitivity does not change."""
 SAME_DIRECTION = 1e-3
+"""Largest difference of the unit directions of one excitation."""
 SAME_LOAD = 0.05
 """Largest difference of a load component (moments over 0.1 m) within one excitation, relative to the driven one."""
 WITHIN, BETWEEN = "repeatability", "mounting anew"
 PHASE_DIFFERENCES = "phases that differ"
 """Label of the possible loss of magnitude in a mean of complex values with different phases."""
 LEVERS = np.array([1.0, 1.0, 1.0, *np.full(3, 1.0 / BODY_SIZE_M)])
+"""Factors that convert moments to forces at the size of a body."""
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,7 @@ NO_BOKEH = DeclaredNotice(
 CHANGED_INPUT = DeclaredNotice(
     "SC-555",
     "error",
-    "the file {change} while it was read",
+    "{change} while it was read",
     effect="No results were written.",
     remedy="Start again when no other program writes to it.",
     link="results.md#whole-or-not-at-all-and-resumed",
