@@ -145,7 +145,7 @@ class StereoReading(Geometry):
         return [f"{self._title}: pose {kind} {axis}" for axis in "xyz"]
 
     def moved(self, readings: ComplexArray, deviates: Deviates) -> ComplexArray:
-        """Return displacement phasors (N, K, 6) in sampled frames: t' = R (t + theta × p), theta' = R theta."""
+        """Return phasors (N, K, 6) in sampled frames: t' = R (t + theta × p), theta' = R theta."""
         if not self.unknowns:
             return readings
         u = np.asarray(self.pair.pose_uncertainty, dtype=np.float64)

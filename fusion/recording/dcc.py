@@ -96,7 +96,7 @@ class CertifiedQuantity:
         return name in (self.result, self.name, *self.names, *self.types, *self.ids)
 
     def in_one_of(self, dimensions: Collection[Dimension]) -> CertifiedQuantity | None:
-        r"""Return the quantity if its unit has one of some dimensions, also by the other reading of `\per`."""
+        r"""Return the quantity if its unit, or its other reading of `\per`, has one of some dimensions."""
         if self.unit.dimension in dimensions:
             return self
         other = self.unit.other

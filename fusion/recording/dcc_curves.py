@@ -116,7 +116,7 @@ def curves(certificate: CalibrationCertificate) -> Iterator[CertifiedCurve]:
 
 
 def _of_transducer(quantity: CertifiedQuantity) -> CertifiedQuantity | None:
-    """Return a quantity in V, A or C per a mechanical unit, also by the other reading of `\\per`."""
+    """Return a quantity in V, A or C per mechanical unit, by either reading of `\\per`."""
     for unit in filter(None, (quantity.unit, quantity.unit.other)):
         if unit.dimension and unit.dimension[AMPERE] and unit.dimension not in (*RATIOS, *ELECTRICAL):
             return quantity.in_one_of((unit.dimension,))

@@ -102,7 +102,7 @@ class Unit:
 
 
 def dsi_unit(unit: str, further: Powers = (), power: int = 1) -> str:
-    r"""Return a unit such as `mV/V`, times further units, to a power, in the notation of the D-SI.
+    r"""Return a unit, times further units, to a power, in the notation of the D-SI.
 
     `ValueError` for units other than products of volts, amperes, coulombs, newtons, metres, ohms and similar ones.
 
@@ -115,7 +115,7 @@ def dsi_unit(unit: str, further: Powers = (), power: int = 1) -> str:
 
 
 def _powers(unit: str) -> Iterator[tuple[str, int]]:
-    """Yield the units of a text with exponents; a stroke divides by all up to the next one."""
+    """Yield units with exponents; a stroke divides by all up to the next one."""
     none = f"expected a unit of V, A, C, N, m and similar ones, such as mV/V, found {unit}"
     outer, sign, last = [1], 1, "/"  # of open brackets, and after a stroke within the last one
     for token in re.findall(r"[()/]|[^()/\u00b7.*\s]+", unit):

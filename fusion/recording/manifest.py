@@ -275,7 +275,7 @@ class Daq(ManifestBlock):
     channel: Annotated[tuple[ChannelEntry, ...], BeforeValidator(array_of_tables), Field(min_length=1)]
 
     def data_set(self, entry: ChannelEntry) -> tuple[str, str]:
-        """Return block and point of a channel of a scan, `2/3` as ("2", "3"); else name and ""."""
+        """Return block and point of a scan's channel `2/3`; otherwise the name and ""."""
         block, _, point = entry.name.partition("/")
         return (block, point) if self.file.suffix.lower() == SCAN else (entry.name, "")
 

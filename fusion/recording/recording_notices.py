@@ -1,4 +1,4 @@
-"""Errors and notices of reading a recording: its files, manifest keys, certificates, tables, units and values."""
+"""Errors and notices of reading a recording: files, manifests, certificates, tables, units."""
 
 from __future__ import annotations
 

@@ -217,9 +217,10 @@ def _required_unit(entry: ChannelEntry, rig: Rig) -> RecordedUnit | None:
 
 
 def _usual_magnitude(path: Path, columns: ResponseColumns | None) -> float:
-    """Return the magnitude of a response without unit: the median of a table, or the product of a chain's gains.
+    """Return the typical magnitude of a response without unit.
 
-    0 if it cannot be read; the commands that use it refuse it.
+    It is the median of a table, or the product of a chain's gains; 0 if it cannot be read, which the commands that use
+    it refuse.
     """
     with suppress(InputError):
         if path.suffix.lower() == ELEMENTS:
