@@ -1,8 +1,8 @@
 """A plate on the load that bends, for motion, load and images of the simulator.
 
 The plate is a disc of uniform mass m about the axis z of the sensor, with the shape s(ρ) = ρ²·(1.4 − 0.4·ρ²) over the
-radius ρ = r/R. Its rim moves by q relative to its centre, m·⟨s²⟩·(q̈ + 2ζω₀·q̇ + ω₀²·q) = −m·⟨s⟩·a, and the foot carries
-m·⟨s⟩·q̈ in addition to the rigid load. Means over the disc are sums over rings.
+radius ρ = r/R. Its rim moves by q relative to its centre, m·⟨s²⟩·(q̈ + 2ζω₀·q̇ + ω₀²·q) = −m·⟨s⟩·a, and the foot
+carries m·⟨s⟩·q̈ in addition to the rigid load. Means over the disc are sums over rings.
 """
 
 from __future__ import annotations

@@ -86,8 +86,8 @@ class Oscillator:
         (1 + 2ζp)/(1 + 2ζp + p²), p = jω/ω₀.
         """
         p = 1j * frequency_hz / self.frequency_hz
-        turned = 1.0 + 2.0 * self.damping_ratio * p
-        return np.asarray(turned / (turned + p * p))
+        spring = 1.0 + 2.0 * self.damping_ratio * p
+        return np.asarray(spring / (spring + p * p))
 
 
 @dataclass(frozen=True, config=CHECKED)
@@ -120,12 +120,12 @@ class SimulatedSuspension:
         free = np.array(self.free)
         matrix = mass_matrix(load) + mass_matrix(internal)
         drive = np.array([*self.direction, 0.0, 0.0, 0.0])
-        held = np.setdiff1d(np.arange(6), free)
+        rigid = np.setdiff1d(np.arange(6), free)
         inertia = matrix[np.ix_(free, free)]
-        pull = spring @ drive[free] - s[:, :, 0] ** 2 * (matrix[np.ix_(free, held)] @ drive[held])
+        pull = spring @ drive[free] - s[:, :, 0] ** 2 * (matrix[np.ix_(free, rigid)] @ drive[rigid])
         moved = np.linalg.solve(s**2 * inertia + spring, pull[:, :, None])[:, :, 0]
         row = np.array([*self.direction, *np.cross(point, self.direction)])
-        return np.asarray(moved @ row[free] + drive[held] @ row[held])
+        return np.asarray(moved @ row[free] + drive[rigid] @ row[rigid])
 
     def resonances_hz(self, load: TruePart, internal: TruePart) -> FloatArray:
         """Return the undamped natural frequencies, in ascending order."""
@@ -136,7 +136,7 @@ class SimulatedSuspension:
     @property
     def springs(self) -> dict[str, dict[str, float]]:
         """Stiffness and damping by component, for the truth files."""
-        names = [MOTION_COMPONENTS[place] for place in self.free]
+        names = [MOTION_COMPONENTS[index] for index in self.free]
         return {
             "stiffness": dict(zip(names, self.stiffness, strict=True)),
             "damping": dict(zip(names, self.damping, strict=True)),
@@ -334,8 +334,8 @@ def write_masses(
     write_chirps(folder, suspension, draws)
     for number, step in enumerate(steps, 1):
         run = sine_run(suspension, step, draws)
-        own = replace(draws, recording=run.preset.recording)
-        write_run(folder, run, make_world(run.preset, own, TRIGGER_JITTER_S), own)
+        recording_draws = replace(draws, recording=run.preset.recording)
+        write_run(folder, run, make_world(run.preset, recording_draws, TRIGGER_JITTER_S), recording_draws)
         progress("write", number, len(steps))
     lags = {"spring_lag_s": _spring_lag_s(suspension), "chain_lag_s": suspension.sensor.lag_s}
     _write_truth(folder, suspension, draws, lags | {"sine_load": SINE_LOAD})
@@ -372,23 +372,23 @@ def sine_run(suspension: SimulatedSuspension, step: int, draws: Draws) -> Run:
     )
 
 
-def _spring_lag_s(stand: SimulatedSuspension) -> float:
+def _spring_lag_s(suspension: SimulatedSuspension) -> float:
     """Return b/k of the first spring."""
-    return stand.damping[0] / stand.stiffness[0]
+    return suspension.damping[0] / suspension.stiffness[0]
 
 
-def _write_truth(folder: Path, stand: SimulatedSuspension, draws: Draws, others: dict[str, Any]) -> None:
+def _write_truth(folder: Path, suspension: SimulatedSuspension, draws: Draws, others: dict[str, Any]) -> None:
     """Write the common truth of all recordings of the campaign, and that of each load."""
-    internal = true_part(stand.internal, draws)
-    loads = {name: true_part(load, draws) for name, load in stand.loads.items()}
+    internal = true_part(suspension.internal, draws)
+    loads = {name: true_part(load, draws) for name, load in suspension.loads.items()}
     truth = {
         "format": 1,
-        "preset": stand.sensor.name,
+        "preset": suspension.sensor.name,
         "seed": draws.seed,
-        **stand.springs,
+        **suspension.springs,
         "internal_mass_kg": internal.mass_kg,
         "load_mass_kg": {name: load.mass_kg for name, load in loads.items()},
-        "resonances_hz": {name: stand.resonances_hz(load, internal).tolist() for name, load in loads.items()},
+        "resonances_hz": {name: suspension.resonances_hz(load, internal).tolist() for name, load in loads.items()},
         **others,
         "drawn": draws.values,
     }

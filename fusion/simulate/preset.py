@@ -287,11 +287,11 @@ def camera_pose(setup: StereoSetup, sign: float = -1.0) -> RigidTransform:
 
 def patches_of(setup: StereoSetup) -> tuple[StereoSetup, ...]:
     """Return the patches at rest next to a face as faces at rest."""
-    aside, *half = setup.at_rest or (0.0,)
+    offset, *half = setup.at_rest or (0.0,)
     side = np.cross(np.array(setup.face_up), np.array(setup.face_normal))
     patches = []
     for sign in (1.0, -1.0) if half else ():
-        x, y, z = (np.array(setup.face_centre) + sign * aside * side).tolist()
+        x, y, z = (np.array(setup.face_centre) + sign * offset * side).tolist()
         patch = replace(setup, name=f"{setup.name}-room", body="room", face_centre=(x, y, z), at_rest=())
         patches.append(replace(patch, half_size=(half[0], half[1]), round=False))
     return tuple(patches)

@@ -83,10 +83,10 @@ class StepRig(SimulatedRecorder):
     """Truth and nominal values of sensor, amplifier and recorder.
 
     One mode per component (`frequency_hz`, `damping_ratio`) and the amplifier's real pole `chain_hz`. `capacity` and
-    `sensitivity` by component, the latter in V/V per N or N·m. `mixing`: largest share of a load in the excitation, and of
-    an output in the observation, of another component's mode. `load_share`: hanging load over the capacity. `gain`: V per
-    V/V. `after_s`: duration of the record after the release. The first of the `ropes` releases every component, all of them
-    release Fz.
+    `sensitivity` by component, the latter in V/V per N or N·m. `mixing`: largest share of a load in the excitation, and
+    of an output in the observation, of another component's mode. `load_share`: hanging load over the capacity. `gain`:
+    V per V/V. `after_s`: duration of the record after the release. The first of the `ropes` releases every component,
+    all of them release Fz.
     """
 
     frequency_hz: tuple[float, ...]
@@ -169,8 +169,8 @@ def write_steps(folder: Path, seed: int, rig: StepRig | None = None) -> tuple[Pa
 def sensor_model(rig: StepRig, draws: Draws) -> Model:
     """Return the response of every output (row) to every load component (column), V/V per N or N·m.
 
-    H = C·diag[ω²/(s² + 2ζωs + ω²)]·B·2πf_c/(s + 2πf_c): loads excite the modes by B, outputs observe them by C, both nearly
-    diagonal; the amplifier is the last factor. Residues follow from partial fractions.
+    H = C·diag[ω²/(s² + 2ζωs + ω²)]·B·2πf_c/(s + 2πf_c): loads excite the modes by B, outputs observe them by C, both
+    nearly diagonal; the amplifier is the last factor. Residues follow from partial fractions.
     """
     modes = len(rig.frequency_hz)
     off = [draws.stream(f"mixing.{name}").uniform(-rig.mixing, rig.mixing, (modes, modes)) for name in ("B", "C")]
@@ -195,15 +195,15 @@ def sensor_model(rig: StepRig, draws: Draws) -> Model:
 
 def _write_release(folder: Path, rig: StepRig, model: Model, release: SimulatedRelease, draws: Draws) -> Path:
     """Write one recording: the load vanishes, and every output changes from its loaded to its zero level."""
-    name, place = release.name, LOAD_COMPONENTS.index(release.component)
-    load, column = rig.load_share * rig.capacity[place], [row[place] for row in model]
+    name, index = release.name, LOAD_COMPONENTS.index(release.component)
+    load, column = rig.load_share * rig.capacity[index], [row[index] for row in model]
     time_s, onset_s, release_s = rig.release_times(name, release.rope, rig.before_s + rig.after_s, draws)
     offset, static = rig.offsets(name, len(model), draws), [one.static_gain for one in column]
     # the poles of all outputs are the same
     response = pole_responses(column[0].poles, time_s, onset_s, release_s, release.rope.shape)
     upper, real = np.split(response, [len(rig.frequency_hz)], axis=1)
-    answers = (2.0 * np.real(upper @ one.residue) + np.real(real) @ one.real_residue for one in column)
-    clean = np.stack([load * (gain - answer) for gain, answer in zip(static, answers, strict=True)])
+    responses = (2.0 * np.real(upper @ one.residue) + np.real(real) @ one.real_residue for one in column)
+    clean = np.stack([load * (gain - response_v) for gain, response_v in zip(static, responses, strict=True)])
     steps = np.array(rig.sensitivity) * np.array(rig.capacity) * rig.load_share
     truth = {
         "format": 1,
@@ -240,9 +240,9 @@ def _step_tables(name: str, rig: str, released: tuple[str, float, str], channels
 
 @dataclass(frozen=True, config=CHECKED)
 class SeriesRig(SimulatedRecorder):
-    """Truth and nominal values: masses in kg, N/m, N·s/m; output in V, recorded as it is; times in s.
+    """Truth and nominal values: masses in kg, N/m, N·s/m; output in V; times in s.
 
-    `loads_g`: masses on the pillar in g; the load of `force_n` vanishes along a straight line of `release_s`.
+    `loads_g`: masses on the pillar in g. The load of `force_n` vanishes linearly within `release_s`.
     """
 
     loads_g: tuple[int, ...]
@@ -260,9 +260,9 @@ class SeriesRig(SimulatedRecorder):
 
 
 def write_loads(folder: Path, seed: int, rig: SeriesRig | None = None) -> tuple[Path, ...]:
-    """Write a rig and a recording for every load, and the truth, into an empty folder; return the recordings' folders.
+    """Write a rig and a recording for every load, and the truth; return the recordings' folders.
 
-    The masses differ from the stated ones by errors of the stated uncertainties, the moving mass by one for all.
+    The true masses differ from the stated ones within the stated uncertainties; the error of the moving mass is common.
     """
     rig = rig or read_preset(SeriesRig, "loads")
     draws = Draws(seed, True)
@@ -296,11 +296,10 @@ def write_loads(folder: Path, seed: int, rig: SeriesRig | None = None) -> tuple[
 
 
 def true_modes(rig: SeriesRig, moving: float, load: float) -> tuple[ComplexArray, ComplexArray]:
-    """Return poles in rad/s and residues of the output over a force on the load, for the true masses in kg.
+    """Return poles, rad/s, and residues of the output over a force on the load, for true masses.
 
-    M ẍ + B ẋ + K x = f of the moving mass on its spring and the load on its own, by the eigenvectors of the equations
-    of first order. Written anew, not by `shaker.release.load_model`: what the program makes of these recordings is
-    tested against them.
+    M ẍ + B ẋ + K x = f of the moving mass and the load on their springs, by the eigenvectors of the first-order
+    equations. It is independent of `shaker.release.load_model`, whose results are tested with these recordings.
     """
     joint = np.array([[1.0, -1.0], [-1.0, 1.0]])
     stiffness = np.diag([rig.stiffness, 0.0]) + rig.coupling_stiffness * joint
@@ -316,7 +315,7 @@ def true_modes(rig: SeriesRig, moving: float, load: float) -> tuple[ComplexArray
 
 
 def _write_series_release(folder: Path, rig: SeriesRig, grams: int, masses: tuple[float, float], draws: Draws) -> Path:
-    """Write one recording: the force vanishes, the output falls from its loaded level to zero and rings."""
+    """Write one recording: the force vanishes, the output falls to zero and rings."""
     name, (poles, residues) = f"step-{grams:03d}g", true_modes(rig, *masses)
     time_s, onset_s, release_s = rig.release_times(name, SimulatedRope(ROPE, rig.release_s, 0.0), rig.duration_s, draws)
     offset, steps = rig.offsets(name, 1, draws), np.array([rig.force_n * rig.sensitivity])

@@ -117,7 +117,7 @@ def write_rotation(folder: Path, seed: int, rig: RotationRig | None = None) -> t
 
 def true_outputs(rig: RotationRig, name: str, angle_rad: FloatArray, sense: FloatArray, draws: Draws) -> FloatArray:
     """Return the outputs (N, 6) without noise at angles (N,), approached in a sense (N,) of ±1."""
-    gravity, air = (float(known.value + draws.normal(key, known.u)) for known, key in _surroundings(rig))
+    gravity, air = (float(stated.value + draws.normal(key, stated.u)) for stated, key in _surroundings(rig))
     shares = {BARE: [(rig.internal_mass_kg, 1.0 / 5000.0, np.array(rig.internal_centre_m))]}
     mass = rig.load_mass_kg + float(draws.normal("load.mass", rig.u_load_mass_kg))
     centre = np.array(rig.load_centre_m) + draws.normal("load.centre", rig.u_load_centre_m, 3)
@@ -210,8 +210,8 @@ def write_session(folder: Path, seed: int, progress: ProgressCallback) -> None:
         (folder / side).mkdir()
         for number, pose in enumerate(poses):
             seen = render_board(camera, relative @ pose, preset.board, preset.blur_px, slant=0.1)
-            picture = sensor.digitise(seen, rng)
-            _, text = cv2.imencode(".png", picture.astype(np.uint8))
+            image = sensor.digitise(seen, rng)
+            _, text = cv2.imencode(".png", image.astype(np.uint8))
             write_file(folder / side / f"{number:02d}.png", text.tobytes())
             progress("render", SIDES.index(side) * preset.views + number + 1, 2 * preset.views)
     write_calibration(folder / TRUTH_FILE, rig)

@@ -231,8 +231,9 @@ class TrueStereo:
 class World:
     """The truth of a simulation.
 
-    Motions of both bodies, wrench on the load (K, 6), sensitivity (K, C, 6), outputs (K, C). `load_wrench` has the sense of the manifest. `trigger_s` (F,): instants of the trigger edges, with their jitter.
-    Times are true seconds since the first sample of the first DAQ.
+    Motions of both bodies, wrench on the load (K, 6), sensitivity (K, C, 6), outputs (K, C). `load_wrench` has the
+    sense of the manifest. `trigger_s` (F,): instants of the trigger edges, with their jitter. Times are true seconds
+    since the first sample of the first DAQ.
     """
 
     preset: Preset

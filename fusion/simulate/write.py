@@ -87,8 +87,8 @@ def write_record(path: Path, recorded: Record) -> None:
 def points_text(position_m: FloatArray) -> str:
     """Return points (F, N, 3) as a table in mm, one row per frame and point."""
     frames, count = position_m.shape[:2]
-    place = np.stack(np.meshgrid(np.arange(frames), np.arange(count), indexing="ij"), axis=-1)
-    rows = np.concatenate([place, position_m / POINTS_SCALE], axis=2).reshape(-1, len(COLUMNS))
+    number = np.stack(np.meshgrid(np.arange(frames), np.arange(count), indexing="ij"), axis=-1)
+    rows = np.concatenate([number, position_m / POINTS_SCALE], axis=2).reshape(-1, len(COLUMNS))
     text = "\n".join(f"{frame:.0f},{point:.0f},{x:.6f},{y:.6f},{z:.6f}" for frame, point, x, y, z in rows.tolist())
     return f"{','.join(COLUMNS)}\n{text}\n"
 
@@ -105,10 +105,10 @@ SUPPORT = "frame"  # of all cameras of a set-up
 
 def pairs(setup: StereoSetup, preset: Preset) -> list[tuple[str, dict[str, Any]]]:
     """Return the blocks of a stereo pair by name; a patch at rest has a second block."""
-    own = _stereo_keys(setup, preset)
+    keys = _stereo_keys(setup, preset)
     names = dict.fromkeys(patch.name for patch in patches_of(setup))
-    stands = {"support": SUPPORT} if names else {}
-    return [(setup.name, own | stands), *((name, {**own, "body": "room", **stands}) for name in names)]
+    support = {"support": SUPPORT} if names else {}
+    return [(setup.name, keys | support), *((name, {**keys, "body": "room", **support}) for name in names)]
 
 
 def _stereo_keys(setup: StereoSetup, preset: Preset) -> dict[str, Any]:
@@ -117,8 +117,8 @@ def _stereo_keys(setup: StereoSetup, preset: Preset) -> dict[str, Any]:
     lengths: dict[str, Any] = {"scale_uncertainty": setup.scale_uncertainty}
     if setup.surface_uncertainty:
         distance, tilt = setup.surface_uncertainty
-        known = {"point": list(setup.face_centre), "normal": list(setup.face_normal)}
-        lengths = {"surface": {**known, "distance_uncertainty": distance, "tilt_uncertainty": tilt}}
+        plane = {"point": list(setup.face_centre), "normal": list(setup.face_normal)}
+        lengths = {"surface": {**plane, "distance_uncertainty": distance, "tilt_uncertainty": tilt}}
     return {
         "body": setup.body,
         **({"calibration": calibration_file(setup)} if images else {}),
@@ -149,8 +149,8 @@ def images(setup: StereoSetup) -> list[dict[str, Any]]:
     files, patches = {side: f"{setup.name}-{side}/*.tif" for side in setup.sides}, patches_of(setup)
     if not patches:
         return [{"stereo": setup.name, **files}]
-    body, room = region_of(setup, setup), region_of(setup, *patches)
+    body, at_rest = region_of(setup, setup), region_of(setup, *patches)
     return [
         {"stereo": setup.name, **files, "region": body},
-        {"stereo": patches[0].name, **files, "region": room, "mask": [body]},
+        {"stereo": patches[0].name, **files, "region": at_rest, "mask": [body]},
     ]
