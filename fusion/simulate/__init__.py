@@ -20,11 +20,35 @@ PRESETS = (*RECORDINGS, "targets", "chirp", "masses", "pitching", "rotation", "s
 def simulate(
     out: str | Path, preset: str, seed: int, progress: ProgressCallback = no_progress, **switches: Any
 ) -> Path:
-    """Write what a preset is into folder `out`; return the recording where it is one, else folder or file to evaluate.
+    """Write a simulated recording, campaign or geometry into a folder.
 
-    `switches` are the fields of `SimulationOptions`. The same seed gives the same files. A folder that holds anything
-    but an earlier simulation is refused with an `InputError`; it appears whole or not at all.
+    Parameters
+    ----------
+    out : str or Path
+        New folder, or one with an earlier simulation.
+    preset : str
+        One of `PRESETS`.
+    seed : int
+        Of all random numbers: the same seed gives the same files.
+    progress : ProgressCallback
+        Called with stage, done and total (default: none).
+    **switches : Any
+        Fields of `SimulationOptions`, for presets of sines.
 
+    Returns
+    -------
+    Path
+        The recording, or the folder or file to evaluate.
+
+    Raises
+    ------
+    InputError
+        If the folder has other files. It is written completely or not at all.
+    ValueError
+        For unknown presets and switches.
+
+    Examples
+    --------
     >>> import tempfile
     >>> from fusion import find_recordings, simulate_preset
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -97,7 +121,7 @@ def _files(folder: Path) -> list[str]:
 
 
 def _not_simulated(out: Path) -> Path | None:
-    """Return a path in a folder that is not part of a simulation, None if there is none."""
+    """Return a path in a folder that is no part of a simulation, else None."""
     from fusion.recording.load import load_manifest
 
     element = {(out / name).resolve() for name in ("elastomer.toml", "models.json", "truth.json")}
