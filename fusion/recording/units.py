@@ -167,10 +167,10 @@ def recorded_unit(text: str) -> RecordedUnit | None:
 
 
 def in_stated_units(manifest: Manifest, daq: Daq, raw: Mapping[str, RawChannel]) -> dict[str, RawChannel]:
-    """Return the channels of a block; those without `scale` are converted into the units of their quantities.
+    """Return the channels of a block; without `scale` they are converted into units of their quantities.
 
-    A unit that no factor converts needs a `scale`: `InputError`. One that the file does not state is taken for that of
-    the quantity, as is one that is not known (`unit_doubts` asks about that).
+    A unit that no factor converts requires a `scale`: `InputError`. A unit that is not stated, or not recognised, is
+    taken as that of the quantity; `unit_notices` warns of the latter.
     """
     channels, missing = dict(raw), list[InputError]()
     for entry in daq.channel:
